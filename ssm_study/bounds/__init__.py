@@ -1,0 +1,1 @@
+"""What is provable of a model: slopes, Lipschitz constants, Gramians, Hankel singular values, balancing."""

@@ -1,0 +1,1 @@
+"""From excitation or a file to a data set."""

@@ -1,0 +1,1 @@
+"""Stages, store, records, gathering into one tidy table, verification."""

@@ -1,0 +1,1 @@
+"""Controllers and observers with certificates: one theorem per file, and exact verification."""

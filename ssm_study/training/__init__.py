@@ -1,0 +1,1 @@
+"""How a model is fitted to data. Lightning lives here and nowhere else."""
