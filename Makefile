@@ -1,0 +1,37 @@
+# On a fresh clone with Python 3.11 and make only: `make study` runs the paper's study, `make test` checks everything.
+PYTHON ?= python3.11
+BIN := .venv/bin
+export OMP_NUM_THREADS ?= 1
+export OMP_WAIT_POLICY ?= passive
+
+.PHONY: help install study test docs clean
+
+help:
+	@echo "make study   install what is missing and run the paper's study (conf/experiment/paper.yaml)"
+	@echo "make test    install what is missing, then formatter check, linter, type checker, tests"
+	@echo "make docs    build the documentation site into site/, warnings are errors"
+	@echo "make clean   remove the environment and every cache (results stay)"
+
+# torch goes first and alone: any looser request pulls gigabytes of GPU packages that a CPU does not need.
+.venv/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --editable '.[dev]'
+	@touch $@
+
+install: .venv/.installed
+
+study: install
+	$(BIN)/ssm-study run experiment=paper
+
+test: install
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2 --dist worksteal
+
+docs: install
+	$(BIN)/mkdocs build --strict
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis site build dist
