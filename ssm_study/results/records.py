@@ -1,0 +1,62 @@
+"""`record.json`: one flat object per run, sealed by its own SHA-256; what every table and figure is made from."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssm_study.refusal import BadRequest
+from ssm_study.results.durable import is_intact, is_locked, sealed, write_json_atomically
+
+RECORD = "record.json"
+LOCK = ".lock"
+RECORD_VERSION = 1
+# What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the lock) and
+# `corrupt` (the file is not what was written).
+RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
+LOST, CORRUPT = "lost", "corrupt"
+
+
+def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+    """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts `inf` and `-inf`."""
+    flat = {str(key): _flat(str(key), value) for key, value in record.items() if key != "sha256"}
+    write_json_atomically(folder / RECORD, sealed({"record_version": RECORD_VERSION} | flat))
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there is none."""
+    try:
+        content = (folder / RECORD).read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    record = parse_record(content)
+    if record.get("status") == RUNNING and not is_locked(folder / LOCK):
+        record["status"] = LOST
+    return record
+
+
+def parse_record(content: bytes) -> dict[str, Any]:
+    """The record written as `content`; anything that is not exactly a sealed record has only `status = corrupt`."""
+    try:
+        record = json.loads(content)
+    except ValueError:
+        return {"status": CORRUPT}
+    if not is_intact(record):
+        return {"status": CORRUPT}
+    del record["sha256"]
+    return dict(record)
+
+
+def _flat(key: str, value: Any) -> bool | int | float | str | None:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    raise BadRequest(key, value, f"a {type(value).__name__} does not fit a flat record", "store a number or a text")

@@ -1,0 +1,125 @@
+"""The table of a study as a person reads it: best first, failures counted and explained, 80 columns wide."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from ssm_study.refusal import require
+from ssm_study.results.columns import BY_NAME, RANKING
+from ssm_study.results.filters import where as filtered
+from ssm_study.results.gather import gather
+
+WIDTH = 80
+SETTINGS = (
+    "seed",
+    "order",
+    "hidden_width",
+    "slope_lower",
+    "slope_upper",
+    "scaffold_in",
+    "excitation",
+    "rate_controller",
+    "rate_observer",
+    "synthesis_method",
+)
+OUTCOMES = ("fit_test_percent", "stable_fraction", "settling_time_mean_s", "controller_certified", "observer_certified")
+REASONS = ("error_message", "infeasible_reason")
+
+
+def show(study: Path, by: str | None = None, where: str | None = None) -> None:
+    """Print the study's table, best first, after gathering it anew; `where` filters, `by` sorts."""
+    table = gather(study)
+    rows = ranked(filtered(table, where) if where else table, by)
+    if sys.stdout.isatty():
+        Console(width=max(WIDTH, Console().width)).print(rich_table(rows, by))
+    else:
+        print(plain_table(rows, by))
+    for line in summary(table, shown=len(rows)):
+        print(line)
+
+
+def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
+    """Best first: by `by` in its better direction, else by stability, settling time and fit; missing values last."""
+    require(by is None or by in table.columns, "by", by, "no such column", f"choose among {', '.join(table.columns)}")
+    keys = [by] if by else list(RANKING)
+    low = [BY_NAME[key].better != "high" if key in BY_NAME else True for key in keys]
+    return table.sort_values(keys, ascending=low, na_position="last", kind="stable", ignore_index=True)
+
+
+def chosen_columns(table: pd.DataFrame, by: str | None = None) -> list[str]:
+    """Run, status, the settings that vary, the outcomes that are known, and `by`; as many as fit into 80 columns."""
+    varying = [name for name in SETTINGS if table[name].nunique(dropna=False) > 1]
+    known = [name for name in OUTCOMES if table[name].notna().any()]
+    extra = [by] if by and by not in varying + known + ["run", "status"] else []
+    return ["run", "status", *extra, *varying, *known]
+
+
+def plain_table(table: pd.DataFrame, by: str | None = None) -> str:
+    """Fixed-width text: what pipes and files get."""
+    columns: list[list[str]] = []
+    width = 0
+    for name in chosen_columns(table, by):
+        cells = [heading(name), *(cell(value) for value in table[name])]
+        room = max(len(text) for text in cells)
+        if width + room + 2 > WIDTH and columns:
+            continue
+        columns.append([text.ljust(room) if name in ("run", "status") else text.rjust(room) for text in cells])
+        width += room + 2
+    return "\n".join("  ".join(line).rstrip() for line in zip(*columns, strict=True))
+
+
+def rich_table(table: pd.DataFrame, by: str | None = None) -> Table:
+    text = plain_table(table, by).splitlines()
+    result = Table.grid()
+    result.add_row(text[0], style="bold")
+    colour = {"failed": "red", "lost": "red", "corrupt": "red", "infeasible": "yellow", "running": "cyan"}
+    for line, status in zip(text[1:], table["status"], strict=True):
+        result.add_row(line, style=colour.get(str(status), ""))
+    return result
+
+
+def heading(name: str) -> str:
+    return (BY_NAME[name].head if name in BY_NAME else "") or name
+
+
+def cell(value: object) -> str:
+    if value is None or value is pd.NA:
+        return "-"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def summary(table: pd.DataFrame, shown: int) -> list[str]:
+    """Counts by status, then each run that did not end `ok` with its reason."""
+    counts = table["status"].value_counts()
+    order = [status for status in ("ok", "infeasible", "failed", "lost", "corrupt", "running") if status in counts]
+    lines = ["", f"{len(table)} runs ({shown} shown): " + ", ".join(f"{counts[status]} {status}" for status in order)]
+    lines += _listed(table, "failed", lambda row: _reason(row) or "no message recorded")
+    lines += _listed(table, "infeasible", lambda row: _reason(row) or _infeasible_parts(row))
+    lines += _listed(table, "lost", lambda _: "stopped before it ended; the same command runs it again")
+    lines += _listed(table, "corrupt", lambda _: "record.json is damaged; the same command runs it again")
+    return lines
+
+
+def _listed(table: pd.DataFrame, status: str, reason: Callable[[pd.Series], str], limit: int = 20) -> list[str]:
+    rows = table[table["status"] == status]
+    lines = [f"  {status} {row['run']}: {reason(row)}" for _, row in rows.head(limit).iterrows()]
+    return lines + ([f"  ... and {len(rows) - limit} more {status}"] if len(rows) > limit else [])
+
+
+def _reason(row: pd.Series) -> str:
+    return next((str(row[name]) for name in REASONS if name in row and not pd.isna(row[name])), "")
+
+
+def _infeasible_parts(row: pd.Series) -> str:
+    parts = []
+    for part, rate in (("controller", "rate_controller"), ("observer", "rate_observer")):
+        if not pd.isna(row[f"{part}_feasible"]) and not row[f"{part}_feasible"]:
+            parts.append(f"{part} at rate {cell(row[rate])}, limit {cell(row[f'{part}_rate_limit'])}")
+    return "; ".join(parts) or "no reason recorded"

@@ -1,0 +1,170 @@
+"""A stage is a pure function of its key: computed once, kept under that key, checked to the last bit on reading."""
+
+import json
+import os
+import secrets
+import shutil
+import socket
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ssm_study.refusal import require
+from ssm_study.results.durable import (
+    is_intact,
+    locked,
+    sealed,
+    sha256_of_file,
+    sync_file,
+    sync_folder,
+    write_json_atomically,
+)
+from ssm_study.results.keys import stage_key
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageResult:
+    """The folder of a finished stage. `seconds` is what computing it took; `reused` if not in this call."""
+
+    path: Path
+    key: str
+    seconds: float
+    reused: bool
+    name: str
+
+
+@dataclass(frozen=True)
+class Store:
+    """`root/<stage>/<key>/` holds the files of one stage and `manifest.json` with the SHA-256 of each.
+
+    A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and renamed. Only one
+    process computes a key at a time (flock). Should the lock fail (a network file system without one), two processes
+    compute the same content and the first rename wins.
+    """
+
+    root: Path
+
+    def stage(
+        self,
+        name: str,
+        config: Any,
+        upstream: Sequence[str],
+        code_version: str,
+        compute: Callable[[Path], None],
+    ) -> StageResult:
+        """The stage's folder, computed by `compute(folder)` if it is not there or no longer intact.
+
+        Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
+        """
+        key = stage_key(name, config, tuple(upstream), code_version)
+        if found := self.find(name, key):
+            return found
+        with locked(self.root / ".locks" / f"{name}-{key}.lock"):
+            if found := self.find(name, key):  # another process was faster
+                return found
+            self._clear(name, key)
+            note = {"stage": name, "key": key, "upstream": list(upstream), "code_version": code_version}
+            return self._compute(name, key, note, compute)
+
+    def find(self, name: str, key: str) -> StageResult | None:
+        """The intact stage of this key, or None; a damaged one counts as absent."""
+        folder = self.folder(name, key)
+        manifest = intact_manifest(folder)
+        if manifest is None or manifest.get("key") != key:
+            return None
+        return StageResult(path=folder, key=key, seconds=manifest["seconds"], reused=True, name=name)
+
+    def folder(self, name: str, key: str) -> Path:
+        require(
+            name.replace("_", "").replace("-", "").isalnum(),
+            "stage",
+            name,
+            "not a plain name",
+            "use letters and digits",
+        )
+        return self.root / name / key[:32]
+
+    def _compute(self, name: str, key: str, note: dict[str, Any], compute: Callable[[Path], None]) -> StageResult:
+        final = self.folder(name, key)
+        temporary = final.with_name(f".tmp-{final.name}-{secrets.token_hex(4)}")
+        temporary.mkdir(parents=True)
+        try:
+            started = time.perf_counter()
+            compute(temporary)
+            seconds = time.perf_counter() - started
+            seal_folder(temporary, note | {"seconds": seconds})
+            self._place(temporary, final)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+        return StageResult(path=final, key=key, seconds=seconds, reused=False, name=name)
+
+    def _place(self, temporary: Path, final: Path) -> None:
+        try:
+            temporary.rename(final)
+        except OSError:
+            if intact_manifest(final) is None:
+                raise
+            shutil.rmtree(temporary)  # someone placed the same result without our lock: theirs is as good
+        sync_folder(final.parent)
+
+    def _clear(self, name: str, key: str) -> None:
+        """Make room for a new computation: damaged results go to `root/.corrupt/`, leftovers of the killed away."""
+        folder = self.folder(name, key)
+        for leftover in folder.parent.glob(f".tmp-{folder.name}-*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+        if folder.exists():
+            aside = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
+            aside.parent.mkdir(parents=True, exist_ok=True)
+            folder.rename(aside)
+
+
+def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()) -> None:
+    """Synchronise every file of `folder`, then write `manifest.json`: the note, sizes and SHA-256 sums, and its own.
+
+    `leave_out` names entries directly in `folder` that may change later.
+    """
+    files = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder)
+        if name.parts[0] in leave_out or name == Path(MANIFEST):
+            continue
+        if path.is_dir():
+            sync_folder(path)
+        elif path.is_file():
+            sync_file(path)
+            files[name.as_posix()] = {"sha256": sha256_of_file(path), "bytes": path.stat().st_size}
+    made = {
+        "made_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": socket.gethostname(),
+        "pid": os.getpid(),
+    }
+    write_json_atomically(folder / MANIFEST, sealed(note | made | {"files": files}))
+
+
+def intact_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of `folder` if it and every file it lists are as they were written, else None."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return None
+    if not is_intact(manifest):
+        return None
+    return manifest if not damaged_files(folder, manifest) else None
+
+
+def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
+    """Names listed in the manifest whose file is missing, shorter, longer or different."""
+    return [name for name, facts in manifest["files"].items() if not _is_same(folder / name, facts)]
+
+
+def _is_same(path: Path, facts: dict[str, Any]) -> bool:
+    try:
+        return path.stat().st_size == facts["bytes"] and sha256_of_file(path) == facts["sha256"]
+    except OSError:
+        return False
