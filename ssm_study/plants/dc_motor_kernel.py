@@ -1,0 +1,130 @@
+"""Compiled batch stepping of the two-mass motor: Taylor series of the affine flow, switches located on it.
+
+Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from `c[q+1] = A c[q]/(q+1)`
+and the truncated series is a one-step method of order `ORDER`. A sign change of a speed (slip ends) or a held torque
+beyond the friction level (stick ends) is found by bisection on the same polynomial, so switching costs no order.
+State `(i_a, w_m, w_L, th_m - th_L)`; a body is stuck exactly when its speed is 0.0 and its torque is within `a0`.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+ORDER = 4
+SWITCHES_PER_SUBSTEP = 16  # a guard against endless switching; met twice at most in practice
+BISECTIONS = 60  # below the spacing of doubles for any substep
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _torques(p, i, wm, wl, th, load):
+    """Torques on motor shaft and load without Coulomb friction, N m."""
+    shaft = p.stiffness * th + p.damping * (wm - wl)
+    return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _series(p, c, v, load, motor_mode, load_mode):
+    """Fill `c[1:]`; row 0 is the state. A stuck body keeps a zero speed in every row, hence exactly."""
+    for q in range(ORDER):
+        i, wm, wl, th = c[q, 0], c[q, 1], c[q, 2], c[q, 3]
+        held_v, held_load = (v, load) if q == 0 else (0.0, 0.0)
+        tm, tl = _torques(p, i, wm, wl, th, held_load)
+        if q == 0:
+            tm -= motor_mode * p.coulomb
+            tl -= load_mode * p.coulomb
+        part = 1.0 / (q + 1)
+        c[q + 1, 0] = (held_v - p.resistance * i - p.k * wm) * (p.per_inductance * part)
+        c[q + 1, 1] = 0.0 if motor_mode == 0 else tm * (p.per_motor_inertia * part)
+        c[q + 1, 2] = 0.0 if load_mode == 0 else tl * (p.per_load_inertia * part)
+        c[q + 1, 3] = (wm - wl) * part
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _at(c, j, t):
+    value = c[ORDER, j]
+    for q in range(ORDER - 1, -1, -1):
+        value = value * t + c[q, j]
+    return value
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _keeps(p, c, t, load, body, mode):
+    """Positive while `body` (0 motor, 1 load) stays in its mode at time t of the series."""
+    if mode != 0:
+        return mode * _at(c, 1 + body, t)
+    tm, tl = _torques(p, _at(c, 0, t), _at(c, 1, t), _at(c, 2, t), _at(c, 3, t), load)
+    return p.coulomb - abs(tm if body == 0 else tl)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _leaves(p, c, h, load, body, mode):
+    """The time in `[0, h]` at which `body` leaves its mode; above h if it does not."""
+    if _keeps(p, c, h, load, body, mode) >= 0.0:
+        return 2.0 * h
+    low, high = 0.0, h
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if _keeps(p, c, middle, load, body, mode) >= 0.0:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _mode(speed, torque, coulomb):
+    """0 stuck, else the sign of the motion (or of the motion about to begin)."""
+    if speed != 0.0:
+        return 1 if speed > 0.0 else -1
+    if abs(torque) <= coulomb:
+        return 0
+    return 1 if torque > 0.0 else -1
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _substep(p, c, h, v, load):
+    """Advance row 0 of `c` by `h`, mode by mode."""
+    tm, tl = _torques(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
+    motor_mode, load_mode = _mode(c[0, 1], tm, p.coulomb), _mode(c[0, 2], tl, p.coulomb)
+    for _ in range(SWITCHES_PER_SUBSTEP):
+        _series(p, c, v, load, motor_mode, load_mode)
+        motor_leaves = _leaves(p, c, h, load, 0, motor_mode)
+        load_leaves = _leaves(p, c, h, load, 1, load_mode)
+        t = min(h, motor_leaves, load_leaves)
+        for j in range(4):
+            c[0, j] = _at(c, j, t)
+        if motor_leaves > h and load_leaves > h:
+            return
+        h -= t
+        if motor_leaves <= load_leaves:
+            c[0, 1] = 0.0
+            tm, _tl = _torques(p, c[0, 0], 0.0, c[0, 2], c[0, 3], load)
+            motor_mode = _mode(0.0, tm, p.coulomb if motor_mode != 0 else 0.0)
+        else:
+            c[0, 2] = 0.0
+            _tm, tl = _torques(p, c[0, 0], c[0, 1], 0.0, c[0, 3], load)
+            load_mode = _mode(0.0, tl, p.coulomb if load_mode != 0 else 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def advance_batch(p, x, u, d, h, substeps):
+    """`x (N, 4)` after `substeps` steps of `h` seconds under voltage `u (N, 1)` and load torque `d (N, 1)`."""
+    out = np.empty_like(x)
+    c = np.empty((ORDER + 1, 4))
+    for n in range(x.shape[0]):
+        volt = u[n, 0]
+        v = 0.0 if abs(volt) < p.dead_zone else volt - np.sign(volt) * p.dead_zone
+        c[0] = x[n]
+        for _ in range(substeps):
+            _substep(p, c, h, v, d[n, 0])
+        out[n] = c[0]
+    return out

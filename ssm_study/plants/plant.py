@@ -1,0 +1,100 @@
+"""The interface every plant answers: what it is called, where it rests, and one sampling period under held input."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.signals import Channel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equilibrium:
+    """`x = f(x, u)` with `y = h(x)`: held at `u (m,)`, a plant started in `x (n,)` stays there and reads `y (p,)`."""
+
+    u: Float[np.ndarray, "m"]
+    x: Float[np.ndarray, "n"]
+    y: Float[np.ndarray, "p"]
+
+
+class Plant(ABC):
+    """`x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`: a sampled system under held input, physical units throughout.
+
+    Concrete plants are frozen keyword-only dataclasses, one file and one yaml each; wrappers are plants around a plant.
+    Laws (tested for every yaml): the equilibrium is a fixed point; a batch equals its rows; two halves equal the whole;
+    `output(states_at(y)) = y`; `output` never sees the input that acts after it.
+    """
+
+    step_s: float  # sampling time
+    settling_band: float  # |y - y_eq| that counts as settled, unit of the output
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[Channel, ...]: ...
+
+    @property
+    @abstractmethod
+    def outputs(self) -> tuple[Channel, ...]: ...
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[Channel, ...]: ...
+
+    @property
+    @abstractmethod
+    def disturbances(self) -> tuple[Channel, ...]: ...
+
+    @property
+    @abstractmethod
+    def initial_range(self) -> tuple[float, float]:
+        """Offsets of the output from its equilibrium from which initial conditions are drawn, unit of the output."""
+
+    @property
+    @abstractmethod
+    def input_amplitude(self) -> tuple[float, ...]:
+        """Offsets of each input from its equilibrium that an excitation uses unless it is told otherwise."""
+
+    @property
+    @abstractmethod
+    def input_clock_s(self) -> float:
+        """The shortest time an excitation holds a level unless it is told otherwise."""
+
+    @property
+    @abstractmethod
+    def noise_variance(self) -> tuple[float, ...]:
+        """Variance of each output's measurement noise, its unit squared."""
+
+    @abstractmethod
+    def equilibrium(self) -> Equilibrium: ...
+
+    @abstractmethod
+    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
+        """States that read `y0`, all else at rest."""
+
+    @abstractmethod
+    def advance(
+        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
+    ) -> Float[np.ndarray, "N n"]:
+        """The states one sampling period later, `u` and `d` held meanwhile."""
+
+    @abstractmethod
+    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+        """What the sensor reads, before the input of the same sample acts."""
+
+    def simulate(
+        self,
+        u: Float[np.ndarray, "N T m"],
+        x0: Float[np.ndarray, "N n"] | None = None,
+        d: Float[np.ndarray, "N T q"] | None = None,
+    ) -> tuple[Float[np.ndarray, "N T n"], Float[np.ndarray, "N T p"]]:
+        """States and outputs at the sampling instants; `x0` None starts at the equilibrium, `d` None is undisturbed."""
+        cases, samples = u.shape[:2]
+        state = np.tile(self.equilibrium().x, (cases, 1)) if x0 is None else x0
+        still = np.zeros((cases, len(self.disturbances)))
+        x = np.empty((cases, samples, state.shape[1]))
+        y = np.empty((cases, samples, len(self.outputs)))
+        for k in range(samples):
+            x[:, k], y[:, k] = state, self.output(state)
+            state = self.advance(state, u[:, k], still if d is None else d[:, k])
+        return x, y
