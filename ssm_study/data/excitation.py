@@ -14,7 +14,7 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """`samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held for `clock_s` or longer."""
+    """`samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at least `clock_s`."""
 
     samples: int
     step_s: float
