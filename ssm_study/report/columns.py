@@ -1,0 +1,76 @@
+"""What each column of the gathered table is called in print, with its unit; others keep their own name."""
+
+import pandas as pd
+
+WORDS: dict[str, str] = {
+    "run": "Run",
+    "status": "Status",
+    "seed": "Seed",
+    "order": "Model order",
+    "hidden_width": "Hidden width",
+    "slope_lower": "Slope floor asked (–)",
+    "slope_upper": "Slope ceiling asked (–)",
+    "scaffold_in": "Input scaffolding",
+    "excitation": "Excitation",
+    "rate_controller": "Controller rate asked, ρ (1/sample)",
+    "rate_observer": "Observer rate asked, ρ (1/sample)",
+    "synthesis_method": "Synthesis",
+    "fit_train_percent": "Fit on training records (%)",
+    "fit_validation_percent": "Fit on validation record (%)",
+    "fit_test_percent": "Fit on test record (%)",
+    "rmse_test": "RMSE on test record (output unit)",
+    "input_coverage": "Input amplitude coverage (–)",
+    "training_seconds": "Training time (s)",
+    "input_slope_lower": "Smallest slope of S_u (–)",
+    "input_slope_upper": "Largest slope of S_u (–)",
+    "output_slope_lower": "Smallest slope of S_y (–)",
+    "output_slope_upper": "Largest slope of S_y (–)",
+    "bound_method": "Slope bound",
+    "hankel_largest": "Largest Hankel singular value",
+    "hankel_smallest": "Smallest Hankel singular value",
+    "spectral_radius": "Spectral radius of A (–)",
+    "controller_rate_limit": "Controller rate limit, ρ (1/sample)",
+    "observer_rate_limit": "Observer rate limit, ρ (1/sample)",
+    "controller_margin": "Controller LMI margin",
+    "observer_margin": "Observer LMI margin",
+    "controller_gain_norm": "Controller gain ‖K‖ (scaled)",
+    "observer_gain_norm": "Observer gain ‖L‖ (scaled)",
+    "synthesis_seconds": "Synthesis time (s)",
+    "initial_conditions": "Initial conditions",
+    "stable_count": "Initial conditions settled",
+    "stable_fraction": "Initial conditions settled (share)",
+    "settling_time_mean_s": "Mean settling time (s)",
+    "settling_time_worst_s": "Worst settling time (s)",
+    "settling_time_open_loop_s": "Mean settling time, uncontrolled (s)",
+    "overshoot_worst": "Worst overshoot (output unit)",
+    "input_peak_v": "Input peak (V)",
+    "control_energy": "Control energy (V² s)",
+    "empirical_rate": "Measured contraction, r (1/sample)",
+    "certified_bound_violations": "Violations of the certified bound",
+    "mismatch_gain": "Model mismatch gain",
+    "mismatch_margin": "Mismatch margin (–)",
+}
+
+
+def words(column: str) -> str:
+    """The printed name of a column, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
+    return WORDS.get(column, column.replace("_", " "))
+
+
+def column(table: pd.DataFrame, name: str) -> pd.Series:
+    """The column as numbers, NaN where the table has none: a figure must also draw on a table of failures."""
+    if name not in table:
+        return pd.Series(float("nan"), index=table.index, name=name, dtype=float)
+    return pd.to_numeric(table[name], errors="coerce").astype(float)
+
+
+def flag(table: pd.DataFrame, name: str) -> pd.Series:
+    """The column as truth values; missing counts as false (nothing is certified by silence)."""
+    return column(table, name).fillna(0.0) > 0
+
+
+def text(table: pd.DataFrame, name: str) -> pd.Series:
+    """The column as words, empty where missing."""
+    if name not in table:
+        return pd.Series("", index=table.index, name=name, dtype=str)
+    return table[name].astype("string").fillna("").astype(str)

@@ -1,0 +1,44 @@
+"""The ways to a controller beside each other: share of initial conditions settled, settling time relative to the plant
+left alone, and peak input, per synthesis method (one dot per run, bar at the median)."""
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ssm_study.report import style
+from ssm_study.report.columns import column, text, words
+from ssm_study.report.study_folder import Study
+from ssm_study.report.verdict import counts
+
+
+def draw(study: Study) -> Figure:
+    return figure(study.table)
+
+
+def figure(table: pd.DataFrame) -> Figure:
+    method = text(table, "synthesis_method")
+    ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
+    panels = [
+        (column(table, "stable_fraction"), words("stable_fraction"), (-0.05, 1.05)),
+        (ratio, "Mean settling time /\nuncontrolled (–)", (0, None)),
+        (column(table, "input_peak_v"), words("input_peak_v"), (0, None)),
+    ]
+    known = method.ne("") & pd.concat([values for values, _, _ in panels], axis=1).notna().any(axis=1)
+    if not known.any():
+        return style.message(f"No run reached the closed loop.\n{counts(table)}", style.PAGE_IN)
+    methods = sorted(method[known].unique())
+    fig = style.canvas(style.PAGE_IN, 1.1 + 0.25 * len(methods))
+    for axes, (values, label, limits) in zip(fig.subplots(1, 3, sharey=True), panels, strict=True):
+        _dots(axes, method, values, methods)
+        axes.set(xlabel=label, xlim=limits, ylim=(len(methods) - 0.5, -0.5))
+        axes.set_yticks(range(len(methods)), methods)
+        axes.grid(axis="y", visible=False)
+    return fig
+
+
+def _dots(axes: Axes, method: pd.Series, values: pd.Series, methods: list[str]) -> None:
+    for row, name in enumerate(methods):
+        own = values[method == name].dropna()
+        axes.scatter(own, [row] * len(own), s=14, color=style.BLUE, alpha=0.5, lw=0, zorder=3)
+        if len(own):
+            axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)

@@ -1,0 +1,93 @@
+"""What a figure is drawn from: the study's gathered table and the files of its runs."""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml  # type: ignore[import-untyped]
+
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import BadRequest
+from ssm_study.report.columns import text
+from ssm_study.report.trajectories import ClosedLoop, Validation, read_closed_loop, read_validation
+from ssm_study.report.verdict import best_first
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFolder:
+    """The files of one run, read when asked for; a file that is not there reads as None (a failed run leaves few)."""
+
+    path: Path
+
+    def _json(self, name: str) -> dict[str, Any] | None:
+        path = self.path / name
+        return json.loads(path.read_text()) if path.is_file() else None
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        return self._json("record.json") or {}
+
+    @cached_property
+    def certificate(self) -> dict[str, Any] | None:
+        return self._json("certificate.json")
+
+    @cached_property
+    def model(self) -> SSM | None:
+        data = self._json("model.json")
+        return None if data is None else SSM.from_json(data)
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        path = self.path / ".hydra" / "config.yaml"
+        return (yaml.safe_load(path.read_text()) or {}) if path.is_file() else {}
+
+    @cached_property
+    def curve(self) -> list[dict[str, Any]]:
+        path = self.path / "training_curve.json"
+        return json.loads(path.read_text()) if path.is_file() else []
+
+    @cached_property
+    def validation(self) -> Validation | None:
+        path = self.path / "validation.mcap"
+        return read_validation(path) if path.is_file() else None
+
+    @cached_property
+    def closed_loop(self) -> ClosedLoop | None:
+        path = self.path / "closed_loop.mcap"
+        return read_closed_loop(path) if path.is_file() else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A study folder: `runs.parquet` as `table`, and its run folders by name.
+
+    Raises `BadRequest` when the folder or its table is missing.
+    """
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        return self.folder.resolve().name
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        path = self.folder / "runs.parquet"
+        if not path.is_file():
+            raise BadRequest("study", self.folder, "it has no runs.parquet", "run `ssm-study gather` on it first")
+        return pd.read_parquet(path)
+
+    def run(self, name: str) -> RunFolder:
+        return RunFolder(path=self.folder / name)
+
+    @cached_property
+    def best(self) -> RunFolder | None:
+        """The best run that left a model (see `best_first`), or None."""
+        for name in text(best_first(self.table), "run"):
+            folder = self.run(name)
+            if name and (folder.path / "model.json").is_file():
+                return folder
+        return None

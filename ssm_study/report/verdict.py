@@ -1,0 +1,93 @@
+"""What became of a run, in one word: the same word, colour and marker in the terminal, the figures and the page."""
+
+from dataclasses import dataclass
+
+import pandas as pd
+from matplotlib.axes import Axes
+
+from ssm_study.report import style
+from ssm_study.report.columns import column, flag, text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """A word with its sentence; colour and marker differ both, so that either alone tells them apart."""
+
+    word: str
+    sentence: str
+    colour: str
+    marker: str
+
+
+SETTLED = Verdict(
+    word="certified, settles", sentence="both certificates hold and every start settles", colour=style.BLUE, marker="o"
+)
+LOST = Verdict(
+    word="certified, plant lost",
+    sentence="both certificates hold for the model, yet some start does not settle on the plant",
+    colour=style.VERMILLION,
+    marker="^",
+)
+UNCERTIFIED = Verdict(
+    word="not certified", sentence="a design exists, but a certificate did not pass", colour=style.ORANGE, marker="s"
+)
+INFEASIBLE = Verdict(
+    word="infeasible", sentence="no certificate exists at the rate asked", colour=style.GREY, marker="x"
+)
+FAILED = Verdict(word="failed", sentence="the run ended with an error", colour=style.INK, marker="P")
+ALL = (SETTLED, LOST, UNCERTIFIED, INFEASIBLE, FAILED)
+BY_WORD = {verdict.word: verdict for verdict in ALL}
+
+
+def verdicts(table: pd.DataFrame) -> pd.Series:
+    """One word per row (see `ALL`); whatever is neither ok nor infeasible counts as failed."""
+    status = text(table, "status")
+    certified = flag(table, "controller_certified") & flag(table, "observer_certified")
+    settled = column(table, "stable_fraction") >= 1
+    word = pd.Series(UNCERTIFIED.word, index=table.index, name="verdict", dtype=object)
+    word[certified & settled] = SETTLED.word
+    word[certified & ~settled] = LOST.word
+    word[status == "infeasible"] = INFEASIBLE.word
+    word[~status.isin(["ok", "infeasible"])] = FAILED.word
+    return word
+
+
+def best_first(table: pd.DataFrame) -> pd.DataFrame:
+    """Certified and settled runs by settling time, then the rest by verdict and fit: the first row is the best run."""
+    rank = verdicts(table).map({verdict.word: k for k, verdict in enumerate(ALL)})
+    keys = pd.DataFrame(
+        {
+            "rank": rank.astype(float),
+            "time": column(table, "settling_time_mean_s").fillna(float("inf")),
+            "fit": -column(table, "fit_test_percent").fillna(float("-inf")),
+        },
+        index=table.index,
+    )
+    return table.loc[keys.sort_values(["rank", "time", "fit"], kind="stable").index]
+
+
+def counts(table: pd.DataFrame) -> str:
+    """A line such as `12 runs: 9 certified, settles; 2 infeasible; 1 failed`."""
+    tally = verdicts(table).value_counts()
+    parts = [f"{tally[verdict.word]} {verdict.word}" for verdict in ALL if verdict.word in tally]
+    return f"{len(table)} run{'s' if len(table) != 1 else ''}" + (": " + "; ".join(parts) if parts else "")
+
+
+def scatter(axes: Axes, table: pd.DataFrame, x: pd.Series, y: pd.Series) -> None:
+    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the legend."""
+    word = verdicts(table)
+    for verdict in ALL:
+        here = (word == verdict.word) & x.notna() & y.notna()
+        if here.any():
+            crossed = verdict.marker == "x"
+            axes.scatter(
+                x[here],
+                y[here],
+                s=18,
+                c=verdict.colour,
+                marker=verdict.marker,
+                edgecolors=verdict.colour if crossed else "white",
+                linewidths=0.9 if crossed else 0.3,
+                label=verdict.word,
+                zorder=3,
+            )
