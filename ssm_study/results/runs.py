@@ -103,8 +103,8 @@ def execute(
         if not mine:
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message="another process is at this run")
         before = read_record_under_lock(folder)
-        if not _is_to_run(before, retry_failed):
-            return _outcome_of(folder, before)
+        if not is_to_run(before, retry_failed):
+            return outcome_of(folder, before)
         _set_aside(folder, before)
         for name, text in (configuration or {}).items():
             (folder / ".hydra").mkdir(exist_ok=True)
@@ -120,7 +120,7 @@ def read_record_under_lock(folder: Path) -> dict[str, Any] | None:
     return record
 
 
-def _is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
+def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
     """Finished runs stay; failed ones wait for `retry_failed`, unless the machine was at fault (disk, signal)."""
     status = before["status"] if before else None
     if retry_failed:
@@ -128,7 +128,7 @@ def _is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
     return status in (None, LOST, CORRUPT) or (status == FAILED and bool(before and before.get("failure_transient")))
 
 
-def _outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
+def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
     if before is None:
         return Outcome(folder=folder, status="absent", did="left", message="never ran; only failed runs are retried")
     did = "found" if before["status"] in FINISHED else "left"

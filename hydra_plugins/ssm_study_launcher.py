@@ -1,0 +1,40 @@
+"""Makes `hydra/launcher=processes` known to Hydra. Imported at every start of Hydra: nothing heavy here."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.utils import JobReturn
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+import ssm_study.results.naming  # noqa: F401  (registers ${run_name:} wherever Hydra runs)
+
+
+@dataclass
+class ProcessesConf:
+    _target_: str = "hydra_plugins.ssm_study_launcher.ProcessesLauncher"
+    n_jobs: int | None = None  # null: as many as the cores allow
+    threads: int = 1  # per job; n_jobs * threads may not exceed the cores
+    timeout_s: float | None = None  # a job that takes longer is stopped and recorded as failed; null: never
+    preload: list[str] = field(default_factory=lambda: ["torch", "lightning", "ssm_study.study"])
+
+
+ConfigStore.instance().store(group="hydra/launcher", name="processes", node=ProcessesConf, provider="ssm-study")
+
+
+class ProcessesLauncher(Launcher):
+    """One fresh process per job, from a server that has imported the heavy libraries already."""
+
+    def __init__(self, n_jobs: int | None, threads: int, timeout_s: float | None, preload: list[str]) -> None:
+        self.settings = {"n_jobs": n_jobs, "threads": threads, "timeout_s": timeout_s, "preload": tuple(preload)}
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        from ssm_study.results.launcher import Processes, Sweep
+
+        sweep = Sweep(hydra_context=self.hydra_context, task_function=self.task_function, config=self.config)
+        return Processes(**self.settings).launch(sweep, [list(o) for o in job_overrides], initial_job_idx)

@@ -1,0 +1,65 @@
+"""One line over the whole sweep: runs done, failed, infeasible, time left."""
+
+import sys
+import time
+from collections import Counter
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the end
+
+
+class Progress:
+    """Counts outcomes and says so on stderr: a living line on a terminal, now and then a line elsewhere."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.counts, self.reused, self.running = total, Counter[str](), 0, 0
+        self.started = self.spoken = time.monotonic()
+        self.live = Live(console=Console(stderr=True), transient=True) if sys.stderr.isatty() else None
+
+    def __enter__(self) -> "Progress":
+        if self.live:
+            self.live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.live:
+            self.live.stop()
+        print(self.line(), file=sys.stderr, flush=True)
+
+    def done(self, status: str, reused: bool = False) -> None:
+        self.counts[status] += 1
+        self.reused += reused
+        self._say()
+
+    def tick(self, running: int) -> None:
+        self.running = running
+        self._say()
+
+    def line(self) -> str:
+        """`12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2 running; 3:20 left`"""
+        known = ("ok", "infeasible", "failed")
+        counts = [f"{self.counts[status]} {status}" for status in (*known, *sorted(set(self.counts) - set(known)))]
+        parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
+        parts += [f"{self.reused} there before"] if self.reused else []
+        parts += [f"{self.running} running"] if self.running else []
+        left = self.seconds_left()
+        return "; ".join(parts + ([f"{int(left // 60)}:{int(left % 60):02d} left"] if left else []))
+
+    def seconds_left(self) -> float | None:
+        """By the mean pace of the runs done in this sweep; None before the first."""
+        fresh = self.counts.total() - self.reused
+        remaining = self.total - self.counts.total()
+        return (time.monotonic() - self.started) / fresh * remaining if fresh and remaining else None
+
+    def _say(self) -> None:
+        if self.live:
+            self.live.update(Text(self.line()))
+        elif time.monotonic() - self.spoken > QUIET_S:
+            self.spoken = time.monotonic()
+            print(self.line(), file=sys.stderr, flush=True)

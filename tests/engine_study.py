@@ -1,0 +1,134 @@
+"""A study of nothing, with jobs that behave as badly as asked: what the engine's tests run in real processes."""
+
+import ctypes
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+
+from ssm_study.refusal import require
+from ssm_study.results.keys import code_version
+from ssm_study.results.runs import Run, execute
+from ssm_study.results.store import Store
+
+CONF = {
+    "study": "study",
+    "results_dir": "???",
+    "seed": 0,
+    "retry_failed": False,
+    "do": "work",
+    "rate": 1,
+    "work_s": 0.0,
+}
+
+
+def check(config: DictConfig) -> None:
+    require(config.seed >= 0, "seed", config.seed, "negative", "give 0 or more")
+
+
+def job(config: DictConfig) -> str:
+    folder = Path(config.results_dir) / config.study / str(OmegaConf.select(config, "name"))
+    text = {"config.yaml": OmegaConf.to_yaml(config, resolve=True)}
+    parameters = {"seed": config.seed, "rate_controller": config.rate}
+    return execute(
+        folder,
+        parameters,
+        lambda run: _work(config, run),
+        configuration=text,
+        retry_failed=config.retry_failed,
+    ).status
+
+
+def _work(config: DictConfig, run: Run) -> dict[str, object]:
+    store = Store(Path(config.results_dir) / ".store")
+    version = code_version("refusal")
+    data = run.stage(store.stage("data", {"seed": config.seed}, [], version, lambda f: _compute(f, config, "data")))
+    run.stage(store.stage("model", {"rate": config.rate}, [data.key], version, lambda f: _compute(f, config, "model")))
+    BEHAVIOUR[config.do](config, run)
+    number = float(json.loads((data.path / "data.json").read_text())["number"])
+    (run.path / "model.json").write_text(json.dumps({"number": number}))
+    return {"fit_test_percent": number + config.rate, "stable_fraction": 1.0, "threads_seen": _threads(config)}
+
+
+def _compute(folder: Path, config: DictConfig, name: str) -> None:
+    ledger = Path(config.results_dir) / "ledger"
+    with ledger.open("a") as stream:
+        stream.write(f"{name} {config.seed} {config.rate if name == 'model' else ''}\n")
+    time.sleep(config.work_s)
+    (folder / f"{name}.json").write_text(json.dumps({"number": 10.0 * config.seed}))
+
+
+def _threads(config: DictConfig) -> int | None:
+    if config.do != "threads":
+        return None
+    import torch
+
+    return torch.get_num_threads()
+
+
+def _raise(config: DictConfig, run: Run) -> None:
+    raise RuntimeError("the bad job")
+
+
+def _hang(config: DictConfig, run: Run) -> None:
+    subprocess.Popen(["sleep", "86399"])  # a child that must not outlive the job
+    time.sleep(86399)
+
+
+def _segfault(config: DictConfig, run: Run) -> None:
+    ctypes.string_at(0)
+
+
+def _exhaust(config: DictConfig, run: Run) -> None:
+    raise MemoryError("no room for 1e12 numbers")
+
+
+def _infeasible(config: DictConfig, run: Run) -> None:
+    run.note(status="infeasible", infeasible_reason="the rate is below the limit")
+
+
+BEHAVIOUR = {
+    "work": lambda config, run: None,
+    "threads": lambda config, run: None,
+    "raise": _raise,
+    "exit": lambda config, run: sys.exit(3),
+    "os_exit": lambda config, run: os._exit(4),
+    "kill": lambda config, run: os.kill(os.getpid(), 9),
+    "terminate": lambda config, run: os.kill(os.getpid(), 15),
+    "interrupt": lambda config, run: os.kill(os.getpid(), 2),
+    "segfault": _segfault,
+    "memory": _exhaust,
+    "hang": _hang,
+    "infeasible": _infeasible,
+}
+
+HYDRA = """
+hydra:
+  job: {name: job, chdir: false}
+  output_subdir: null
+  run: {dir: "${results_dir}/${study}/${run_name:}"}
+  sweep: {dir: "${results_dir}/${study}", subdir: "${run_name:}"}
+  job_logging: {root: {handlers: [file]}}
+  hydra_logging: {root: {handlers: []}}
+  launcher: {preload: [ssm_study.results.store]}
+"""
+
+
+def main() -> None:
+    folder = Path(os.environ["ENGINE_CONF"])
+    if not (folder / "study.yaml").exists():
+        defaults = "defaults:\n  - override hydra/launcher: processes\n  - _self_\n"
+        text = defaults + OmegaConf.to_yaml(OmegaConf.create({**CONF, "name": "${run_name:}"})) + HYDRA
+        temporary = folder / f"study.{os.getpid()}"
+        temporary.write_text(text)
+        temporary.replace(folder / "study.yaml")
+    hydra.main(version_base="1.3", config_path=str(folder), config_name="study")(job)()
+
+
+if __name__ == "__main__":
+    main()
