@@ -73,15 +73,18 @@ def counts(table: pd.DataFrame) -> str:
     return f"{len(table)} run{'s' if len(table) != 1 else ''}" + (": " + "; ".join(parts) if parts else "")
 
 
-def scatter(axes: Axes, table: pd.DataFrame, x: pd.Series, y: pd.Series) -> None:
-    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the legend."""
+def scatter(axes: Axes, table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0) -> None:
+    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the legend.
+
+    `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each other.
+    """
     word = verdicts(table)
-    for verdict in ALL:
+    for k, verdict in enumerate(ALL):
         here = (word == verdict.word) & x.notna() & y.notna()
         if here.any():
             crossed = verdict.marker == "x"
             axes.scatter(
-                x[here],
+                x[here] + k * dodge,
                 y[here],
                 s=18,
                 c=verdict.colour,

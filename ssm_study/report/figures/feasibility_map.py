@@ -51,7 +51,7 @@ def _frontier(axes: Axes, ratio: pd.Series, limit: pd.Series) -> None:
     models = pd.DataFrame({"ratio": ratio, "limit": limit}).dropna().drop_duplicates().sort_values("ratio")
     if models.empty:
         return
-    bar = axes.scatter(models.ratio, models.limit, marker="_", s=90, color=style.INK, lw=1.4, zorder=4)
+    bar = axes.scatter(models.ratio, models.limit, marker="_", s=90, color=style.INK, lw=0.6, zorder=4)
     bar.set_label("exact frontier")
     top = max(axes.get_ylim()[1], 1.05 * float(models.limit.max()))
     by_ratio = models.groupby("ratio").limit.max()

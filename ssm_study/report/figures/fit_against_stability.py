@@ -34,4 +34,5 @@ def figure(table: pd.DataFrame) -> Figure:
 def _front(axes: Axes, x: pd.Series, y: pd.Series) -> None:
     best = pareto_front(x.to_numpy(), y.to_numpy())
     line = pd.DataFrame({"x": x[best], "y": y[best]}).sort_values("x")
-    axes.plot(line.x, line.y, color=style.INK, lw=0.8, ls="--", drawstyle="steps-pre", label="Pareto front", zorder=1)
+    axes.plot(line.x, line.y, color=style.INK, lw=0.8, ls="--", drawstyle="steps-pre", zorder=1)
+    axes.plot(line.x, line.y, "o--", color=style.INK, lw=0, ms=7, mfc="none", mew=0.8, label="Pareto front")

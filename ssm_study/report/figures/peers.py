@@ -20,7 +20,7 @@ def figure(table: pd.DataFrame) -> Figure:
     ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
     panels = [
         (column(table, "stable_fraction"), words("stable_fraction"), (-0.05, 1.05)),
-        (ratio, "Mean settling time /\nuncontrolled (–)", (0, None)),
+        (ratio, "Settling time / uncontrolled (–)", (0, None)),
         (column(table, "input_peak_v"), words("input_peak_v"), (0, None)),
     ]
     known = method.ne("") & pd.concat([values for values, _, _ in panels], axis=1).notna().any(axis=1)

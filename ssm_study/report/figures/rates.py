@@ -4,6 +4,7 @@ against the controller rate asked."""
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from ssm_study.report import style
 from ssm_study.report.columns import column, text, words
@@ -25,7 +26,7 @@ def figure(table: pd.DataFrame) -> Figure:
     time, gain = fig.subplots(2, 1, sharex=True)
     for axes, name in ((time, TIME), (gain, GAIN)):
         _medians(axes, table, rate, column(table, name))
-        scatter(axes, table, rate, column(table, name))
+        scatter(axes, table, rate, column(table, name), dodge=0.012 * float(rate.max() - rate.min()))
         axes.set_ylabel(words(name))
     if column(table, ALONE).notna().any():
         time.axhline(column(table, ALONE).median(), color=style.GREY, lw=0.9, ls=":", label="uncontrolled")
@@ -33,6 +34,9 @@ def figure(table: pd.DataFrame) -> Figure:
     time.set_ylim(bottom=0)
     if (column(table, GAIN) > 0).any():
         gain.set_yscale("log")
+        gain.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=12))
+        gain.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        gain.yaxis.set_minor_formatter(NullFormatter())
     gain.set_xlabel(words(RATE))
     return fig
 
