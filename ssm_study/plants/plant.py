@@ -51,19 +51,19 @@ class Plant(ABC):
         """Offsets of the output from its equilibrium from which initial conditions are drawn, unit of the output."""
 
     @property
-    @abstractmethod
     def input_amplitude(self) -> tuple[float, ...]:
         """Offsets of each input from its equilibrium that an excitation uses unless it is told otherwise."""
+        return (1.0,) * len(self.inputs)
 
     @property
-    @abstractmethod
     def input_clock_s(self) -> float:
         """The shortest time an excitation holds a level unless it is told otherwise."""
+        return 10 * self.step_s
 
     @property
-    @abstractmethod
     def noise_variance(self) -> tuple[float, ...]:
         """Variance of each output's measurement noise, its unit squared."""
+        return (0.0,) * len(self.outputs)
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium: ...
