@@ -49,7 +49,7 @@ def _work(config: DictConfig, run: Run) -> dict[str, object]:
     version = code_version("refusal")
     data = run.stage(store.stage("data", {"seed": config.seed}, [], version, lambda f: _compute(f, config, "data")))
     run.stage(store.stage("model", {"rate": config.rate}, [data.key], version, lambda f: _compute(f, config, "model")))
-    BEHAVIOUR[config.do](config, run)
+    BEHAVIOUR[config.do](run)
     number = float(json.loads((data.path / "data.json").read_text())["number"])
     (run.path / "model.json").write_text(json.dumps({"number": number}))
     return {"fit_test_percent": number + config.rate, "stable_fraction": 1.0, "threads_seen": _threads(config)}
@@ -71,36 +71,36 @@ def _threads(config: DictConfig) -> int | None:
     return torch.get_num_threads()
 
 
-def _raise(config: DictConfig, run: Run) -> None:
+def _raise(_: Run) -> None:
     raise RuntimeError("the bad job")
 
 
-def _hang(config: DictConfig, run: Run) -> None:
+def _hang(_: Run) -> None:
     subprocess.Popen(["sleep", "86399"])  # a child that must not outlive the job
     time.sleep(86399)
 
 
-def _segfault(config: DictConfig, run: Run) -> None:
+def _segfault(_: Run) -> None:
     ctypes.string_at(0)
 
 
-def _exhaust(config: DictConfig, run: Run) -> None:
+def _exhaust(_: Run) -> None:
     raise MemoryError("no room for 1e12 numbers")
 
 
-def _infeasible(config: DictConfig, run: Run) -> None:
+def _infeasible(run: Run) -> None:
     run.note(status="infeasible", infeasible_reason="the rate is below the limit")
 
 
 BEHAVIOUR = {
-    "work": lambda config, run: None,
-    "threads": lambda config, run: None,
+    "work": lambda _: None,
+    "threads": lambda _: None,
     "raise": _raise,
-    "exit": lambda config, run: sys.exit(3),
-    "os_exit": lambda config, run: os._exit(4),
-    "kill": lambda config, run: os.kill(os.getpid(), 9),
-    "terminate": lambda config, run: os.kill(os.getpid(), 15),
-    "interrupt": lambda config, run: os.kill(os.getpid(), 2),
+    "exit": lambda _: sys.exit(3),
+    "os_exit": lambda _: os._exit(4),
+    "kill": lambda _: os.kill(os.getpid(), 9),
+    "terminate": lambda _: os.kill(os.getpid(), 15),
+    "interrupt": lambda _: os.kill(os.getpid(), 2),
     "segfault": _segfault,
     "memory": _exhaust,
     "hang": _hang,

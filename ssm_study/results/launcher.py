@@ -115,6 +115,7 @@ class Processes:
                     running.remove(job)
                     job.outcome = conclude(job)
                     progress.done(job.outcome.status)
+            progress.tick(running=0)
 
     def _start(self, sweep: Sweep, job: Job) -> Job:
         context = get_context("forkserver")
