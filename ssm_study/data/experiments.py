@@ -1,0 +1,71 @@
+"""Experiments assigned to training, validation and test one by one: how the benchmark records are described."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ssm_study.data.recorded import assembled, check_recorded
+from ssm_study.data.recording import Recording
+from ssm_study.data.scores import SCORES
+from ssm_study.refusal import BadRequest, require
+from ssm_study.signals import DataSet, Trajectory
+
+RECORDS_VARIABLE = "SSM_STUDY_DATA"  # a folder with one folder per benchmark
+RECORDS_BESIDE = Path("../shared/data")  # where a clone may have them, relative to the folder one works in
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedExperiments:
+    """`training`, `validation` and `test` recordings, with paths relative to a folder.
+
+    `folder` null looks for the folder `benchmark` in $SSM_STUDY_DATA and in ../shared/data. `score` says how a
+    benchmark is scored: "rmse" in the unit of the output, or "position_mm" for what a velocity integrates to.
+    """
+
+    benchmark: str
+    training: list[Recording]
+    validation: list[Recording]
+    test: list[Recording]
+    start_up_samples: int
+    equilibrium: str = "mean"
+    score: str = "rmse"
+    folder: str | None = None
+
+    def __post_init__(self) -> None:
+        check_recorded(self.start_up_samples, self.equilibrium)
+        require(self.score in SCORES, "data.score", self.score, f"is none of {', '.join(SCORES)}", "use one of these")
+        for part in ("training", "validation", "test"):
+            require(len(getattr(self, part)) > 0, f"data.{part}", "none", "no recording is named", "name at least one")
+
+    def build(self, seed: int) -> DataSet:
+        """The data set; `seed` only names the run, for nothing here is random."""
+        folder = self._folder()
+        return assembled(
+            training=_read(folder, "training", self.training),
+            validation=_read(folder, "validation", self.validation),
+            test=_read(folder, "test", self.test),
+            inputs=self.training[0].inputs,
+            outputs=self.training[0].outputs,
+            start_up_samples=self.start_up_samples,
+            equilibrium=self.equilibrium,
+            metadata={"source": "recorded", "benchmark": self.benchmark, "score": self.score, "seed": str(seed)},
+        )
+
+    def _folder(self) -> Path:
+        if self.folder is not None:
+            require(Path(self.folder).is_dir(), "data.folder", self.folder, "no such folder", "check the spelling")
+            return Path(self.folder)
+        around = [Path(os.environ[RECORDS_VARIABLE])] if RECORDS_VARIABLE in os.environ else []
+        for place in (*around, RECORDS_BESIDE):
+            if (place / self.benchmark).is_dir():
+                return place / self.benchmark
+        raise BadRequest(
+            "data.folder",
+            None,
+            f"the {self.benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}",
+            "give data.folder=PATH",
+        )
+
+
+def _read(folder: Path, part: str, recordings: list[Recording]) -> tuple[Trajectory, ...]:
+    return tuple(replace(r, path=str(folder / r.path), name=f"{part}_{k + 1}").read() for k, r in enumerate(recordings))

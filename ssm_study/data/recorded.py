@@ -1,0 +1,134 @@
+"""Data from files: one or several logs cut in time, or experiments assigned to parts one by one."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.assembly import assemble
+from ssm_study.data.recording import Names, Recording, listed
+from ssm_study.refusal import require
+from ssm_study.signals import Channel, DataSet, Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedData:
+    """Logs of one system, each cut in time: training first, then validation, then test.
+
+    `path` names one log or several (of any lengths); `input`, `output`, `time` name columns. `test_path` gives separate
+    test logs, and nothing is then cut for the test. The equilibrium is "zero" or "mean" (of the training samples).
+    `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom starts at rest.
+    """
+
+    path: Names
+    input: Names
+    output: Names
+    step_s: float | None = None
+    time: str | None = None
+    test_path: Names | None = None
+    validation_fraction: float = 0.2
+    test_fraction: float = 0.2
+    start_up_samples: int = 0
+    equilibrium: str = "mean"
+    input_unit: Names = ""
+    output_unit: Names = ""
+    jitter_tolerance: float = 0.05
+    resample: bool = False
+    decimate: int = 1
+    differentiate: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("validation_fraction", "test_fraction"):
+            value = getattr(self, name)
+            require(0 < value < 1, f"data.{name}", value, "not inside (0, 1)", "use 0.2 or so")
+        total = self.validation_fraction + (self.test_fraction if self.test_path is None else 0.0)
+        require(
+            total < 1, "data.validation_fraction, data.test_fraction", total, "nothing is left to train on", "cut less"
+        )
+        check_recorded(self.start_up_samples, self.equilibrium)
+        require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
+
+    def build(self, seed: int) -> DataSet:
+        """The data set; `seed` only names the run, for nothing here is random."""
+        logs = [self._recording(path) for path in listed(self.path)]
+        read = [log.read() for log in logs]
+        own_test = self.test_path is None
+        parts = [_cut(record, self.validation_fraction, self.test_fraction if own_test else 0.0) for record in read]
+        test = (
+            [part[2] for part in parts]
+            if own_test
+            else [self._recording(p).read() for p in listed(self.test_path or ())]
+        )
+        return assembled(
+            training=_named("training", [part[0] for part in parts]),
+            validation=_named("validation", [part[1] for part in parts]),
+            test=_named("test", test),
+            inputs=logs[0].inputs,
+            outputs=logs[0].outputs,
+            start_up_samples=self.start_up_samples,
+            equilibrium=self.equilibrium,
+            metadata={"source": "recorded", "path": ", ".join(listed(self.path)), "seed": str(seed)},
+        )
+
+    def _recording(self, path: str) -> Recording:
+        return Recording(
+            path=path,
+            input=self.input,
+            output=self.output,
+            step_s=self.step_s,
+            time=self.time,
+            input_unit=self.input_unit,
+            output_unit=self.output_unit,
+            jitter_tolerance=self.jitter_tolerance,
+            resample=self.resample,
+            decimate=self.decimate,
+            differentiate=self.differentiate,
+        )
+
+
+def check_recorded(start_up_samples: int, equilibrium: str) -> None:
+    require(start_up_samples >= 0, "data.start_up_samples", start_up_samples, "must not be negative", "use 0")
+    known = ("zero", "mean")
+    require(equilibrium in known, "data.equilibrium", equilibrium, f"is none of {', '.join(known)}", "use one of these")
+
+
+def assembled(
+    *,
+    training: tuple[Trajectory, ...],
+    validation: tuple[Trajectory, ...],
+    test: tuple[Trajectory, ...],
+    inputs: tuple[Channel, ...],
+    outputs: tuple[Channel, ...],
+    start_up_samples: int,
+    equilibrium: str,
+    metadata: dict[str, str],
+) -> DataSet:
+    """A data set whose equilibrium is zero, or the mean of the training samples."""
+    return assemble(
+        training=training,
+        validation=validation,
+        test=test,
+        inputs=inputs,
+        outputs=outputs,
+        input_equilibrium=_rest([record.u for record in training], equilibrium),
+        output_equilibrium=_rest([record.y for record in training], equilibrium),
+        start_up_samples=start_up_samples,
+        metadata=metadata,
+    )
+
+
+def _rest(values: list[Float[np.ndarray, "_ c"]], equilibrium: str) -> Float[np.ndarray, "c"]:
+    mean = np.concatenate(values).mean(axis=0)
+    return mean if equilibrium == "mean" else np.zeros_like(mean)
+
+
+def _cut(record: Trajectory, validation: float, test: float) -> tuple[Trajectory, Trajectory, Trajectory]:
+    """Contiguous pieces, in the order of time."""
+    first = round(len(record) * (1 - validation - test))
+    second = round(len(record) * (1 - test))
+    pieces = [slice(0, first), slice(first, second), slice(second, None)]
+    return tuple(replace(record, u=record.u[p], y=record.y[p]) for p in pieces)  # type: ignore[return-value]  # three
+
+
+def _named(part: str, records: list[Trajectory]) -> tuple[Trajectory, ...]:
+    return tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records))
