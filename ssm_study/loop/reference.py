@@ -1,0 +1,90 @@
+"""What the output should follow: a signal, given as offsets from the plant's equilibrium output."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.refusal import BadRequest, require
+
+
+class Reference(ABC):
+    """`offset(time_s) -> (T,)`: the same offset from rest for every output, in the output's unit."""
+
+    @abstractmethod
+    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest(Reference):
+    """`r = y_eq`: bring the plant to rest."""
+
+    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        return np.zeros_like(time_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepReference(Reference):
+    """`r = before` until `at_s`, then `after`."""
+
+    before: float
+    after: float
+    at_s: float
+
+    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        return np.where(time_s < self.at_s - 1e-12, float(self.before), float(self.after))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RampReference(Reference):
+    """`r` rises (or falls) at `slope_per_s` from `from_s` until `until_s`, constant before and after."""
+
+    slope_per_s: float
+    from_s: float
+    until_s: float
+
+    def __post_init__(self) -> None:
+        ordered = 0 <= self.from_s < self.until_s
+        require(ordered, "from_s, until_s", (self.from_s, self.until_s), "not in order", "give 0 <= from_s < until_s")
+
+    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        return self.slope_per_s * (np.clip(time_s, self.from_s, self.until_s) - self.from_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SineReference(Reference):
+    """`r = amplitude sin(2 pi frequency_hz t)`."""
+
+    amplitude: float
+    frequency_hz: float
+
+    def __post_init__(self) -> None:
+        require(self.frequency_hz > 0, "frequency_hz", self.frequency_hz, "must be positive", "use rest for no motion")
+
+    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        return self.amplitude * np.sin(2 * np.pi * self.frequency_hz * time_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileReference(Reference):
+    """Two columns of a CSV file, time (s) and offset, joined by straight lines and held at both ends."""
+
+    path: str
+
+    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        known_s, offset = self._columns()
+        return np.interp(time_s, known_s, offset)
+
+    def _columns(self) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
+        remedy = "give a CSV file of two columns, time in seconds and offset"
+        try:
+            table = np.loadtxt(Path(self.path), delimiter=",", ndmin=2, comments="#")
+        except (OSError, ValueError) as error:
+            raise BadRequest("loop.reference.path", self.path, " ".join(str(error).split())[:120], remedy) from error
+        require(table.shape[1:] == (2,) and len(table) > 0, "loop.reference.path", self.path, "not two columns", remedy)
+        require(bool(np.isfinite(table).all()), "loop.reference.path", self.path, "holds NaN or infinity", remedy)
+        rising = bool((np.diff(table[:, 0]) > 0).all())
+        require(rising, "loop.reference.path", self.path, "times do not increase", "sort the rows by time")
+        return table[:, 0], table[:, 1]

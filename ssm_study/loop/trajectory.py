@@ -1,0 +1,157 @@
+"""Trajectories the model can follow: given a reference, the states and inputs that realise it or come nearest.
+
+A contracting loop converges to any trajectory of its own model, so `u = u* + K (xh - x*)` needs `(x*, u*)` with
+`x*+ = A x* + B S_u(u*)`. The recurrence is linear in `v = S_u(u*)`: `v` is found by linear-quadratic tracking, and
+`u* = S_u^{-1}(v)` undoes the input nonlinearity, dead-zone included. (THEORY section 4; [Z26] Theorem 3.)
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import solve_discrete_are
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold import Scaffold
+from ssm_study.refusal import require
+from ssm_study.systems import StateSpace
+
+SMOOTHNESS = 0.1
+"""Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
+samples and not in one violent one."""
+INVERSION_TOLERANCE = 1e-10
+"""Residual of `S(v) = w` in scaled units, where one unit is the spread of the signal."""
+
+
+def equilibrium(model: SSM, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "m"]]:
+    """`x* = A x* + B S_u(u*),  y = S_y(C x* + D S_u(u*))`: where the model rests at output `y` (physical unit).
+
+    Returns `x*` and `u*`, both in scaled units. With more inputs than outputs the smallest `S_u(u*)` is taken.
+    Raises `BadRequest` when no input holds that output.
+    """
+    y_bar = inverse(model.scaffold_out, ((y - model.output_equilibrium) / model.output_scale)[None])[0]
+    lifted, x = _resting(model.linear, y_bar)
+    return x, inverse(model.scaffold_in, lifted[None])[0]
+
+
+def feasible_trajectory(model: SSM, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
+    """The model's own trajectory nearest the reference, one row `(x*[k], u*[k])` per sample, in scaled units.
+
+    Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from rest at the first reference value; the
+    whole reference is known in advance, so the input moves before a step does. `reference` is in the output's unit.
+    """
+    y_bar = inverse(model.scaffold_out, (reference - model.output_equilibrium) / model.output_scale)
+    lifted, x = _resting(model.linear, y_bar[0])
+    states, inputs = _track(model.linear, y_bar, x, lifted)
+    return np.concatenate([states, inverse(model.scaffold_in, inputs)], axis=1)
+
+
+def set_points(model: SSM, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
+    """The rest point `(x*, u*)` of each reference value: for references that are constant but for steps."""
+    values, index = np.unique(reference, axis=0, return_inverse=True)
+    points = np.stack([np.concatenate(equilibrium(model, value)) for value in values])
+    return points[index.reshape(-1)]
+
+
+def _resting(system: StateSpace, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "n"]]:
+    """`v` and `x` with `x = A x + B v,  y = C x + D v`."""
+    to_state = np.linalg.solve(np.eye(system.order) - system.a, system.b)
+    gain = system.c @ to_state + system.d
+    lifted = np.linalg.lstsq(gain, y, rcond=None)[0]
+    require(
+        bool(np.allclose(gain @ lifted, y, atol=1e-8 * max(1.0, float(np.abs(y).max())))),
+        "loop.reference",
+        np.round(y, 4).tolist(),
+        "no constant input of the model holds this scaled output",
+        "choose a reference within the reach of the inputs",
+    )
+    return lifted, to_state @ lifted
+
+
+def _track(
+    system: StateSpace, target: Float[np.ndarray, "T p"], x: Float[np.ndarray, "n"], lifted: Float[np.ndarray, "k"]
+) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T k"]]:
+    """Linear-quadratic preview tracking on `z = (x, v[k-1])` driven by `w = v[k] - v[k-1]`.
+
+    `P` solves the Riccati equation of the tracking cost; the reference enters through the backward sum
+    `g[k] = (F - G K)^T g[k+1] - (H - D K)^T target[k]`, started where a reference held for ever would keep it.
+    """
+    (n, m), d = system.b.shape, system.d
+    f = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]])
+    g, h = np.vstack([system.b, np.eye(m)]), np.hstack([system.c, d])
+    weight = SMOOTHNESS * np.eye(m) + d.T @ d
+    p = solve_discrete_are(f, g, h.T @ h, weight, s=h.T @ d)
+    curvature = weight + g.T @ p @ g
+    k = np.linalg.solve(curvature, g.T @ p @ f + d.T @ h)
+    closed, seen = (f - g @ k).T, (h - d @ k).T
+    costate = -np.linalg.solve(np.eye(n + m) - closed, seen @ target[-1])
+    preview = np.empty((len(target), m))
+    for i in reversed(range(len(target))):
+        preview[i] = np.linalg.solve(curvature, d.T @ target[i] - g.T @ costate)
+        costate = closed @ costate - seen @ target[i]
+    return _roll(f, g, k, preview, np.concatenate([x, lifted]), n)
+
+
+def _roll(
+    f: Float[np.ndarray, "z z"],
+    g: Float[np.ndarray, "z m"],
+    k: Float[np.ndarray, "m z"],
+    preview: Float[np.ndarray, "T m"],
+    z: Float[np.ndarray, "z"],
+    n: int,
+) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T m"]]:
+    states, inputs = np.empty((len(preview), n)), np.empty((len(preview), len(z) - n))
+    for i, extra in enumerate(preview):
+        states[i] = z[:n]
+        z = f @ z + g @ (extra - k @ z)
+        inputs[i] = z[n:]
+    return states, inputs
+
+
+def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
+    """`v` with `S(v) = w`, row by row. Scalar maps by bisection (they are increasing), others by damped Newton steps.
+
+    Raises `BadRequest` when the map does not reach `w`.
+    """
+    solve: Callable[[Scaffold, np.ndarray], np.ndarray] = _bisect if w.shape[1] == 1 else _newton
+    v = solve(scaffold, w)
+    worst = int(np.abs(scaffold(v) - w).max(axis=1).argmax())
+    require(
+        bool(np.abs(scaffold(v) - w).max() <= INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))),
+        "loop.reference",
+        np.round(w[worst], 4).tolist(),
+        "the identified nonlinearity does not reach this scaled value",
+        "choose a reference within the reach of the inputs, or raise model.slope_lower",
+    )
+    return v
+
+
+def _bisect(scaffold: Scaffold, w: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 1"]:
+    sign = float(np.sign(scaffold(np.array([[1.0]]))[0, 0] - scaffold(np.array([[-1.0]]))[0, 0])) or 1.0
+    low, high = np.full_like(w, -1.0), np.full_like(w, 1.0)
+    for _ in range(60):
+        low = np.where(sign * (scaffold(low) - w) > 0, 2 * low, low)
+        high = np.where(sign * (scaffold(high) - w) < 0, 2 * high, high)
+    for _ in range(120):
+        middle = (low + high) / 2
+        above = sign * (scaffold(middle) - w) > 0
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return (low + high) / 2
+
+
+def _newton(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
+    return np.stack([_newton_row(scaffold, row) for row in w])
+
+
+def _newton_row(scaffold: Scaffold, w: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m"]:
+    def residual(v: Float[np.ndarray, "m"]) -> float:
+        return float(np.linalg.norm(scaffold(v[None])[0] - w))
+
+    v = np.zeros(scaffold.jacobian(np.zeros_like(w)).shape[1])
+    for _ in range(100):
+        step = np.linalg.lstsq(scaffold.jacobian(v), w - scaffold(v[None])[0], rcond=None)[0]
+        length = next((s for s in 0.5 ** np.arange(40) if residual(v + s * step) < residual(v)), 0.0)
+        v = v + length * step
+        if length == 0.0:
+            break
+    return v
