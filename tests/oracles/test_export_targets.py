@@ -1,0 +1,96 @@
+"""Every export target computes what the Python loop computes, for every scaffolding, in one and several channels."""
+
+import json
+import runpy
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_runs import KINDS, random_run
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.models.identified import SSM
+from ssm_study.report.export import export
+from ssm_study.synthesis.certificate import Design
+
+SAMPLES = 300
+Replay = Callable[[Path, np.ndarray], np.ndarray]
+
+MAIN_C = """#include <stdio.h>
+#include "controller.h"
+int main(void) {
+    controller_state state;
+    double y[%d], u[%d];
+    controller_reset(&state);
+    for (;;) {
+        for (int i = 0; i < %d; ++i) if (scanf("%%lf", &y[i]) != 1) return 0;
+        controller_step(&state, y, u);
+        for (int i = 0; i < %d; ++i) printf("%%.17g ", u[i]);
+    }
+}
+"""
+
+
+def python_loop(run: Path, y: np.ndarray) -> np.ndarray:
+    model, design = SSM.from_json(json.loads((run / "model.json").read_text())), Design.load(run / "certificate.json")
+    law = ObserverFeedback(model=model, k=design.state_feedback.k, l=design.observer.l)
+    memory, target = law.start(1), np.zeros(model.order + len(model.input_scale))
+    u = np.empty((len(y), len(model.input_scale)))
+    for k, seen in enumerate(y):
+        u[k] = law.input(memory, seen[None], target)[0]
+        memory = law.advance(memory, u[k][None], seen[None], target)
+    return u
+
+
+def c_replay(folder: Path, y: np.ndarray) -> np.ndarray:
+    if shutil.which("gcc") is None:
+        pytest.skip("no gcc on this machine")
+    numbers = json.loads((folder / "controller.json").read_text())
+    m, p = len(numbers["input_scale"]), len(numbers["output_scale"])
+    (folder / "main.c").write_text(MAIN_C % (p, m, p, m))
+    strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2"]
+    subprocess.run(["gcc", *strict, "main.c", "-o", "main"], cwd=folder, check=True)
+    text = " ".join(repr(float(v)) for v in y.ravel())
+    done = subprocess.run([folder / "main"], input=text, capture_output=True, text=True, check=True)
+    return np.array(done.stdout.split(), dtype=float).reshape(len(y), m)
+
+
+def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
+    runtime = pytest.importorskip("onnxruntime", reason="the extra `export` is not installed")
+    session = runtime.InferenceSession(folder / "controller.onnx", providers=["CPUExecutionProvider"])
+    state, u = np.zeros((1, session.get_inputs()[1].shape[1])), []
+    for seen in y:
+        given, state = session.run(["u", "next_state"], {"y": seen[None], "state": state})
+        u.append(given[0])
+    return np.array(u)
+
+
+def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
+    control = pytest.importorskip("control", reason="the extra `export` is not installed")
+    system = runpy.run_path(str(folder / "controller.py"))["controller"]
+    return control.input_output_response(system, np.arange(len(y)) * system.dt, y.T, squeeze=False).outputs.T
+
+
+@pytest.mark.parametrize(("replay", "tolerance"), [(c_replay, 1e-9), (onnx_replay, 1e-6), (control_replay, 1e-9)])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("channels", [1, 2])
+def test_export_replays_the_python_loop(
+    tmp_path: Path, kind: str, channels: int, replay: Replay, tolerance: float
+) -> None:
+    run = random_run(tmp_path / "run", kind=kind, channels=channels, seed=channels)
+    export(run, tmp_path / "out")
+    y = 3 + 5 * np.random.default_rng(7).standard_normal((SAMPLES, channels))
+    expected = python_loop(run, y)
+    assert np.ptp(expected) > 0.01  # a controller that does nothing would agree with anything
+    assert np.abs(replay(tmp_path / "out", y) - expected).max() <= tolerance * max(1.0, float(np.abs(expected).max()))
+
+
+def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
+    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=0)
+    names = {path.name for path in export(run, tmp_path / "out")}
+    assert {"controller.h", "controller.json", "controller.py", "certificate.json"} <= names
+    assert (tmp_path / "out" / "certificate.json").read_bytes() == (run / "certificate.json").read_bytes()
+    assert "certified for its model" in (tmp_path / "out" / "controller.h").read_text()

@@ -1,0 +1,80 @@
+"""Run folders with made-up but schema-true content, for testing what reads and exports them. Never a result."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.network import Network
+from ssm_study.models.scaffold import Scaffold
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.scaffold_mlp import MlpScaffold
+from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.models.scaffold_residual import ResidualScaffold
+from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
+from ssm_study.systems import StateSpace
+
+KINDS = ("linear", "mlp", "monotone", "residual")
+ORDER = 4
+
+
+def random_run(folder: Path, *, kind: str, channels: int, seed: int) -> Path:
+    """A stable model with a gentle controller; the certificate's numbers are placeholders of the right shape."""
+    rng = np.random.default_rng(seed)
+    model, design = random_model(rng, kind, channels), None
+    design = random_design(rng, model)
+    folder.mkdir(parents=True)
+    (folder / "model.json").write_text(json.dumps(model.to_json()))
+    design.save(folder / "certificate.json")
+    return folder
+
+
+def random_model(rng: np.random.Generator, kind: str, channels: int) -> SSM:
+    a = rng.standard_normal((ORDER, ORDER))
+    d = 0.1 * rng.standard_normal((channels, channels))
+    b, c = rng.standard_normal((ORDER, channels)), rng.standard_normal((channels, ORDER))
+    return SSM(
+        linear=StateSpace(a=0.6 * a / np.abs(np.linalg.eigvals(a)).max(), b=b, c=c, d=d),
+        scaffold_in=random_scaffold(rng, kind, channels),
+        scaffold_out=random_scaffold(rng, kind, channels),
+        input_scale=rng.uniform(0.5, 2, channels),
+        output_scale=rng.uniform(0.5, 2, channels),
+        input_equilibrium=rng.standard_normal(channels),
+        output_equilibrium=rng.standard_normal(channels),
+        step_s=0.01,
+    )
+
+
+def random_scaffold(rng: np.random.Generator, kind: str, channels: int) -> Scaffold:
+    if kind == "linear":
+        return LinearScaffold(gain=np.eye(channels) + 0.1 * rng.standard_normal((channels, channels)))
+    if kind == "mlp":
+        return MlpScaffold(network=_network(rng, channels, (5, 6)))
+    if kind == "monotone":
+        breaks = np.sort(rng.standard_normal((channels, 5)), axis=1)
+        return MonotoneScaffold(breakpoints=breaks, slopes=rng.uniform(0.1, 1, (channels, 6)))
+    network = _network(rng, channels, (5,))
+    return ResidualScaffold(alpha=0.7, beta=0.3, network=network, multipliers=(np.ones(5),))
+
+
+def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -> Network:
+    widths = (channels, *hidden, channels)
+    pairs = list(zip(widths[1:], widths[:-1], strict=True))
+    return Network(
+        weights=tuple(rng.standard_normal(shape) / np.sqrt(shape[1]) for shape in pairs),
+        biases=tuple(rng.standard_normal(h) for h in hidden),
+        negative_slopes=tuple(np.full(h, 0.1) for h in hidden),
+        positive_slopes=tuple(rng.uniform(0.5, 1, h) for h in hidden),
+    )
+
+
+def random_design(rng: np.random.Generator, model: SSM) -> Design:
+    (n, m), p, linear = model.linear.b.shape, len(model.output_scale), model.linear
+    shared = {"alpha": 0.5, "beta": 0.1, "rate": 0.2, "certified": True, "margin": 0.1, "condition": 1.0}
+    shared |= {"rate_limit": 0.4, "method": "placeholder", "solver_status": "none", "seconds": 0.0}
+    k, l, eye = 0.1 * rng.standard_normal((m, n)), 0.05 * rng.standard_normal((n, p)), np.eye(n)  # noqa: E741
+    return Design(
+        state_feedback=StateFeedback(a=linear.a, b=linear.b, p=eye, y=eye, x=k, sigma=1.0, k=k, **shared),
+        observer=Observer(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
+    )
