@@ -1,0 +1,107 @@
+"""The linear recurrent unit: stable for every value of its free parameters, with real modes and complex pairs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor, nn
+
+from ssm_study.models.torch_recurrence import Modes
+from ssm_study.systems import StateSpace
+
+
+class LRU(nn.Module):
+    """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
+
+    `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves. With one input
+    `B` is all ones and only `C` is trained: the modal form has exactly that much freedom. Source: Orvieto et al. (2023), section 3.
+    """
+
+    flip: Tensor
+
+    def __init__(self, start: "Start", feedthrough: bool) -> None:
+        super().__init__()
+        modes = torch.from_numpy(start.modes)
+        radius = modes.abs().clamp(1e-3, 1 - 1e-6)
+        self.reals = int((modes.imag == 0).sum())
+        self.nu = nn.Parameter(torch.log(-torch.log(radius)))
+        self.theta = nn.Parameter(modes[self.reals :].angle())
+        self.register_buffer("flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64))
+        single = start.b.shape[1] == 1
+        b, c = torch.from_numpy(start.b), torch.from_numpy(start.c)
+        gain = torch.sqrt(1 - radius**2)[:, None]
+        if single:  # y = C diag(b) x: the input column moves into C
+            c, b = c * (b / gain)[:, 0], torch.ones_like(b)
+        else:
+            b = b / gain
+        self.b_real, self.b_imag = _parts(b, self.reals, trained=not single)
+        self.c_real, self.c_imag = _parts(c.mT, self.reals, trained=True)
+        d = torch.from_numpy(start.d)
+        self.d = nn.Parameter(d if feedthrough else torch.zeros_like(d), requires_grad=feedthrough)
+
+    def modes(self) -> Modes:
+        """Free to explicit parameters: the only place that knows how stability is kept."""
+        damping = torch.exp(self.nu)
+        decay = torch.complex(-damping, torch.cat([self.flip, self.theta]))
+        gain = torch.sqrt(-torch.expm1(-2 * damping))[:, None]
+        b = gain * _join(self.b_real, self.b_imag)
+        pairs = torch.ones_like(self.nu)
+        pairs[self.reals :] = 2.0
+        return Modes(decay=decay, b=b, c=(pairs[:, None] * _join(self.c_real, self.c_imag)).mT, d=self.d)
+
+    def to_state_space(self) -> StateSpace:
+        """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per pair."""
+        with torch.no_grad():
+            modes = self.modes()
+        turn = np.exp(modes.decay.cpu().numpy().astype(np.complex128))
+        b, c = (t.cpu().numpy().astype(np.complex128) for t in (modes.b, modes.c))
+        return real_form(turn, b, c, modes.d.cpu().numpy().astype(np.float64), self.reals)
+
+    def initial_state(self, free: Float[Tensor, "e n"]) -> Complex[Tensor, "e modes"]:
+        """Real states, ordered as in `to_state_space`, to modal ones."""
+        real, pairs = free[:, : self.reals], free[:, self.reals :].unflatten(1, (-1, 2))
+        return torch.complex(torch.cat([real, pairs[..., 0]], 1), torch.cat([torch.zeros_like(real), pairs[..., 1]], 1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where training starts: `modes (n,)` with the real ones first and one of each pair, `b (n, m)`, `c (p, n)`, `d`.
+
+    `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
+    """
+
+    modes: Complex[np.ndarray, "n"]
+    b: Complex[np.ndarray, "n m"]
+    c: Complex[np.ndarray, "p n"]
+    d: Float[np.ndarray, "p m"]
+
+
+def real_form(
+    turn: Complex[np.ndarray, "n"],
+    b: Complex[np.ndarray, "n m"],
+    c: Complex[np.ndarray, "p n"],
+    d: Float[np.ndarray, "p m"],
+    reals: int,
+) -> StateSpace:
+    """`x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`."""
+    n = reals + 2 * (len(turn) - reals)
+    a, br, cr = np.zeros((n, n)), np.zeros((n, b.shape[1])), np.zeros((c.shape[0], n))
+    a[:reals, :reals] = np.diag(turn[:reals].real)
+    br[:reals], cr[:, :reals] = b[:reals].real, c[:, :reals].real
+    for i, at in enumerate(range(reals, n, 2), start=reals):
+        re, im = turn[i].real, turn[i].imag
+        a[at : at + 2, at : at + 2] = [[re, -im], [im, re]]
+        br[at], br[at + 1] = b[i].real, b[i].imag
+        cr[:, at], cr[:, at + 1] = c[:, i].real, -c[:, i].imag
+    return StateSpace(a=a, b=br, c=cr, d=d)
+
+
+def _parts(values: Complex[Tensor, "n k"], reals: int, trained: bool) -> tuple[nn.Parameter, nn.Parameter]:
+    """Real parts of all modes and imaginary parts of the pairs, as separate parameters."""
+    real = nn.Parameter(values.real.clone(), requires_grad=trained)
+    return real, nn.Parameter(values.imag[reals:].clone(), requires_grad=trained)
+
+
+def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex[Tensor, "n k"]:
+    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, len(real) - len(imag), 0)))

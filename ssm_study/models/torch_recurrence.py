@@ -1,0 +1,156 @@
+"""One simulation law of the linear recurrence, four evaluations of it: convolution, chunks, scan, steps.
+
+    x[k+1] = lambda x[k] + B u[k],    y[k] = Re(C x[k]) + D u[k],    x[0] given      (all modes are decoupled)
+
+Modes are complex numbers; a real mode is one with zero imaginary part, and the factor two of a conjugate pair is
+already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]` with `g[0] = D` and
+`g[k] = Re(C lambda^(k-1) B)`.
+Shapes: `decay (n,)` complex, the logarithm of lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)` real; `u (e, T, m)`;
+`x0 (e, n)` complex.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor
+
+CHUNK = 64  # samples per chunk: products of this size keep one core's caches warm
+
+
+@dataclass(frozen=True, kw_only=True)
+class Modes:
+    """The recurrence in explicit modal parameters; `decay = log(lambda)` with negative real part."""
+
+    decay: Complex[Tensor, "n"]
+    b: Complex[Tensor, "n m"]
+    c: Complex[Tensor, "p n"]
+    d: Float[Tensor, "p m"]
+
+
+def power_sum(
+    weights: Complex[Tensor, "*lead n"], decay: Complex[Tensor, "n"], samples: int
+) -> Float[Tensor, "*lead T"]:
+    """`Re sum_i weights_i lambda_i^k`, k = 0 ... samples - 1, without a table of samples x n.
+
+    Two levels, `k = q s + r`: `lambda^k = lambda^(q s) lambda^r`, so two tables of about sqrt(T) rows and one real
+    product. The powers are taken in complex128; the product runs in the precision of `weights`.
+    """
+    short = max(1, math.isqrt(samples - 1) + 1)
+    rows = -(-samples // short)
+    rate = decay.to(torch.complex128)
+    fine = torch.exp(rate[:, None] * torch.arange(short, device=rate.device)).to(weights.dtype)
+    coarse = torch.exp(torch.arange(0, rows * short, short, device=rate.device)[:, None] * rate).to(weights.dtype)
+    left = weights[..., None, :] * coarse
+    product = torch.cat([left.real, -left.imag], -1) @ torch.cat([fine.real, fine.imag], 0)
+    return product.flatten(-2)[..., :samples]
+
+
+def kernel(modes: Modes, samples: int) -> Float[Tensor, "p m T"]:
+    """`g[0] = D`, `g[k] = Re(C lambda^(k-1) B)`: the impulse response."""
+    weights = modes.c[:, None, :] * modes.b.T[None, :, :]
+    tail = power_sum(weights, modes.decay, max(samples - 1, 1))[..., : samples - 1]
+    return torch.cat([modes.d[..., None], tail], -1)
+
+
+def free_response(modes: Modes, x0: Complex[Tensor, "e n"], samples: int) -> Float[Tensor, "e T p"]:
+    """`Re(C lambda^k x0)`: what the initial states contribute."""
+    return power_sum(x0[:, None, :] * modes.c, modes.decay, samples).transpose(1, 2)
+
+
+def by_convolution(
+    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Float[Tensor, "e T p"]:
+    """Product of spectra with zero padding; O(T log T), the cost nearly independent of n."""
+    samples = u.shape[1]
+    length = fast_length(2 * samples - 1)
+    spectrum = torch.fft.rfft(kernel(modes, samples), n=length)
+    lifted = torch.fft.rfft(u.transpose(1, 2), n=length)
+    mixed = spectrum[0] * lifted if spectrum.shape[:2] == (1, 1) else torch.einsum("pmf,emf->epf", spectrum, lifted)
+    y = torch.fft.irfft(mixed, n=length)[..., :samples].transpose(1, 2)
+    return y if x0 is None else y + free_response(modes, x0, samples)
+
+
+def fast_length(samples: int) -> int:
+    """The next length of the form 2^a 3^b 5^c: transforms of other lengths are several times slower."""
+    best = 1 << max(samples - 1, 1).bit_length()
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            rest = -(-samples // three)
+            best = min(best, three << max(rest - 1, 0).bit_length())
+            three *= 3
+        five *= 5
+    return best
+
+
+def by_chunks(
+    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Float[Tensor, "e T p"]:
+    """Blocks of 64 samples as matrix products; the states between blocks follow the same law, 64 times slower."""
+    experiments, samples, m = u.shape
+    blocks = -(-samples // CHUNK)
+    padded = torch.nn.functional.pad(u, (0, 0, 0, blocks * CHUNK - samples)).view(experiments, blocks, CHUNK * m)
+    rise = (padded @ _lift_matrix(modes).to(padded.dtype)).view(experiments, blocks, 2, -1)
+    states = _states(modes.decay * CHUNK, torch.complex(rise[:, :, 0], rise[:, :, 1]), x0)
+    within = padded @ _toeplitz(kernel(modes, CHUNK))
+    across = torch.cat([states.real, -states.imag], -1) @ _read_matrix(modes)
+    return (within + across).view(experiments, blocks * CHUNK, -1)[:, :samples]
+
+
+def _lift_matrix(modes: Modes) -> Float[Tensor, "sm n2"]:
+    """Rows (j, input), columns (Re, Im) of `lambda^(s-1-j) B`: a block's inputs to the state after it."""
+    ages = torch.arange(CHUNK - 1, -1, -1, device=modes.decay.device)
+    table = torch.exp(ages[:, None] * modes.decay)[:, None, :] * modes.b.T
+    return torch.cat([table.real, table.imag], -1).flatten(0, 1)
+
+
+def _read_matrix(modes: Modes) -> Float[Tensor, "n2 sp"]:
+    """Rows (Re, -Im of the state before a block), columns (k, output) of `C lambda^k`."""
+    table = (
+        torch.exp(modes.decay[:, None] * torch.arange(CHUNK, device=modes.decay.device))[:, :, None]
+        * modes.c.T[:, None, :]
+    )
+    return torch.cat([table.real, table.imag], 0).flatten(1)
+
+
+def _toeplitz(g: Float[Tensor, "p m s"]) -> Float[Tensor, "sm sp"]:
+    """`T[(j, input), (k, output)] = g[output, input, k - j]`, zero above the diagonal of time."""
+    lag = torch.arange(CHUNK, device=g.device)[None, :] - torch.arange(CHUNK, device=g.device)[:, None]
+    table = torch.where(lag >= 0, g[..., lag.clamp(min=0)], torch.zeros((), dtype=g.dtype, device=g.device))
+    return table.permute(2, 1, 3, 0).flatten(2).flatten(0, 1)
+
+
+def _states(
+    decay: Complex[Tensor, "n"], rise: Complex[Tensor, "e q n"], x0: Complex[Tensor, "e n"] | None
+) -> Complex[Tensor, "e q n"]:
+    """`x[k]` for k = 0 ... q - 1 of `x[k+1] = lambda x[k] + rise[k]` by doubling: log2(q) passes over the table."""
+    first = torch.zeros_like(rise[:, :1]) if x0 is None else x0[:, None]
+    x, shift = torch.cat([first, rise[:, :-1]], 1), 1
+    while shift < x.shape[1]:
+        x = torch.cat([x[:, :shift], x[:, shift:] + torch.exp(decay * shift) * x[:, :-shift]], 1)
+        shift *= 2
+    return x
+
+
+def by_scan(
+    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Float[Tensor, "e T p"]:
+    """All states by doubling, then read: the parallel scan, with its T x n table."""
+    x = _states(modes.decay, u.to(modes.b.dtype) @ modes.b.T, x0)
+    return (x @ modes.c.T).real + u @ modes.d.T
+
+
+def by_steps(
+    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Float[Tensor, "e T p"]:
+    """One sample after the other, as deployed; the reference the other evaluations are tested against."""
+    turn = torch.exp(modes.decay)
+    x = torch.zeros(u.shape[0], len(turn), dtype=modes.b.dtype, device=u.device) if x0 is None else x0
+    y = []
+    for sample in u.unbind(1):
+        y.append((x @ modes.c.T).real + sample @ modes.d.T)
+        x = turn * x + sample.to(modes.b.dtype) @ modes.b.T
+    return torch.stack(y, 1)

@@ -1,0 +1,65 @@
+"""The trainable model: scaffolding, recurrent unit, scaffolding, in scaled units."""
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.torch_lru import LRU
+from ssm_study.models.torch_recurrence import by_convolution
+from ssm_study.models.torch_scaffold import TorchScaffold
+from ssm_study.signals import DataSet
+
+
+class TorchSSM(nn.Module):
+    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`."""
+
+    def __init__(self, scaffold_in: TorchScaffold, lru: LRU, scaffold_out: TorchScaffold) -> None:
+        super().__init__()
+        self.scaffold_in, self.lru, self.scaffold_out = scaffold_in, lru, scaffold_out
+
+    def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
+        return self.respond(self.scaffold_in(u), x0)
+
+    def respond(self, ubar: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
+        """The output for an input that has passed `S_u` already; `x0` ordered as in `to_state_space`."""
+        modal = None if x0 is None else self.lru.initial_state(x0)
+        return self.scaffold_out(by_convolution(self.lru.modes(), ubar, modal))
+
+    def freeze(self, data: DataSet) -> SSM:
+        """The explicit numbers, with the scales they were trained under."""
+        return SSM(
+            linear=self.lru.to_state_space(),
+            scaffold_in=self.scaffold_in.freeze(),
+            scaffold_out=self.scaffold_out.freeze(),
+            input_scale=data.input_scale.astype(np.float64),
+            output_scale=data.output_scale.astype(np.float64),
+            input_equilibrium=data.input_equilibrium.astype(np.float64),
+            output_equilibrium=data.output_equilibrium.astype(np.float64),
+            step_s=data.step_s,
+        )
+
+
+class Levels(nn.Module):
+    """Held inputs repeat: `S_u` is evaluated once per distinct input vector and copied to where it occurs.
+
+    Multilevel excitation holds each level for many samples, so the cost of any scaffolding is divided by the mean hold.
+    """
+
+    values: Tensor
+    where: Tensor
+
+    def __init__(self, u: Float[Tensor, "e T m"]) -> None:
+        super().__init__()
+        values, where = torch.unique(u.flatten(0, 1), dim=0, return_inverse=True)
+        self.register_buffer("values", values)
+        self.register_buffer("where", where.view(u.shape[:2]))
+
+    @property
+    def worthwhile(self) -> bool:
+        """True when at most half of the samples are distinct."""
+        return 2 * len(self.values) <= self.where.numel()
+
+    def lift(self, scaffold: TorchScaffold) -> Float[Tensor, "e T m"]:
+        return scaffold(self.values)[self.where]

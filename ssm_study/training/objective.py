@@ -1,0 +1,63 @@
+"""What training minimises: the relative squared simulation error over the scored samples of all records."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from ssm_study.models.torch_ssm import Levels, TorchSSM
+from ssm_study.signals import DataSet, Trajectory
+
+
+class Records(nn.Module):
+    """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
+
+    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the start-up window and in the padding, and scaled so that
+    `sum(weight |y - mean|^2) = 1`. Then the loss is `(1 - fit / 100)^2` for one channel.
+    """
+
+    u: Tensor
+    y: Tensor
+    weight: Tensor
+
+    def __init__(self, records: Sequence[Trajectory], data: DataSet) -> None:
+        super().__init__()
+        longest = max(len(record) for record in records)
+        u = [_padded((r.u - data.input_equilibrium) / data.input_scale, longest) for r in records]
+        y = [_padded((r.y - data.output_equilibrium) / data.output_scale, longest) for r in records]
+        scored = np.zeros((len(records), longest, 1))
+        for e, record in enumerate(records):
+            scored[e, data.start_up_samples : len(record)] = 1.0
+        spread = _spread(np.stack(y), scored)
+        for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
+            self.register_buffer(name, torch.from_numpy(values))
+        self.levels: Levels | None = None
+        levels = Levels(self.u)
+        if levels.worthwhile:
+            self.levels = levels
+
+    def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
+        """Free run of the model over all records; held inputs pass `S_u` once per level where the model allows it."""
+        if self.levels is not None and isinstance(model, TorchSSM):
+            return model.respond(self.levels.lift(model.scaffold_in), x0)
+        return model(self.u) if x0 is None else model(self.u, x0)
+
+    def loss(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:
+        return (self.weight * (y_hat - self.y) ** 2).sum()
+
+
+def fit_of_loss(loss: float) -> float:
+    """`100 (1 - sqrt(loss))`, percent."""
+    return 100.0 * (1.0 - loss**0.5)
+
+
+def _padded(values: Float[np.ndarray, "T c"], length: int) -> Float[np.ndarray, "L c"]:
+    return np.pad(values, ((0, length - len(values)), (0, 0)))
+
+
+def _spread(y: Float[np.ndarray, "e T p"], scored: Float[np.ndarray, "e T 1"]) -> float:
+    """`sum |y - mean|^2` over the scored samples, the mean taken over all records."""
+    mean = (scored * y).sum(axis=(0, 1)) / scored.sum()
+    return float((scored * (y - mean) ** 2).sum())

@@ -1,0 +1,76 @@
+"""Which optimiser a training uses; each yaml of the group `training/optimiser` is one of these."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from ssm_study.refusal import require
+
+
+class OptimiserSpec(ABC):
+    """`build` returns a torch optimiser over the trainable parameters."""
+
+    steps_per_epoch: int
+
+    @abstractmethod
+    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lbfgs(OptimiserSpec):
+    """Limited-memory BFGS with a strong Wolfe line search; one epoch is `steps_per_epoch` iterations of it."""
+
+    steps_per_epoch: int
+    history: int
+
+    def __post_init__(self) -> None:
+        _check_steps(self.steps_per_epoch)
+        require(self.history >= 1, "optimiser.history", self.history, "needs at least one pair", "use 20 or so")
+
+    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - no schedule
+        return torch.optim.LBFGS(
+            trainable(model),
+            max_iter=self.steps_per_epoch,
+            history_size=self.history,
+            line_search_fn="strong_wolfe",
+            tolerance_grad=0.0,
+            tolerance_change=0.0,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adam(OptimiserSpec):
+    """Adam; one epoch is `steps_per_epoch` steps. The rate falls along half a cosine to `final_fraction` of itself."""
+
+    learning_rate: float
+    steps_per_epoch: int
+    final_fraction: float
+
+    def __post_init__(self) -> None:
+        rate, final = self.learning_rate, self.final_fraction
+        require(0 < rate < np.inf, "optimiser.learning_rate", rate, "must be positive", "use 0.01 or so")
+        require(0 < final <= 1, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so")
+        _check_steps(self.steps_per_epoch)
+
+    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - see `schedule`
+        return torch.optim.Adam(trainable(model), lr=self.learning_rate)
+
+    def schedule(self, optimiser: torch.optim.Optimizer, max_epochs: int) -> torch.optim.lr_scheduler.LRScheduler:
+        """Half a cosine over all epochs, stepped once per epoch."""
+
+        def factor(epoch: int) -> float:
+            share = min(epoch / max(max_epochs, 1), 1.0)
+            return self.final_fraction + (1 - self.final_fraction) * (1 + np.cos(np.pi * share)) / 2
+
+        return torch.optim.lr_scheduler.LambdaLR(optimiser, factor)
+
+
+def trainable(model: nn.Module) -> list[nn.Parameter]:
+    return [parameter for parameter in model.parameters() if parameter.requires_grad]
+
+
+def _check_steps(steps: int) -> None:
+    require(steps >= 1, "optimiser.steps_per_epoch", steps, "an epoch has at least one step", "use 10 or so")

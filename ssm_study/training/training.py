@@ -1,0 +1,149 @@
+"""Identify a model from data: what `conf/training/*.yaml` says, and the line from specification to stored numbers."""
+
+import logging
+import time
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import lightning.pytorch as pl
+import torch
+from lightning.pytorch.callbacks import EarlyStopping
+from torch import nn
+from torch.utils.data import DataLoader
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.spec import SSMSpec
+from ssm_study.refusal import BadRequest, require
+from ssm_study.signals import DataSet
+from ssm_study.training.checkpoint import DurableCheckpointIO
+from ssm_study.training.fit import Fit, Keeper
+from ssm_study.training.identification import Identification, mean_fit
+from ssm_study.training.objective import Records
+from ssm_study.training.optimisers import OptimiserSpec, trainable
+from ssm_study.training.progress import Curve, Line
+from ssm_study.training.saving import BEST, Saver, fingerprint, load_state, resumable, write_best
+
+POLISH_STEPS = 20  # float64 iterations after float32 training: they undo its rounding, not its optimum
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """Simulation error over full records, until validation gains less than `min_gain_percent` in `patience` epochs.
+
+    `precision` 32 trains in float32 and polishes in float64; 64 trains in float64. `initial_state` "estimated" fits
+    one initial state per training record. `validation_tolerance_percent`: see `Keeper`. `accelerator` and `devices` go
+    to Lightning.
+    """
+
+    optimiser: OptimiserSpec
+    max_epochs: int
+    patience: int
+    min_gain_percent: float
+    validation_tolerance_percent: float
+    precision: Literal[32, 64] = 64
+    initial_state: Literal["zero", "estimated"] = "zero"
+    checkpoint_every_s: float = 10.0
+    accelerator: str = "cpu"
+    devices: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("max_epochs", "patience", "devices"):
+            value = getattr(self, name)
+            require(value >= 1, f"training.{name}", value, "must be at least one", "use a positive whole number")
+        for name in ("min_gain_percent", "validation_tolerance_percent", "checkpoint_every_s"):
+            require(getattr(self, name) >= 0, f"training.{name}", getattr(self, name), "must not be negative", "use 0")
+        require(self.precision in (32, 64), "training.precision", self.precision, "unknown", "use 32 or 64")
+        known = self.initial_state in ("zero", "estimated")
+        require(known, "training.initial_state", self.initial_state, "unknown", "use zero or estimated")
+
+    def identify(
+        self, spec: SSMSpec, data: DataSet, seed: int, folder: Path, progress: bool = False
+    ) -> Identification[SSM]:
+        """The SSM of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
+        began = time.perf_counter()
+        belongs_to = fingerprint((spec, seed), self.optimiser, data)
+        net = spec.build(data, seed)
+        fit = self._fit(net, data, spec.order)
+        fit.to(torch.float32 if self.precision == 32 else torch.float64)
+        keeper, curve = self._run(fit, folder, belongs_to, progress)
+        if keeper.kept is not None:
+            write_best(folder / BEST, keeper.kept, belongs_to)
+            load_state(folder / BEST, fit)
+        fit.to("cpu", torch.float64)
+        if self.precision == 32:
+            polish(fit)
+        model = net.freeze(data)
+        return Identification(
+            model=model,
+            fit_training_percent=mean_fit(model, data.training, data),
+            fit_validation_percent=mean_fit(model, data.validation, data),
+            seconds=time.perf_counter() - began,
+            curve=curve.rows,
+            ended=keeper.ended,
+        )
+
+    def _fit(self, model: nn.Module, data: DataSet, order: int) -> Fit:
+        states = order if self.initial_state == "estimated" else 0
+        records = Records(data.training, data), Records(data.validation, data)
+        return Fit(model, *records, self.optimiser, self.max_epochs, states)
+
+    def _run(self, fit: Fit, folder: Path, belongs_to: str, progress: bool) -> tuple[Keeper, Curve]:
+        resume_from = resumable(folder, belongs_to)
+        keeper, curve = Keeper(self.validation_tolerance_percent), Curve()
+        stopping = EarlyStopping(
+            "fit_validation_percent", self.min_gain_percent, self.patience, mode="max", check_finite=False
+        )
+        callbacks = [keeper, curve, stopping, Saver(folder, belongs_to, self.checkpoint_every_s)]
+        trainer = self._trainer([*callbacks, *([Line(self.max_epochs)] if progress else [])], folder)
+        steps = self.optimiser.steps_per_epoch if not isinstance(fit.configure_optimizers(), torch.optim.LBFGS) else 1
+        batches: DataLoader = DataLoader(range(steps), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
+        one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type]
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="lightning")  # advice on workers and loggers, of no use here
+            trainer.fit(fit, batches, one, ckpt_path=resume_from)
+        if trainer.interrupted:
+            raise KeyboardInterrupt
+        if not keeper.ended:
+            early = stopping.stopped_epoch > 0
+            keeper.ended = "validation fit no longer grows" if early else f"{self.max_epochs} epochs done"
+        return keeper, curve
+
+    def _trainer(self, callbacks: list[pl.Callback], folder: Path) -> pl.Trainer:
+        logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+        try:
+            return pl.Trainer(
+                accelerator=self.accelerator,
+                devices=self.devices,
+                max_epochs=self.max_epochs,
+                callbacks=callbacks,
+                plugins=[DurableCheckpointIO()],
+                default_root_dir=folder,
+                logger=False,
+                enable_checkpointing=False,
+                enable_progress_bar=False,
+                enable_model_summary=False,
+                num_sanity_val_steps=0,
+            )
+        except (RuntimeError, ValueError) as error:  # Lightning's MisconfigurationException is one of these
+            raise BadRequest(
+                "training.accelerator", self.accelerator, "not available on this machine", "use accelerator=cpu"
+            ) from error
+
+
+def polish(fit: Fit) -> None:
+    """A few L-BFGS iterations in float64, kept only if they end finite and lower."""
+    before = {name: value.clone() for name, value in fit.state_dict().items()}
+    optimiser = torch.optim.LBFGS(trainable(fit), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe")
+
+    def closure() -> float:
+        optimiser.zero_grad()
+        loss = fit.training_step(None, 0)
+        loss.backward()
+        return float(loss)
+
+    first = closure()
+    optimiser.step(closure)
+    if not closure() <= first:
+        fit.load_state_dict(before)
