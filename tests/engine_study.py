@@ -14,13 +14,14 @@ from omegaconf import DictConfig, OmegaConf
 from ssm_study.refusal import require
 from ssm_study.results.keys import code_version
 from ssm_study.results.runs import Run, execute
-from ssm_study.results.store import Store
+from ssm_study.results.store import StageResult, Stages, Store
 
 CONF = {
     "study": "study",
     "results_dir": "???",
     "seed": 0,
     "retry_failed": False,
+    "dry_run": False,
     "do": "work",
     "rate": 1,
     "work_s": 0.0,
@@ -45,14 +46,20 @@ def job(config: DictConfig) -> str:
 
 
 def _work(config: DictConfig, run: Run) -> dict[str, object]:
-    store = Store(Path(config.results_dir) / ".store")
-    version = code_version("refusal")
-    data = run.stage(store.stage("data", {"seed": config.seed}, [], version, lambda f: _compute(f, config, "data")))
-    run.stage(store.stage("model", {"rate": config.rate}, [data.key], version, lambda f: _compute(f, config, "model")))
+    data, model = walk(config, Store(Path(config.results_dir) / ".store"))
+    run.stage(data)
+    run.stage(model)
     BEHAVIOUR[config.do](run)
     number = float(json.loads((data.path / "data.json").read_text())["number"])
     (run.path / "model.json").write_text(json.dumps({"number": number}))
     return {"fit_test_percent": number + config.rate, "stable_fraction": 1.0, "threads_seen": _threads(config)}
+
+
+def walk(config: DictConfig, stages: Stages) -> tuple[StageResult, StageResult]:
+    version = code_version("refusal")
+    data = stages.stage("data", {"seed": config.seed}, [], version, lambda f: _compute(f, config, "data"))
+    model = stages.stage("model", {"rate": config.rate}, [data.key], version, lambda f: _compute(f, config, "model"))
+    return data, model
 
 
 def _compute(folder: Path, config: DictConfig, name: str) -> None:

@@ -6,6 +6,7 @@ import secrets
 import shutil
 import socket
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -38,8 +39,18 @@ class StageResult:
     name: str
 
 
+class Stages(ABC):
+    """What the line calls: `Store` computes and keeps, `PlannedStages` (plan.py) only notes what would be computed."""
+
+    @abstractmethod
+    def stage(
+        self, name: str, config: Any, upstream: Sequence[str], code_version: str, compute: Callable[[Path], None]
+    ) -> StageResult:
+        """The stage of these inputs. Its files may be read inside a later `compute` only: a plan has no files."""
+
+
 @dataclass(frozen=True)
-class Store:
+class Store(Stages):
     """`root/<stage>/<key>/` holds the files of one stage and `manifest.json` with the SHA-256 of each.
 
     A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and renamed. Only one

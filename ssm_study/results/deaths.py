@@ -1,0 +1,82 @@
+"""How a job's process ended: by its record, or else by its exit status; and what stops the ones that do not end."""
+
+import contextlib
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from ssm_study.results.durable import locked_or_none
+from ssm_study.results.jobs import LOG
+from ssm_study.results.records import FAILED, INFEASIBLE, LOCK, OK, read_record
+from ssm_study.results.runs import Outcome, outcome_of, write_failure
+from ssm_study.results.sweep import Job
+
+GRACE_S = 2.0  # between asking a hanging job for its traceback and killing it
+
+
+def conclude(job: Job) -> Outcome:
+    """What became of a job whose process has ended: its record says, or else how the process died."""
+    assert job.process is not None
+    job.process.join()
+    kill_group(job)  # what the job started and left behind
+    record = read_record(job.folder)
+    if record is not None and record["status"] in (OK, INFEASIBLE, FAILED):
+        return Outcome(
+            folder=job.folder, status=record["status"], did="ran", message=str(record.get("error_message") or "")
+        )
+    with locked_or_none(job.folder / LOCK) as mine:
+        if not mine:
+            return outcome_of(job.folder, record)
+        facts = {"study": job.folder.parent.name, "run": job.folder.name} | (record or {})
+        death = _cause_of_death(job)
+        write_failure(job.folder, facts, death, _log_tail(job.folder) or death["error_message"])
+    return Outcome(folder=job.folder, status=FAILED, did="ran", message=death["error_message"])
+
+
+def _cause_of_death(job: Job) -> dict[str, Any]:
+    """A signal or an exit without a record. Only being killed from outside is worth a second try of itself."""
+    code = job.process.exitcode if job.process and job.process.exitcode is not None else 255
+    if code >= 0:
+        return _death(
+            "ProcessExit", f"the process ended with status {code} before the run was recorded", transient=False
+        )
+    name = signal.Signals(-code).name
+    if job.outcome is not None:
+        return _death("Timeout", job.outcome.message, transient=False)
+    hint = {"SIGKILL": " (the system does this when memory runs out)", "SIGSEGV": " (a crash in native code)"}
+    transient = name in ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
+    return _death(name, f"the process was stopped by {name}{hint.get(name, '')}", transient=transient)
+
+
+def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
+    return {"error_type": kind, "error_message": message, "failure_transient": transient}
+
+
+def stop_hanging(job: Job) -> None:
+    """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole group."""
+    assert job.process is not None
+    assert job.process.pid is not None
+    spent = time.monotonic() - job.started
+    message = f"no result after {spent:.0f} s, the limit of hydra.launcher.timeout_s"
+    job.outcome = Outcome(folder=job.folder, status=FAILED, did="ran", message=message)
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(job.process.pid, signal.SIGABRT)
+    job.process.join(GRACE_S)
+    kill_group(job)
+
+
+def kill_group(job: Job) -> None:
+    if job.process is None or job.process.pid is None:
+        return
+    for kill in (os.killpg, os.kill) if job.process.is_alive() else (os.killpg,):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            kill(job.process.pid, signal.SIGKILL)
+
+
+def _log_tail(folder: Path, characters: int = 8000) -> str:
+    try:
+        return (folder / LOG).read_text(errors="replace")[-characters:]
+    except OSError:
+        return ""

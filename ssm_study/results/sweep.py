@@ -1,0 +1,72 @@
+"""The jobs of a sweep, composed and checked before any of them starts."""
+
+import sys
+from dataclasses import dataclass, field
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from ssm_study.refusal import BadRequest
+from ssm_study.results.runs import Outcome, run_folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """What Hydra hands to a launcher."""
+
+    hydra_context: HydraContext
+    task_function: TaskFunction
+    config: DictConfig
+
+
+@dataclass(kw_only=True)
+class Job:
+    """One configuration of the sweep and, once started, its process."""
+
+    overrides: list[str]
+    config: DictConfig
+    folder: Path
+    outcome: Outcome | None = None
+    process: ForkServerProcess | None = None
+    started: float = field(default=0.0)
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
+
+    @property
+    def task_config(self) -> DictConfig:
+        """What the task sees: the configuration without Hydra's section."""
+        return OmegaConf.masked_copy(self.config, [str(key) for key in self.config if key != "hydra"])
+
+
+def compose(sweep: Sweep, overrides: list[str], number: int) -> Job:
+    """The configuration of one job and the folder it names; raises `BadRequest` if that leaves the results folder."""
+    config = sweep.hydra_context.config_loader.load_sweep_config(sweep.config, overrides)
+    with open_dict(config):
+        config.hydra.job.id = number
+        config.hydra.job.num = number
+    HydraConfig.instance().set_config(config)
+    folder = Path(str(config.hydra.sweep.dir)) / str(config.hydra.sweep.subdir)
+    run_folder(folder.parent.parent, folder.parent.name, folder.name)
+    return Job(overrides=overrides, config=config, folder=folder.absolute())
+
+
+def check_all(task_function: TaskFunction, jobs: list[Job]) -> None:
+    """`check(configuration)` of the task's module on every job, before any starts; `BadRequest` names the job."""
+    check = task_hook(task_function, "check")
+    for job in jobs if check else []:
+        try:
+            check(job.task_config)
+        except BadRequest as refusal:
+            where = f"{refusal.field} (of the run {' '.join(job.overrides)})"
+            raise BadRequest(where, refusal.value, refusal.problem, refusal.remedy) from refusal
+
+
+def task_hook(task_function: TaskFunction, name: str) -> Any:
+    """The function `name` in the module of the task, or None."""
+    return getattr(sys.modules[task_function.__module__], name, None)
