@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ssm_study.data.recorded import assembled, check_recorded
+from ssm_study.data.recorded import RecordedSource, assembled, check_recorded, existing
 from ssm_study.data.recording import Recording
 from ssm_study.data.scores import SCORES
 from ssm_study.refusal import BadRequest, require
@@ -15,7 +15,7 @@ RECORDS_BESIDE = Path("../shared/data")  # where a clone may have them, relative
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedExperiments:
+class RecordedExperiments(RecordedSource):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
     `folder` null looks for the folder `benchmark` in $SSM_STUDY_DATA and in ../shared/data. `score` says how a
@@ -37,8 +37,12 @@ class RecordedExperiments:
         for part in ("training", "validation", "test"):
             require(len(getattr(self, part)) > 0, f"data.{part}", "none", "no recording is named", "name at least one")
 
+    def files(self) -> tuple[Path, ...]:
+        folder = self._folder()
+        names = dict.fromkeys(r.path for r in (*self.training, *self.validation, *self.test))
+        return tuple(existing(folder / name) for name in names)
+
     def build(self, seed: int) -> DataSet:
-        """The data set; `seed` only names the run, for nothing here is random."""
         folder = self._folder()
         return assembled(
             training=_read(folder, "training", self.training),

@@ -47,7 +47,7 @@ class SignalGroup:
         require(
             bool(np.isfinite(self.time_s).all())
             and bool((np.diff(self.time_s) > 0).all())
-            and self.time_s.min(initial=0) >= 0,
+            and bool((self.time_s >= 0).all()),
             f"{self.topic} (time_s)",
             self.time_s,
             "times must be finite, increasing and not negative",

@@ -1,6 +1,8 @@
 """Data from files: one or several logs cut in time, or experiments assigned to parts one by one."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +13,26 @@ from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectory
 
 
+class RecordedSource(ABC):
+    """Data that lies in files: what is read from where, and the data set it makes."""
+
+    @abstractmethod
+    def files(self) -> tuple[Path, ...]:
+        """Every file that `build` reads; each exists, or `BadRequest` is raised."""
+
+    @abstractmethod
+    def build(self, seed: int) -> DataSet:
+        """The data set; `seed` only names the run, for nothing here is random."""
+
+
+def existing(path: Path) -> Path:
+    """The path, which must be a file."""
+    require(path.is_file(), "data.path", path, "no such file", "check the spelling")
+    return path
+
+
 @dataclass(frozen=True, kw_only=True)
-class RecordedData:
+class RecordedData(RecordedSource):
     """Logs of one system, each cut in time: training first, then validation, then test.
 
     `path` names one log or several (of any lengths); `input`, `output`, `time` name columns. `test_path` gives separate
@@ -48,8 +68,10 @@ class RecordedData:
         check_recorded(self.start_up_samples, self.equilibrium)
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
 
+    def files(self) -> tuple[Path, ...]:
+        return tuple(existing(Path(path)) for path in (*listed(self.path), *listed(self.test_path or ())))
+
     def build(self, seed: int) -> DataSet:
-        """The data set; `seed` only names the run, for nothing here is random."""
         logs = [self._recording(path) for path in listed(self.path)]
         read = [log.read() for log in logs]
         own_test = self.test_path is None
