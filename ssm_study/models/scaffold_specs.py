@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.torch_mlp import TorchFreeMlp, TorchMlp
+from ssm_study.models.torch_monotone import TorchMonotone
+from ssm_study.models.torch_residual import TorchResidual
 from ssm_study.models.torch_scaffold import TorchIdentity, TorchScaffold
 from ssm_study.refusal import require
 
@@ -53,3 +55,24 @@ class Mlp(ScaffoldSpec):
     def build(self, frame: Frame, rng: np.random.Generator) -> TorchScaffold:
         kind = TorchMlp if self.certified else TorchFreeMlp
         return kind(frame.samples, frame.width, self.depth, frame.slopes, self.train_slopes, rng)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Monotone(ScaffoldSpec):
+    """Piecewise linear per channel with `hidden_width` break points; its parameters are the slopes themselves."""
+
+    def build(self, frame: Frame, rng: np.random.Generator) -> TorchScaffold:  # noqa: ARG002 - nothing to draw
+        return TorchMonotone(frame.samples, frame.width, frame.slopes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residual(ScaffoldSpec):
+    """`alpha v + beta (G(v) - G(0))`, G 1-Lipschitz with `depth` sandwich layers: couples the channels."""
+
+    depth: int
+
+    def __post_init__(self) -> None:
+        require(self.depth >= 1, "scaffold.depth", self.depth, "G has at least one hidden layer", "use 1 or 2")
+
+    def build(self, frame: Frame, rng: np.random.Generator) -> TorchScaffold:
+        return TorchResidual(frame.samples, [frame.width] * self.depth, frame.slopes, rng)

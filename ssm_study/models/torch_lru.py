@@ -15,7 +15,8 @@ class LRU(nn.Module):
     """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
 
     `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves. With one input
-    `B` is all ones and only `C` is trained: the modal form has exactly that much freedom. Source: Orvieto et al. (2023), section 3.
+    `B` is all ones and only `C` is trained: the modal form has exactly that much freedom.
+    Source: Orvieto et al. (2023), section 3.
     """
 
     flip: Tensor
@@ -56,7 +57,7 @@ class LRU(nn.Module):
             modes = self.modes()
         turn = np.exp(modes.decay.cpu().numpy().astype(np.complex128))
         b, c = (t.cpu().numpy().astype(np.complex128) for t in (modes.b, modes.c))
-        return real_form(turn, b, c, modes.d.cpu().numpy().astype(np.float64), self.reals)
+        return real_form(turn, b, c, modes.d.detach().cpu().numpy().astype(np.float64), self.reals)
 
     def initial_state(self, free: Float[Tensor, "e n"]) -> Complex[Tensor, "e modes"]:
         """Real states, ordered as in `to_state_space`, to modal ones."""

@@ -1,0 +1,48 @@
+"""A trainable piecewise-linear map whose slopes are its parameters."""
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.models.torch_scaffold import TorchScaffold, numbers
+
+
+class TorchMonotone(TorchScaffold):
+    """`S_c(v) = int_0^v s_c(t) dt`, slopes `lower + (upper - lower) sigmoid(free)` between sorted break points.
+
+    One such map per channel, so the Jacobian is diagonal and the sector is the ball. The break points move with
+    training: when two cross, the piece between them has zero width and the map stays continuous in its parameters.
+    """
+
+    def __init__(self, inputs: Float[np.ndarray, "N m"], pieces: int, slopes: tuple[float, float]) -> None:
+        super().__init__()
+        ranks = (np.arange(pieces) + 0.5) / pieces
+        self.points = nn.Parameter(torch.from_numpy(np.quantile(inputs, ranks, axis=0).T.copy()))
+        self.free = nn.Parameter(torch.zeros(inputs.shape[1], pieces + 1, dtype=torch.float64))
+        self.lower, self.upper = slopes
+
+    def explicit(self) -> tuple[Float[Tensor, "m h"], Float[Tensor, "m h1"]]:
+        """Sorted break points and the slopes between them."""
+        return self.points.sort(dim=1).values, self.lower + (self.upper - self.lower) * torch.sigmoid(self.free)
+
+    def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
+        points, slopes = self.explicit()
+        offsets = _offsets(points, slopes)
+        flat = v.flatten(0, -2).T.contiguous()
+        piece = torch.searchsorted(points.detach(), flat, right=True)
+        return (slopes.gather(1, piece) * flat + offsets.gather(1, piece)).T.reshape(v.shape)
+
+    def freeze(self) -> MonotoneScaffold:
+        points, slopes = self.explicit()
+        return MonotoneScaffold(breakpoints=numbers(points), slopes=numbers(slopes))
+
+
+def _offsets(points: Float[Tensor, "m h"], slopes: Float[Tensor, "m h1"]) -> Float[Tensor, "m h1"]:
+    """Intercepts of the pieces, zero for the one that holds v = 0: continuity gives the others one after the other."""
+    jumps = (slopes[:, :-1] - slopes[:, 1:]) * points
+    beyond = torch.where(points > 0, jumps, 0.0).cumsum(1)
+    before = torch.where(points <= 0, jumps, 0.0).flip(1).cumsum(1).flip(1)
+    zero = torch.zeros_like(jumps[:, :1])
+    return torch.cat([zero, beyond], 1) - torch.cat([before, zero], 1)

@@ -1,0 +1,113 @@
+"""One law, four evaluations: convolution, chunks and scan agree with plain stepping, and with the real state space."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.models import torch_recurrence as recurrence
+from ssm_study.models.start import on_ring
+from ssm_study.models.torch_lru import LRU
+
+EVALUATIONS = {
+    "convolution": recurrence.by_convolution,
+    "chunks": recurrence.by_chunks,
+    "scan": recurrence.by_scan,
+}
+Evaluation = Callable[..., torch.Tensor]
+
+
+def unit(seed: int, order: int, real_modes: int, m: int, p: int, radius: tuple[float, float] = (0.3, 0.99)) -> LRU:
+    rng = np.random.default_rng(seed)
+    return LRU(on_ring(order, real_modes, radius, (0.05, 2.0), (m, p), rng), feedthrough=True)
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> tuple[LRU, torch.Tensor, torch.Tensor]:
+    seed, m, p = draw(st.integers(0, 10_000)), draw(st.integers(1, 3)), draw(st.integers(1, 3))
+    pairs, real = draw(st.integers(0, 3)), draw(st.integers(0, 3))
+    order = max(2 * pairs + real, 1)
+    lru = unit(seed, order, real if 2 * pairs + real else 1, m, p)
+    rng = np.random.default_rng(seed + 1)
+    with torch.no_grad():
+        lru.d += torch.from_numpy(rng.normal(size=(p, m)))
+    u = torch.from_numpy(rng.normal(size=(2, draw(st.integers(2, 300)), m)))
+    return lru, u, torch.from_numpy(rng.normal(size=(2, order)))
+
+
+@pytest.mark.parametrize("name", EVALUATIONS)
+@given(case=cases())
+def test_every_evaluation_agrees_with_stepping(name: str, case: tuple[LRU, torch.Tensor, torch.Tensor]) -> None:
+    lru, u, x0 = case
+    with torch.no_grad():
+        modes, start = lru.modes(), lru.initial_state(x0)
+        expected = recurrence.by_steps(modes, u, start)
+        torch.testing.assert_close(EVALUATIONS[name](modes, u, start), expected, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(EVALUATIONS[name](modes, u), recurrence.by_steps(modes, u), rtol=1e-9, atol=1e-9)
+
+
+@given(case=cases())
+def test_the_real_state_space_is_the_same_system(case: tuple[LRU, torch.Tensor, torch.Tensor]) -> None:
+    lru, u, x0 = case
+    with torch.no_grad():
+        y = recurrence.by_steps(lru.modes(), u, lru.initial_state(x0)).numpy()
+    system = lru.to_state_space()
+    np.testing.assert_allclose(system.simulate(u.numpy(), x0.numpy())[0], y, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", EVALUATIONS)
+def test_single_precision_stays_within_its_rounding(name: str) -> None:
+    lru = unit(1, 16, 2, 1, 1, radius=(0.9, 0.999))
+    u = torch.from_numpy(np.random.default_rng(2).normal(size=(2, 5000, 1)))
+    with torch.no_grad():
+        exact = recurrence.by_steps(lru.modes(), u)
+        single = EVALUATIONS[name](lru.float().modes(), u.float()).double()
+    # the modes themselves are rounded to float32: |d lambda| = 6e-8 over a memory of 1000 samples
+    assert (single - exact).abs().max() <= 1e-4 * exact.abs().max()
+
+
+@pytest.mark.parametrize("name", EVALUATIONS)
+def test_gradients_agree_with_stepping(name: str) -> None:
+    lru = unit(3, 7, 3, 2, 2)
+    u = torch.from_numpy(np.random.default_rng(4).normal(size=(2, 130, 2)))
+    target = torch.from_numpy(np.random.default_rng(5).normal(size=(2, 130, 2)))
+
+    def gradient(evaluate: Evaluation) -> list[torch.Tensor]:
+        lru.zero_grad()
+        ((evaluate(lru.modes(), u) - target) ** 2).sum().backward()
+        return [p.grad.clone() for p in lru.parameters() if p.grad is not None]
+
+    for one, other in zip(gradient(EVALUATIONS[name]), gradient(recurrence.by_steps), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-8, atol=1e-8)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_every_value_of_the_free_parameters_is_stable(seed: int) -> None:
+    lru = unit(seed, 6, 2, 1, 1)
+    with torch.no_grad():
+        for parameter in lru.parameters():
+            parameter += 3 * torch.from_numpy(np.random.default_rng(seed).normal(size=tuple(parameter.shape)))
+    assert lru.to_state_space().spectral_radius < 1
+
+
+@given(samples=st.integers(1, 100_000))
+def test_fast_lengths_are_long_enough_and_smooth(samples: int) -> None:
+    length = recurrence.fast_length(samples)
+    assert samples <= length <= 1.26 * samples + 1
+    for factor in (2, 3, 5):
+        while length % factor == 0:
+            length //= factor
+    assert length == 1
+
+
+@given(seed=st.integers(0, 1000), samples=st.integers(1, 2000))
+def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
+    rng = np.random.default_rng(seed)
+    decay = np.log(rng.uniform(0.1, 0.999, 5)) + 1j * rng.uniform(-np.pi, np.pi, 5)
+    weights = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
+    direct = (weights @ np.exp(decay[:, None] * np.arange(samples))).real
+    fast = recurrence.power_sum(torch.from_numpy(weights), torch.from_numpy(decay), samples)
+    np.testing.assert_allclose(fast.numpy(), direct, atol=1e-10)

@@ -1,0 +1,121 @@
+"""Every trainable scaffolding: frozen numbers give its values, slopes stay in the certified sector, zero stays zero."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.models.scaffold_specs import Frame, Linear, Mlp, Monotone, Residual, ScaffoldSpec
+from ssm_study.models.torch_mlp import layer_sector
+from ssm_study.models.torch_scaffold import TorchScaffold
+
+SPECS = {
+    "linear": Linear(),
+    "mlp": Mlp(depth=1, train_slopes=True, certified=True),
+    "mlp fixed": Mlp(depth=1, train_slopes=False, certified=True),
+    "mlp deep": Mlp(depth=3, train_slopes=True, certified=True),
+    "mlp free": Mlp(depth=2, train_slopes=True, certified=False),
+    "monotone": Monotone(),
+    "residual": Residual(depth=1),
+    "residual deep": Residual(depth=2),
+}
+CERTIFIED = [name for name in SPECS if name not in ("linear", "mlp free")]
+LOWER, UPPER = 0.1, 1.5
+
+
+def shaken(spec: ScaffoldSpec, seed: int, channels: int) -> TorchScaffold:
+    """A scaffolding far from where it starts: the certificate must not depend on training."""
+    rng = np.random.default_rng(seed)
+    frame = Frame(width=6, slopes=(LOWER, UPPER), samples=rng.normal(size=(50, channels)))
+    scaffold = spec.build(frame, rng)
+    with torch.no_grad():
+        for parameter in scaffold.parameters():
+            parameter += torch.from_numpy(rng.normal(size=tuple(parameter.shape)))
+    return scaffold
+
+
+@pytest.mark.parametrize("name", SPECS)
+@given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
+def test_frozen_numbers_give_the_same_values(name: str, seed: int, channels: int) -> None:
+    scaffold = shaken(SPECS[name], seed, channels)
+    v = np.random.default_rng(seed).normal(size=(4, 5, channels)) * 3
+    with torch.no_grad():
+        np.testing.assert_allclose(scaffold(torch.from_numpy(v)).numpy(), scaffold.freeze()(v), rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", SPECS)
+@given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
+def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:
+    scaffold = shaken(SPECS[name], seed, channels)
+    v = torch.zeros(1, 3, channels, dtype=torch.float64)
+    assert (scaffold(v) == 0).all()
+    assert (scaffold.float()(v.float()) == 0).all()
+
+
+@pytest.mark.parametrize("name", CERTIFIED)
+@given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
+def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, channels: int) -> None:
+    frozen = shaken(SPECS[name], seed, channels).freeze()
+    alpha, beta = (UPPER + LOWER) / 2, (UPPER - LOWER) / 2
+    for v in np.random.default_rng(seed).normal(size=(20, channels)) * 4:
+        offset = frozen.jacobian(v) - alpha * np.eye(channels)
+        assert np.linalg.norm(offset, 2) <= beta * (1 + 1e-9)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
+    """What the loop feels are secants, not derivatives: `mu <= (S(v) - S(w)) / (v - w) <= nu`."""
+    v = np.linspace(-5, 5, 301)[:, None]
+    for name in CERTIFIED:
+        values = shaken(SPECS[name], seed, 1).freeze()(v)[:, 0]
+        for stride in (1, 17):
+            secant = (values[stride:] - values[:-stride]) / (v[stride:, 0] - v[:-stride, 0])
+            assert secant.min() >= LOWER * (1 - 1e-9)
+            assert secant.max() <= UPPER * (1 + 1e-9)
+
+
+def test_the_free_perceptron_leaves_the_sector() -> None:
+    """Negative control: the paper's perceptron, unconstrained, has negative slopes for some parameters."""
+    slopes = [
+        shaken(SPECS["mlp free"], seed, 1).freeze().jacobian(np.array([v]))[0, 0]
+        for seed, v in itertools.product(range(5), (-2.0, 0.5, 2.0))
+    ]
+    assert min(slopes) < 0
+
+
+@pytest.mark.parametrize("name", [name for name in SPECS if name != "linear"])
+@pytest.mark.parametrize("channels", [1, 2])
+def test_gradients_agree_with_finite_differences(name: str, channels: int) -> None:
+    scaffold = shaken(SPECS[name], 5, channels)
+    v = torch.from_numpy(np.random.default_rng(6).normal(size=(7, channels)))
+    weight = torch.from_numpy(np.random.default_rng(7).normal(size=(7, channels)))
+    (scaffold(v) * weight).sum().backward()
+    for parameter in scaffold.parameters():
+        if not parameter.requires_grad:
+            continue
+        direction = torch.from_numpy(np.random.default_rng(8).normal(size=tuple(parameter.shape)))
+        values = []
+        with torch.no_grad():
+            for step in (1e-6, -2e-6):
+                parameter += step * direction
+                values.append((scaffold(v) * weight).sum().item())
+            parameter += 1e-6 * direction
+        expected = (values[0] - values[1]) / 2e-6
+        assert parameter.grad is not None
+        assert (parameter.grad * direction).sum().item() == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+@given(depth=st.integers(1, 5), channels=st.integers(1, 4), ratio=st.floats(0.001, 0.9))
+def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ratio: float) -> None:
+    low, high = layer_sector(ratio, 1.0, depth, channels)
+    assert 0 < low < high
+    if channels == 1:
+        assert low**depth == pytest.approx(ratio)
+        assert high**depth == pytest.approx(1.0)
+    centre, relative = (high + low) / 2, (high - low) / (high + low)
+    if channels > 1 and depth > 1:  # the ball of products: centre a^L, radius a^L ((1 + d)^L - 1)
+        assert centre**depth == pytest.approx((1 + ratio) / 2)
+        assert centre**depth * ((1 + relative) ** depth - 1) == pytest.approx((1 - ratio) / 2)
