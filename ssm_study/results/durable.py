@@ -36,7 +36,11 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 def write_json_atomically(path: Path, value: Any) -> None:
     """As `write_atomically`; the text is strict JSON (no NaN), one key per line."""
-    write_atomically(path, (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode())
+    write_atomically(path, _json_bytes(value))
+
+
+def _json_bytes(value: Any) -> bytes:
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode("utf-8", "surrogatepass")
 
 
 def sync_folder(folder: Path) -> None:
@@ -68,14 +72,19 @@ def sha256_of_file(path: Path) -> str:
 
 
 def sealed(body: dict[str, Any]) -> dict[str, Any]:
-    """`body` with its own `sha256`, so that a flipped bit in the JSON text itself is noticed by `is_intact`."""
+    """`body` with its own `sha256`, so that a flipped bit in the JSON text itself is noticed by `unsealed`."""
     return {**body, "sha256": _body_digest(body)}
 
 
-def is_intact(value: Any) -> bool:
-    if not isinstance(value, dict) or "sha256" not in value:
-        return False
-    return bool(_body_digest({k: v for k, v in value.items() if k != "sha256"}) == value["sha256"])
+def unsealed(content: bytes) -> dict[str, Any] | None:
+    """The sealed object that `write_json_atomically` wrote as `content`; None if a single byte differs from that."""
+    try:
+        value = json.loads(content)
+        body = {key: item for key, item in value.items() if key != "sha256"}
+        same = content == _json_bytes(value) and _body_digest(body) == value["sha256"]
+    except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
+        return None
+    return body if same else None
 
 
 def _body_digest(body: dict[str, Any]) -> str:

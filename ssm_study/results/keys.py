@@ -109,7 +109,7 @@ def _plain(value: Any) -> Any:
     raise BadRequest("config", value, f"a {type(value).__name__} has no canonical text", "use numbers, text or lists")
 
 
-def _plain_number(value: float) -> float:
+def _plain_number(value: int | float) -> int | float:
     if isinstance(value, float) and not math.isfinite(value):
         raise BadRequest("config", value, "not a finite number", "leave the field out or give a finite value")
     return int(value) if value == int(value) else value

@@ -1,6 +1,5 @@
 """`record.json`: one flat object per run, sealed by its own SHA-256; what every table and figure is made from."""
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ssm_study.refusal import BadRequest
-from ssm_study.results.durable import is_intact, is_locked, sealed, write_json_atomically
+from ssm_study.results.durable import is_locked, sealed, unsealed, write_json_atomically
 
 RECORD = "record.json"
 LOCK = ".lock"
@@ -40,14 +39,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 def parse_record(content: bytes) -> dict[str, Any]:
     """The record written as `content`; anything that is not exactly a sealed record has only `status = corrupt`."""
-    try:
-        record = json.loads(content)
-    except ValueError:
-        return {"status": CORRUPT}
-    if not is_intact(record):
-        return {"status": CORRUPT}
-    del record["sha256"]
-    return dict(record)
+    record = unsealed(content)
+    return {"status": CORRUPT} if record is None else record
 
 
 def _flat(key: str, value: Any) -> bool | int | float | str | None:

@@ -1,6 +1,5 @@
 """A stage is a pure function of its key: computed once, kept under that key, checked to the last bit on reading."""
 
-import json
 import os
 import secrets
 import shutil
@@ -15,12 +14,12 @@ from typing import Any
 
 from ssm_study.refusal import require
 from ssm_study.results.durable import (
-    is_intact,
     locked,
     sealed,
     sha256_of_file,
     sync_file,
     sync_folder,
+    unsealed,
     write_json_atomically,
 )
 from ssm_study.results.keys import stage_key
@@ -161,12 +160,10 @@ def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
     """The manifest of `folder` if it and every file it lists are as they were written, else None."""
     try:
-        manifest = json.loads((folder / MANIFEST).read_bytes())
-    except (OSError, ValueError):
+        manifest = unsealed((folder / MANIFEST).read_bytes())
+    except OSError:
         return None
-    if not is_intact(manifest):
-        return None
-    return manifest if not damaged_files(folder, manifest) else None
+    return manifest if manifest is not None and not damaged_files(folder, manifest) else None
 
 
 def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:

@@ -1,0 +1,192 @@
+"""A run is claimed, done and recorded; a finished one is never touched again; a failure is a record."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from ssm_study.refusal import BadRequest
+from ssm_study.results import naming
+from ssm_study.results.records import RECORD, parse_record, read_record, write_record
+from ssm_study.results.runs import Run, execute, run_folder
+from ssm_study.results.store import intact_manifest
+
+
+def good(run: Run) -> dict[str, object]:
+    (run.path / "model.json").write_text("{}")
+    return {"fit_test_percent": np.float64(91.5), "mismatch_gain": float("inf"), "rmse_test": float("nan")}
+
+
+def unreachable(_: Run) -> None:
+    raise AssertionError("a finished run was done again")
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> None:
+    folder = tmp_path / "study" / "run"
+    outcome = execute(folder, {"seed": 3}, good, configuration={"config.yaml": "seed: 3\n", "overrides.yaml": "[]\n"})
+    assert (outcome.status, outcome.did) == ("ok", "ran")
+    before = snapshot(folder)
+    assert before[".hydra/config.yaml"] == b"seed: 3\n"
+    for retry in (False, True):
+        assert execute(folder, {"seed": 4}, unreachable, retry_failed=retry).did == "found"
+    assert snapshot(folder) == before
+    assert intact_manifest(folder) is not None
+
+
+def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
+    execute(tmp_path / "study" / "run", {"seed": 3}, good)
+    text = (tmp_path / "study" / "run" / RECORD).read_text()
+    record = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+    assert all(value is None or isinstance(value, (bool, int, float, str)) for value in record.values())
+    assert (record["study"], record["run"], record["status"], record["seed"]) == ("study", "run", "ok", 3)
+    assert (record["rmse_test"], record["mismatch_gain"], record["fit_test_percent"]) == (None, "inf", 91.5)
+    assert record["version_torch"]
+    assert record["machine_cores"] >= 1
+    assert {"git_commit", "git_dirty", "seconds", "started_utc", "host"} <= record.keys()
+
+
+def test_a_failure_is_a_record_with_its_traceback_and_waits_for_retry(tmp_path: Path) -> None:
+    folder = tmp_path / "study" / "run"
+
+    def bad(run: Run) -> None:
+        run.note(fit_test_percent=50.0)
+        raise RuntimeError("the solver\ngave up")
+
+    assert execute(folder, {"seed": 1}, bad).status == "failed"
+    record = read_record(folder)
+    assert record is not None
+    assert (record["status"], record["error_message"], record["error_type"]) == (
+        "failed",
+        "the solver gave up",
+        "RuntimeError",
+    )
+    assert record["fit_test_percent"] == 50.0
+    assert "in bad" in (folder / "traceback.txt").read_text()
+    assert execute(folder, {}, unreachable).did == "left"
+    assert execute(folder, {"seed": 1}, good, retry_failed=True).status == "ok"
+    again = read_record(folder)
+    assert again is not None
+    assert again["attempt"] == 2
+    assert not (folder / "traceback.txt").exists()
+    assert "gave up" in (folder / "attempts" / "1" / "traceback.txt").read_text()
+
+
+def test_retrying_failures_starts_nothing_new(tmp_path: Path) -> None:
+    outcome = execute(tmp_path / "study" / "run", {}, unreachable, retry_failed=True)
+    assert (outcome.status, outcome.did) == ("absent", "left")
+
+
+@pytest.mark.parametrize(
+    ("error", "transient"),
+    [(OSError(28, "no space"), True), (MemoryError(), True), (FileNotFoundError("x"), False), (ValueError(), False)],
+)
+def test_what_the_machine_did_is_tried_again_by_the_same_command(
+    tmp_path: Path, error: Exception, transient: bool
+) -> None:
+    def bad(_: Run) -> None:
+        raise error
+
+    execute(tmp_path / "s" / "r", {}, bad)
+    assert execute(tmp_path / "s" / "r", {}, good).did == ("ran" if transient else "left")
+
+
+def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
+    folder = tmp_path / "study" / "run"
+
+    def stopped(run: Run) -> None:
+        (run.path / "half.json").write_text("{")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        execute(folder, {"seed": 1}, stopped)
+    record = read_record(folder)
+    assert record is not None
+    assert record["status"] == "lost"
+    assert execute(folder, {"seed": 1}, good).status == "ok"
+    assert not (folder / "half.json").exists()
+
+
+def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
+    folder = tmp_path / "study" / "run"
+    if (child := os.fork()) == 0:
+        execute(folder, {"seed": 1}, lambda _: time.sleep(60))
+        os._exit(0)
+    try:
+        for _ in range(200):
+            record = read_record(folder)
+            if record is not None and record["status"] == "running":
+                break
+            time.sleep(0.02)
+        else:
+            pytest.fail("the run was never seen running")
+        assert execute(folder, {}, unreachable).did == "elsewhere"
+    finally:
+        os.kill(child, 9)
+        os.waitpid(child, 0)
+    assert (read_record(folder) or {})["status"] == "lost"
+
+
+def test_infeasible_is_a_result(tmp_path: Path) -> None:
+    assert execute(tmp_path / "s" / "r", {}, lambda _: {"status": "infeasible"}).status == "infeasible"
+    assert execute(tmp_path / "s" / "r", {}, unreachable).did == "found"
+
+
+def test_no_flipped_bit_in_a_record_is_silent(tmp_path: Path) -> None:
+    write_record(tmp_path, {"status": "ok", "fit_test_percent": 91.25, "run": "a", "note": "ü"})
+    content = (tmp_path / RECORD).read_bytes()
+    assert parse_record(content)["fit_test_percent"] == 91.25
+    for bit in range(8 * len(content)):
+        flipped = bytearray(content)
+        flipped[bit // 8] ^= 1 << (bit % 8)
+        assert parse_record(bytes(flipped)) == {"status": "corrupt"}
+    for length in range(len(content)):
+        assert parse_record(content[:length])["status"] == "corrupt"
+
+
+def test_a_corrupt_record_is_replaced_by_the_same_command(tmp_path: Path) -> None:
+    folder = tmp_path / "study" / "run"
+    execute(folder, {"seed": 1}, good)
+    (folder / RECORD).write_text('{"status": "ok"}')
+    assert (read_record(folder) or {})["status"] == "corrupt"
+    assert execute(folder, {"seed": 1}, good).did == "ran"
+
+
+CONFIG = {
+    "seed": 0,
+    "study": "a",
+    "results_dir": "/x",
+    "model": {"order": 8, "hidden_width": 32},
+    "copy": "${model.order}",
+}
+
+
+def test_a_run_is_named_by_what_it_computes_alone() -> None:
+    name = naming.run_name(CONFIG)
+    assert name.startswith("order8-width32-seed0-")
+    assert naming.run_name(CONFIG | {"study": "b", "results_dir": "/y", "retry_failed": True, "dry_run": True}) == name
+    assert naming.run_name(CONFIG | {"copy": 8.0}) == name
+    assert naming.run_name(CONFIG | {"seed": 1}) != name
+    resolved = OmegaConf.create(CONFIG | {"name": "${run_name:}", "hydra": {"x": 1}})
+    assert resolved.name == name
+
+
+@pytest.mark.parametrize(
+    ("study", "name"),
+    [("..", "r"), ("a/b", "r"), ("s", "../r"), ("s", "/etc"), ("", "r"), ("s", ".hidden"), ("s", "x" * 300)],
+)
+def test_a_run_cannot_leave_the_results_folder(tmp_path: Path, study: str, name: str) -> None:
+    with pytest.raises(BadRequest, match="plain folder name"):
+        run_folder(tmp_path, study, name)
+
+
+def test_a_record_takes_no_nested_values(tmp_path: Path) -> None:
+    with pytest.raises(BadRequest, match="flat record"):
+        write_record(tmp_path, {"status": "ok", "matrix": [[1, 2]]})

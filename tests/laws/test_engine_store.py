@@ -1,0 +1,258 @@
+"""The store: one key, one computation, the same bytes for ever; whatever happens to a file is noticed."""
+
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+
+from ssm_study.refusal import BadRequest
+from ssm_study.results import keys
+from ssm_study.results.durable import is_locked, locked
+from ssm_study.results.keys import canonical_json, code_version, digest, stage_key
+from ssm_study.results.plan import PlannedStages, plan
+from ssm_study.results.store import MANIFEST, Store, intact_manifest
+
+CONTENT = {"model.json": b'{"a": 1}', "inner/weights.bin": bytes(range(256)) * 4}
+
+
+def write_content(folder: Path) -> None:
+    for name, content in CONTENT.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def refuse_to_compute(folder: Path) -> None:
+    raise AssertionError(f"computed again in {folder}")
+
+
+def content_of(folder: Path) -> dict[str, bytes]:
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in folder.rglob("*")
+        if p.is_file() and p.name != MANIFEST
+    }
+
+
+def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    first = store.stage("model", {"order": 8}, ["k"], "v", write_content)
+    again = store.stage("model", {"order": 8.0}, ("k",), "v", refuse_to_compute)
+    assert (first.reused, again.reused) == (False, True)
+    assert again.path == first.path
+    assert again.seconds == first.seconds
+    assert content_of(again.path) == CONTENT
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ("data", {"order": 8}, ["k"], "v"),
+        ("model", {"order": 9}, ["k"], "v"),
+        ("model", {"order": 8}, ["l"], "v"),
+        ("model", {"order": 8}, ["k"], "w"),
+    ],
+)
+def test_everything_a_stage_depends_on_changes_its_key(other: tuple[str, dict[str, int], list[str], str]) -> None:
+    assert stage_key(*other) != stage_key("model", {"order": 8}, ["k"], "v")
+
+
+def test_equal_meanings_have_equal_keys() -> None:
+    config = OmegaConf.create({"b": 2, "a": {"c": [1, 2.5], "d": "${b}"}})
+    plain = {"a": {"d": 2.0, "c": (1, np.float64(2.5))}, "b": np.int64(2)}
+    assert digest(config) == digest(plain)
+    assert canonical_json(True) != canonical_json(1)
+    assert canonical_json("1") != canonical_json(1)
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    )
+)
+def test_the_canonical_text_does_not_depend_on_the_order_of_keys(value: object) -> None:
+    def reversed_keys(node: object) -> object:
+        if isinstance(node, dict):
+            return {key: reversed_keys(node[key]) for key in reversed(node)}
+        return [reversed_keys(item) for item in node] if isinstance(node, list) else node
+
+    assert canonical_json(reversed_keys(value)) == canonical_json(value)
+
+
+def test_editing_a_room_changes_its_version_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for room in ("plants", "loop"):
+        (tmp_path / room).mkdir()
+        (tmp_path / room / "__init__.py").write_text("x = 1\n")
+    monkeypatch.setattr(keys, "_source_of", lambda name: tmp_path / name)
+
+    def versions() -> tuple[str, str, str]:
+        keys._room_digest.cache_clear()
+        return code_version("plants"), code_version("loop"), code_version("plants", "loop")
+
+    before = versions()
+    (tmp_path / "plants" / "motor.py").write_text("y = 2\n")
+    after = versions()
+    keys._room_digest.cache_clear()
+    assert [a == b for a, b in zip(before, after, strict=True)] == [False, True, False]
+
+
+def test_rooms_and_distributions_have_versions() -> None:
+    assert code_version("signals", "numpy") == code_version("numpy", "signals")
+    assert code_version("signals") != code_version("systems")
+    assert code_version("numpy") != code_version("scipy")
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate", "extend", "remove"])
+@pytest.mark.parametrize("name", [*CONTENT, MANIFEST])
+def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
+    store = Store(tmp_path)
+    stage = store.stage("model", 1, [], "v", write_content)
+    harm(stage.path / name, damage)
+    assert intact_manifest(stage.path) is None
+    again = store.stage("model", 1, [], "v", write_content)
+    assert not again.reused
+    assert content_of(again.path) == CONTENT
+    assert len(list((tmp_path / ".corrupt").iterdir())) == 1
+
+
+def harm(path: Path, damage: str) -> None:
+    content = bytearray(path.read_bytes())
+    if damage == "remove":
+        path.unlink()
+        return
+    if damage == "flip":
+        content[len(content) // 2] ^= 1
+    path.write_bytes({"flip": content, "truncate": content[:-1], "extend": content + b" "}[damage])
+
+
+def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
+    stage = Store(tmp_path).stage("model", 1, [], "v", write_content)
+    rng, silent = np.random.default_rng(0), []
+    for name in [*CONTENT, MANIFEST]:
+        original = (stage.path / name).read_bytes()
+        for bit in rng.choice(8 * len(original), size=min(150, 8 * len(original)), replace=False):
+            flipped = bytearray(original)
+            flipped[bit // 8] ^= 1 << (bit % 8)
+            (stage.path / name).write_bytes(flipped)
+            if intact_manifest(stage.path) is not None:
+                silent.append((name, bit))
+        (stage.path / name).write_bytes(original)
+    assert silent == []
+    assert intact_manifest(stage.path) is not None
+
+
+def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
+    def halfway(folder: Path) -> None:
+        (folder / "half").write_text("x")
+        raise RuntimeError("the solver gave up")
+
+    with pytest.raises(RuntimeError, match="gave up"):
+        Store(tmp_path).stage("model", 1, [], "v", halfway)
+    assert list((tmp_path / "model").iterdir()) == []
+    assert not Store(tmp_path).stage("model", 1, [], "v", write_content).reused
+
+
+def compute_slowly(root: Path, ledger: Path) -> None:
+    def compute(folder: Path) -> None:
+        with ledger.open("a") as stream:
+            stream.write(f"{os.getpid()}\n")
+        time.sleep(0.3)
+        write_content(folder)
+
+    assert content_of(Store(root).stage("model", 1, [], "v", compute).path) == CONTENT
+
+
+def test_four_processes_compute_a_stage_once(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    ledger = tmp_path / "ledger"
+    workers = [context.Process(target=compute_slowly, args=(tmp_path / "store", ledger)) for _ in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert [worker.exitcode for worker in workers] == [0] * 4
+    assert len(ledger.read_text().splitlines()) == 1
+
+
+def test_two_who_do_not_see_each_others_locks_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system without locks: another machine places the result while we are computing it."""
+    from contextlib import nullcontext
+
+    from ssm_study.results import store as module
+
+    monkeypatch.setattr(module, "locked", lambda _: nullcontext())
+
+    def overtaken(folder: Path) -> None:
+        hidden = folder.rename(folder.with_name("ours"))  # out of sight of the other's clearing up
+        Store(tmp_path).stage("model", 1, [], "v", write_content)
+        hidden.rename(folder)
+        write_content(folder)
+
+    stage = Store(tmp_path).stage("model", 1, [], "v", overtaken)
+    assert content_of(stage.path) == CONTENT
+    assert [path.name for path in (tmp_path / "model").iterdir()] == [stage.path.name]
+
+
+def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    folder = store.folder("model", stage_key("model", 1, (), "v"))
+    leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
+    leftover.mkdir(parents=True)
+    store.stage("model", 1, [], "v", write_content)
+    assert not leftover.exists()
+
+
+def test_a_lock_is_seen_and_dies_with_its_holder(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    assert not is_locked(path)
+    reader, writer = os.pipe()
+    if (child := os.fork()) == 0:
+        with locked(path):
+            os.write(writer, b"x")
+            time.sleep(60)
+        os._exit(0)
+    os.read(reader, 1)
+    assert is_locked(path)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    assert not is_locked(path)
+
+
+def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+
+    def line(stages: Store | PlannedStages, rate: float) -> str:
+        data = stages.stage("data", 0, [], "v", write_content)
+        model = stages.stage("model", 8, [data.key], "v", lambda f: write_content(f))
+        return stages.stage("synthesis", rate, [model.key], "v", write_content).key
+
+    before = plan(store, [lambda s, r=r: line(s, r) for r in range(20)], runs=20, finished=0)
+    assert {s.name: (s.needed, s.missing) for s in before.stages} == {
+        "data": (1, 1),
+        "model": (1, 1),
+        "synthesis": (20, 20),
+    }
+    assert not tmp_path.joinpath("model").exists()
+    real = [line(store, rate) for rate in range(5)]
+    assert real == [line(PlannedStages(store), rate) for rate in range(5)]
+    after = plan(store, [lambda s, r=r: line(s, r) for r in range(20)], runs=20, finished=0)
+    assert {s.name: s.missing for s in after.stages} == {"data": 0, "model": 0, "synthesis": 15}
+    assert all(s.seconds_each is not None for s in after.stages)
+
+
+@pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])
+def test_a_stage_name_cannot_leave_the_store(tmp_path: Path, name: str) -> None:
+    with pytest.raises(BadRequest, match="stage"):
+        Store(tmp_path).stage(name, 1, [], "v", write_content)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), object(), {1, 2}])
+def test_a_configuration_without_a_canonical_text_is_refused(value: object) -> None:
+    with pytest.raises(BadRequest, match="config"):
+        stage_key("model", {"x": value}, (), "v")
