@@ -1,0 +1,69 @@
+"""Simulated data sets: what is noisy, what is not, what repeats; and the way into the store and back."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants_cases import choices, from_yaml
+
+from ssm_study.data.tensors import dataset_from_tensors, dataset_to_tensors
+from ssm_study.signals import DataSet
+
+SMALL = ("trajectories=3", "samples=200", "validation_samples=150", "test_samples=100")
+
+
+def built(seed: int = 0, plant: str = "dc_motor", excitation: str = "aprbs") -> DataSet:
+    return from_yaml("data", "simulated", *SMALL).build(
+        from_yaml("plant", plant), from_yaml("excitation", excitation), seed
+    )
+
+
+def test_parts_have_the_sizes_asked_for() -> None:
+    data = built()
+    assert [len(r) for r in data.training] == [200] * 3
+    assert [len(r) for r in (*data.validation, *data.test)] == [150, 100]
+
+
+def test_equal_seeds_give_equal_numbers_and_parts_differ() -> None:
+    a, b, c = built(1), built(1), built(2)
+    np.testing.assert_array_equal(a.training[0].y, b.training[0].y)
+    assert not np.array_equal(a.training[0].y, c.training[0].y)
+    assert not np.array_equal(a.validation[0].u[:100], a.test[0].u)
+
+
+def test_noise_has_the_variance_asked_for_and_the_test_record_has_none() -> None:
+    data, plant = built(), from_yaml("plant", "dc_motor")
+    residuals = [r.y - plant.simulate(r.u[None])[1][0] for r in (*data.training, *data.validation)]
+    assert np.var(np.concatenate(residuals)) == pytest.approx(0.02, rel=0.2)  # 750 samples: six sigma is 0.3
+    np.testing.assert_array_equal(data.test[0].y, plant.simulate(data.test[0].u[None])[1][0])
+
+
+def test_scales_are_pure_gains_about_the_equilibrium() -> None:
+    data = built()
+    u = np.concatenate([r.u for r in data.training])
+    scaled = (u - data.input_equilibrium) / data.input_scale
+    assert np.mean(scaled**2) == pytest.approx(1.0)
+    assert ((data.input_equilibrium - data.input_equilibrium) / data.input_scale == 0).all()
+
+
+@pytest.mark.parametrize("plant", choices("plant"))
+@pytest.mark.parametrize("excitation", choices("excitation"))
+def test_every_plant_takes_every_excitation(plant: str, excitation: str) -> None:
+    data = built(plant=plant, excitation=excitation)
+    assert np.isfinite(data.output_scale).all()
+    assert (data.output_scale > 0).all()
+
+
+def test_tensors_round_trip_bit_for_bit() -> None:
+    data = replace(built(), start_up_samples=3)
+    arrays, about = dataset_to_tensors(data)
+    again = dataset_from_tensors(arrays, json.loads(json.dumps(about)))
+    for part in ("training", "validation", "test"):
+        for a, b in zip(getattr(data, part), getattr(again, part), strict=True):
+            assert a.u.tobytes() == b.u.tobytes()
+            assert a.y.tobytes() == b.y.tobytes()
+            assert (a.step_s, a.name) == (b.step_s, b.name)
+    assert (again.inputs, again.outputs, again.metadata) == (data.inputs, data.outputs, data.metadata)
+    assert again.start_up_samples == 3
+    np.testing.assert_array_equal(again.output_scale, data.output_scale)

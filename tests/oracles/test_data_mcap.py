@@ -1,0 +1,109 @@
+"""MCAP: what is written is read back bit for bit, by our reader and by the reference reader Foxglove builds on."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel
+
+
+def group(topic: str, values: np.ndarray, step_s: float = 0.01) -> SignalGroup:
+    channels = tuple(Channel(name=f"signal_{k}", unit="rad/s") for k in range(values.shape[1]))
+    return SignalGroup(topic=topic, time_s=np.arange(len(values)) * step_s, channels=channels, values=values)
+
+
+@given(values=arrays(np.float64, st.tuples(st.integers(1, 20), st.integers(1, 20)), elements=st.floats(width=64)))
+def test_every_double_survives(values: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("mcap") / "a.mcap"
+    write_mcap(path, (group("/output", values),), {"plant": "DCMotor"})
+    (back,), metadata = read_mcap(path)
+    assert np.ascontiguousarray(back.values).tobytes() == values.tobytes()
+    assert metadata == {"plant": "DCMotor"}
+
+
+def test_groups_units_and_times_survive(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    groups = (
+        group("/input", rng.standard_normal((500, 1))),
+        group("/states/true", rng.standard_normal((300, 4)), 0.02),
+    )
+    write_mcap(tmp_path / "a.mcap", groups, {"plant": "DCMotor", "seed": "0"})
+    back, metadata = read_mcap(tmp_path / "a.mcap")
+    for wanted, found in zip(groups, back, strict=True):
+        assert (wanted.topic, wanted.channels) == (found.topic, found.channels)
+        np.testing.assert_array_equal(wanted.values, found.values)
+        np.testing.assert_allclose(found.time_s, wanted.time_s, atol=0.5e-9)
+    assert metadata["seed"] == "0"
+
+
+def test_the_reference_reader_agrees(tmp_path: Path) -> None:
+    """Schemas decode, log times are the sampling clock's, messages come in order of time."""
+    values = np.random.default_rng(1).standard_normal((50, 3))
+    write_mcap(tmp_path / "a.mcap", (group("/output", values), group("/input", -values)), {})
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        messages = list(reader.iter_decoded_messages(log_time_order=False))
+        names = {schema.name for schema in reader.get_summary().schemas.values()}
+    assert names == {"ssm_study.Output", "ssm_study.Input"}
+    times = [message.log_time for _, _, message, _ in messages]
+    assert times == sorted(times)
+    outputs = [(m.log_time, d.signal_0, d.signal_2) for _, c, m, d in messages if c.topic == "/output"]
+    assert outputs == [(10_000_000 * k, values[k, 0], values[k, 2]) for k in range(50)]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    values = np.random.default_rng(2).standard_normal((2000, 3))
+    write_mcap(tmp_path / "a.mcap", (group("/output", values),), {"plant": "DCMotor"})
+    return tmp_path / "a.mcap"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
+def test_a_truncated_recording_is_refused(recording: Path, share: float) -> None:
+    whole = recording.read_bytes()
+    recording.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(BadRequest, match=r"path = .*record it again\.$"):
+        read_mcap(recording)
+
+
+def test_no_flipped_bit_changes_a_number_silently(recording: Path) -> None:
+    whole = recording.read_bytes()
+    (true,), about = read_mcap(recording)
+    rng = np.random.default_rng(3)
+    refused = 0
+    for position in rng.integers(0, 8 * len(whole), 300):
+        damaged = bytearray(whole)
+        damaged[position // 8] ^= 1 << (position % 8)
+        recording.write_bytes(damaged)
+        try:
+            (found,), metadata = read_mcap(recording)
+        except BadRequest:
+            refused += 1
+            continue
+        np.testing.assert_array_equal(found.values, true.values)
+        assert (metadata, found.channels) == (about, true.channels)
+        np.testing.assert_array_equal(found.time_s, true.time_s)
+    assert refused > 200  # the rest hit the index at the end, which is not needed to read
+
+
+def test_a_name_that_is_no_identifier_is_refused() -> None:
+    with pytest.raises(BadRequest, match="unique identifier"):
+        SignalGroup(
+            topic="/y", time_s=np.arange(2.0), channels=(Channel(name="a b", unit="V"),), values=np.ones((2, 1))
+        )
+
+
+def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) -> None:
+    before = recording.read_bytes()
+    with pytest.raises(BadRequest, match="share a topic"):
+        write_mcap(recording, (group("/a", np.ones((2, 1))), group("/a", np.ones((2, 1)))), {})
+    assert recording.read_bytes() == before

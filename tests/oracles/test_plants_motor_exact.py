@@ -1,0 +1,118 @@
+"""The motor by two routes: the batched stepper against the event-accurate solution, and both against solve_ivp."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants_cases import from_yaml
+from scipy.integrate import solve_ivp
+
+from ssm_study.plants.dc_motor import DCMotor
+from ssm_study.plants.dc_motor_exact import SWITCH_TIME_TOLERANCE_S, simulate_exactly
+
+
+@pytest.fixture(scope="module")
+def motor() -> DCMotor:
+    return from_yaml("plant", "dc_motor")
+
+
+def levels(samples: int, amplitude: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(-amplitude, amplitude, -(-samples // 15)), 15)[:samples, None]
+
+
+def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMotor) -> None:
+    u = levels(200, 3.0)
+    exact = simulate_exactly(motor, u, np.zeros(4))
+    assert len(exact.switch_times_s) > 5  # the record visits stick and slip, or it shows nothing
+    errors = []
+    for step in (5e-4, 2.5e-4, 1.25e-4):
+        x, _ = replace(motor, solver_step_s=step).simulate(u[None])
+        errors.append(np.abs(x[0] - exact.x[:-1]).max())
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert (orders > 3.5).all(), (errors, orders)
+    assert errors[0] < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_configured_step_is_accurate_with_disturbances(motor: DCMotor, seed: int) -> None:
+    u, d = levels(150, 2.0, seed), levels(150, 3e-3, 100 + seed)
+    x0 = motor.states_at(np.array([[4.0 - 2 * seed]]))
+    exact = simulate_exactly(motor, u, x0[0], d)
+    x, _ = motor.simulate(u[None], x0=x0, d=d[None])
+    assert np.abs(x[0, :, 2] - exact.x[:-1, 2]).max() < 1e-4  # rad/s; the measurement noise is 0.14
+
+
+def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DCMotor) -> None:
+    """Third route: scipy integrates the slipping motor, no friction code shared."""
+    frictionless = replace(motor, coulomb_torque_nm=0.0)
+    p = frictionless.constants
+
+    def rate(_: float, x: np.ndarray, v: float) -> np.ndarray:
+        shaft = p.stiffness * x[3] + p.damping * (x[1] - x[2])
+        return np.array([
+            (v - p.resistance * x[0] - p.k * x[1]) / motor.inductance_h,
+            (p.k * x[0] - shaft - p.motor_viscous * x[1]) / motor.motor_inertia_kgm2,
+            (shaft - p.load_viscous * x[2]) / motor.load_inertia_kgm2,
+            x[1] - x[2],
+        ])  # fmt: skip
+
+    u = np.full((20, 1), 2.4)
+    exact = simulate_exactly(frictionless, u, np.zeros(4)).x[-1]
+    there = solve_ivp(rate, (0, 20 * motor.step_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(exact, there, rtol=1e-8, atol=1e-9)
+
+
+def test_the_motor_sticks_exactly_under_a_torque_below_friction(motor: DCMotor) -> None:
+    stall_v = motor.dead_zone_v + 0.95 * motor.coulomb_torque_nm * motor.resistance_ohm / motor.torque_constant_nm_per_a
+    x, y = motor.simulate(np.full((1, 300, 1), stall_v))
+    assert (x[..., 1] == 0.0).all()  # not small: zero
+    assert (y == 0.0).all()
+    assert x[0, -1, 0] > 0.05  # although current flows
+    moving, _ = motor.simulate(np.full((1, 300, 1), 1.2 * stall_v))
+    assert (moving[0, :, 1] != 0.0).any()
+
+
+def test_the_motor_comes_to_rest_and_stays_there(motor: DCMotor) -> None:
+    x, _ = motor.simulate(np.zeros((5, 400, 1)), x0=motor.states_at(np.linspace(-4, 4, 5)[:, None]))
+    assert (x[:, -50:, 1:3] == 0.0).all()
+    assert (np.ptp(x[:, -50:, 3], axis=1) == 0.0).all()  # the twist friction holds does not creep
+
+
+def test_switch_times_are_located(motor: DCMotor) -> None:
+    """A free run-down of one rigid speed has its stop time in closed form."""
+    rigid = replace(motor, shaft_stiffness_nm_per_rad=1e-15, shaft_damping_nms_per_rad=0.0)
+    run = simulate_exactly(rigid, np.zeros((300, 1)), np.array([0.0, 0.0, 2.0, 0.0]))
+    b, inertia, a0 = rigid.load_viscous_nms_per_rad, rigid.load_inertia_kgm2, rigid.coulomb_torque_nm
+    stop = inertia / b * np.log(1 + b * 2.0 / a0)
+    assert np.abs(run.switch_times_s - stop).min() < 1e-10
+    assert SWITCH_TIME_TOLERANCE_S <= 1e-10
+
+
+@given(x0=st.lists(st.floats(-4, 4), min_size=4, max_size=4))
+def test_energy_never_grows_without_input(x0: list[float]) -> None:
+    motor = from_yaml("plant", "dc_motor")
+    start = np.array([x0]) * np.array([0.2, 1.0, 1.0, 0.01])
+    x, _ = motor.simulate(np.zeros((1, 60, 1)), x0=start)
+    energy = motor.energy_j(x[0])
+    assert (np.diff(energy) <= 1e-9 * energy[0] + 1e-15).all()
+
+
+def test_the_motor_is_odd(motor: DCMotor) -> None:
+    u, d = levels(200, 3.0)[None], levels(200, 2e-3, 1)[None]
+    np.testing.assert_array_equal(motor.simulate(-u, d=-d)[0], -motor.simulate(u, d=d)[0])
+
+
+def test_the_dead_zone_is_dead(motor: DCMotor) -> None:
+    x, _ = motor.simulate(np.full((1, 50, 1), 0.399))
+    assert (x == 0.0).all()
+    x, _ = motor.simulate(np.full((1, 50, 1), -0.401))
+    assert (x[0, 1:, 0] < 0).all()
+
+
+def test_a_disturbance_torque_can_break_the_load_loose(motor: DCMotor) -> None:
+    u = np.zeros((1, 100, 1))
+    assert (motor.simulate(u, d=np.full((1, 100, 1), 1.9e-3))[1] == 0.0).all()
+    assert (motor.simulate(u, d=np.full((1, 100, 1), 6e-3))[1][0, -1] < 0).all()

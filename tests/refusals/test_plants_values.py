@@ -1,0 +1,26 @@
+"""Values no motor can have are refused by name, in one sentence."""
+
+from dataclasses import replace
+
+import pytest
+from plants_cases import from_yaml
+
+from ssm_study.refusal import BadRequest
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("resistance_ohm", 0.0),
+        ("load_inertia_kgm2", -1e-4),
+        ("coulomb_torque_nm", -1e-3),
+        ("dead_zone_v", -0.4),
+        ("step_s", 0.0),
+        ("step_s", float("nan")),
+        ("speed_noise_variance", -0.02),
+        ("solver_step_s", 1e-3),
+    ],
+)
+def test_refused(field: str, value: float) -> None:
+    with pytest.raises(BadRequest, match=rf"^{field} = .*\.$"):
+        replace(from_yaml("plant", "dc_motor"), **{field: value})
