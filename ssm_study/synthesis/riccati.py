@@ -1,0 +1,113 @@
+"""Guaranteed-cost gains from Riccati equations: O(n^3), and the weights choose a good one among the certified.
+
+For `tau > 0`, `Rt = R + tau beta^2`, `kappa = alpha^2/Rt - 1/tau > 0`, the stabilising solution of
+`S = Ah^T (S^{-1} + kappa Bh Bh^T)^{-1} Ah + Q_x` with `Bh^T S Bh < tau I` gives, with
+`K = -(alpha/Rt) Bh^T (I + kappa S Bh Bh^T)^{-1} S Ah`, the matrices `P = Y = S^{-1}`, `sigma = 1/tau` of Theorem 1,
+with slack `Q_x + K^T R K`. `x0^T S x0` bounds `sum r^{-2k} (x^T Q_x x + u^T R u)` for every S_u in the ball.
+Derivation: docs/theory.md; cf. Petersen & Hollot 1986 (guaranteed cost), THEORY section 4.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from ssm_study.synthesis.design import Synthesis
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+
+# tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer matter.
+TAU_SPAN = (1e-3, 1e9)
+COARSE_STEPS = 13
+FINE_STEPS = 12
+GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuaranteedCost:
+    """One point of the tau search: the Riccati solution divided by tau, and the gain."""
+
+    s_over_tau: Float[np.ndarray, "n n"]
+    k: Float[np.ndarray, "m n"]
+    tau: float
+
+    @property
+    def cost(self) -> float:
+        """`trace(S)`: the guaranteed cost summed over unit initial states."""
+        return float(self.tau * np.trace(self.s_over_tau))
+
+
+def guaranteed_cost(problem: Problem) -> Solution:
+    """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is admissible."""
+    best = _search(lambda tau: at_tau(problem, tau), _tau_min(problem))
+    inverse = np.linalg.inv(best.s_over_tau)
+    p = (inverse + inverse.T) / 2  # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
+    return Solution(p=p, y=p, k=best.k, sigma=1.0, status=f"tau {best.tau:.6g}")
+
+
+def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
+    """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if inadmissible."""
+    ball, ah, bh = problem.ball, problem.a_hat, problem.b_hat
+    rt = problem.input_weight / tau + ball.beta**2
+    kappa = ball.alpha**2 / rt - 1
+    if not kappa > 0:
+        return None
+    try:
+        m = bh.shape[1]
+        s = scipy.linalg.solve_discrete_are(ah, bh, problem.state_weight / tau, np.eye(m) / kappa)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    s = (s + s.T) / 2
+    energy = bh.T @ s @ bh
+    if not np.linalg.eigvalsh(energy)[-1] < 1:
+        return None
+    k = -(ball.alpha / rt) * np.linalg.solve(np.eye(m) + kappa * energy, bh.T @ s @ ah)
+    return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
+
+
+def _tau_min(problem: Problem) -> float:
+    """`kappa > 0` iff `tau > R / (alpha^2 - beta^2)`."""
+    return problem.input_weight / (problem.ball.alpha**2 - problem.ball.beta**2)
+
+
+def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> GuaranteedCost:
+    """Coarse logarithmic grid, then golden section between the neighbours of the best point."""
+    grid = np.geomspace(*TAU_SPAN, COARSE_STEPS)
+    points = [solve(tau_min * (1 + step)) for step in grid]
+    costs = [np.inf if point is None else point.cost for point in points]
+    index = int(np.argmin(costs))
+    best = points[index]
+    if best is None:
+        raise NoSolution("no admissible tau")
+    low, high = np.log(grid[max(index - 1, 0)]), np.log(grid[min(index + 1, COARSE_STEPS - 1)])
+    return _golden(lambda step: solve(tau_min * (1 + np.exp(step))), float(low), float(high), best)
+
+
+def _golden(
+    solve: Callable[[float], GuaranteedCost | None], low: float, high: float, best: GuaranteedCost
+) -> GuaranteedCost:
+    for _ in range(FINE_STEPS):
+        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        found_left, found_right = solve(left), solve(right)
+        if _cost(found_left) < _cost(found_right):
+            high = right
+        else:
+            low = left
+        best = min((best, found_left, found_right), key=_cost)  # type: ignore[assignment]
+    return best
+
+
+def _cost(point: GuaranteedCost | None) -> float:
+    return np.inf if point is None else point.cost
+
+
+@dataclass(frozen=True, kw_only=True)
+class RiccatiSynthesis(Synthesis):
+    """The certified gains of least guaranteed cost for the given weights."""
+
+    method: ClassVar[str] = "riccati"
+
+    def solve(self, problem: Problem) -> Solution:
+        return guaranteed_cost(problem)

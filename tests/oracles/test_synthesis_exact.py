@@ -1,0 +1,84 @@
+"""Exact verdicts by two routes, and certificates that survive the trip through their file."""
+
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.synthesis import exact
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.closed_form import ClosedFormSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace
+
+
+class Model:
+    """A stable third-order model, one fast and one slow pole pair."""
+
+    linear = StateSpace(
+        a=np.array([[0.95, 0.1, 0.0], [-0.1, 0.95, 0.2], [0.0, 0.0, 0.5]]),
+        b=np.array([[0.0], [1.0], [0.7]]),
+        c=np.array([[1.0, 0.5, -0.3]]),
+        d=np.zeros((1, 1)),
+    )
+
+
+INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
+OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
+
+
+def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
+    """Textbook LDL^T in fractions: the slow independent route."""
+    rows = [row[:] for row in matrix]
+    for i in range(len(rows)):
+        if rows[i][i] <= 0:
+            return False
+        for j in range(i + 1, len(rows)):
+            factor = rows[j][i] / rows[i][i]
+            rows[j] = [x - factor * y for x, y in zip(rows[j], rows[i], strict=True)]
+    return True
+
+
+@given(st.integers(1, 6), st.integers(0, 10_000), st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3]))
+def test_the_three_exact_routes_agree_with_textbook_elimination(size: int, seed: int, shift: float) -> None:
+    factor = np.random.default_rng(seed).normal(size=(size, size))
+    gram = factor @ factor.T
+    gram = (gram + gram.T) / 2
+    matrix = gram + (shift - np.linalg.eigvalsh(gram)[0]) * np.eye(size)
+    fractions = [[Fraction(float(value)) for value in row] for row in matrix]
+    verdict = exact.is_positive_definite(exact.rational(matrix))
+    assert verdict == plain_ldl_is_positive(fractions)
+    assert verdict == exact.has_positive_leading_minors(exact.rational(matrix).numer_denom()[0])
+
+
+@pytest.mark.parametrize("synthesis", [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis])
+def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) -> None:
+    design = synthesis(rate_controller=0.3, rate_observer=0.3).design(Model(), INPUT_BALL, OUTPUT_BALL)
+    assert design.certified
+    design.save(tmp_path / "certificate.json")
+    again = Design.load(tmp_path / "certificate.json")
+    for side in ("state_feedback", "observer"):
+        before, after = getattr(design, side), getattr(again, side)
+        for name, value in vars(before).items():
+            assert np.array_equal(value, getattr(after, name)), name
+    assert json.loads((tmp_path / "certificate.json").read_text())["observer"]["certified"] is True
+
+
+def test_riccati_and_lmi_agree_on_the_guaranteed_cost_gain() -> None:
+    rates = {"rate_controller": 0.2, "rate_observer": 0.2}
+    riccati = RiccatiSynthesis(**rates).design(Model(), INPUT_BALL, OUTPUT_BALL)
+    lmi = LmiSynthesis(**rates, objective="guaranteed_cost").design(Model(), INPUT_BALL, OUTPUT_BALL)
+    np.testing.assert_allclose(riccati.state_feedback.k, lmi.state_feedback.k, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(riccati.observer.l, lmi.observer.l, rtol=1e-3, atol=1e-3)
+
+
+def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
+    design = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.3).design(Model(), INPUT_BALL, OUTPUT_BALL)
+    assert not design.state_feedback.certified
+    assert design.state_feedback.proved
+    assert design.state_feedback.rate_limit < 0.9
+    assert f"{design.state_feedback.rate_limit:.6g}" in design.state_feedback.reason
