@@ -1,33 +1,52 @@
-"""The numbers of a record that describe the model and the design; those of the loop are `loop.metrics`."""
+"""The numbers of a record that describe data, model and design; those of the loop are `loop.metrics`."""
 
 from typing import Any
 
-import numpy as np
-
 from ssm_study.bounds.hankel import hankel_singular_values
 from ssm_study.bounds.scaffolds import jacobian_ball
+from ssm_study.data.coverage import input_coverage
 from ssm_study.models.identified import SSM
-from ssm_study.signals import DataSet, Trajectory, fit_percent, rmse
+from ssm_study.signals import DataSet, Trajectory, rmse
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.systems import JacobianBall
+from ssm_study.training.identification import mean_fit
 
 Facts = dict[str, Any]
+
+
+def data_facts(data: DataSet) -> Facts:
+    """Where the records come from and how much of the input's range they visit."""
+    return {"data_source": data.metadata.get("source"), "input_coverage": input_coverage(data)}
 
 
 def model_facts(model: SSM, identified: SSM, data: DataSet) -> Facts:
     """Fits of the model that is certified, its Hankel singular values, and the slopes of its scaffoldings."""
     hankel = hankel_singular_values(model.linear)
+    return {
+        "fit_train_percent": mean_fit(model, data.training, data),
+        "fit_validation_percent": mean_fit(model, data.validation, data),
+        "fit_test_percent": mean_fit(model, data.test, data),
+        "fit_test_before_reduction_percent": mean_fit(identified, data.test, data),
+        "rmse_test": rmse_over(model, data.test, data.start_up_samples),
+        "states": model.order,
+        "hankel_largest": float(hankel[0]),
+        "hankel_smallest": float(hankel[-1]),
+        "spectral_radius": model.linear.spectral_radius,
+    } | slope_facts(model)
+
+
+def rmse_over(model: SSM, records: tuple[Trajectory, ...], start_up_samples: int) -> float:
+    """Root mean square over all scored samples of all records, in the unit of the output."""
+    squares = [(len(r) - start_up_samples, rmse(r.y, model.simulate(r.u), start_up_samples) ** 2) for r in records]
+    return float((sum(n * s for n, s in squares) / sum(n for n, _ in squares)) ** 0.5)
+
+
+def slope_facts(model: SSM) -> Facts:
+    """The certified slope intervals, and for `S_u` the paper's figure from spectral norms (unsound below)."""
     input_bound, output_bound = jacobian_ball(model.scaffold_in), jacobian_ball(model.scaffold_out)
     norms = jacobian_ball(model.scaffold_in, method="spectral")
-    test, start = data.test[0], data.start_up_samples
     return {
-        "fit_train_percent": float(np.mean([fit_of(model, record, start) for record in data.training])),
-        "fit_validation_percent": fit_of(model, data.validation[0], start),
-        "fit_test_percent": fit_of(model, test, start),
-        "fit_test_before_reduction_percent": fit_of(identified, test, start),
-        "rmse_test": rmse(test.y, model.simulate(test.u), start),
-        "state_order": model.order,
         "input_slope_lower": input_bound.lower,
         "input_slope_upper": input_bound.upper,
         "output_slope_lower": output_bound.lower,
@@ -35,34 +54,30 @@ def model_facts(model: SSM, identified: SSM, data: DataSet) -> Facts:
         "bound_method": input_bound.method,
         "input_slope_lower_spectral": norms.lower,
         "input_slope_upper_spectral": norms.upper,
-        "hankel_largest": float(hankel[0]),
-        "hankel_smallest": float(hankel[-1]),
-        "spectral_radius": model.linear.spectral_radius,
     }
 
 
-def fit_of(model: SSM, record: Trajectory, start_up_samples: int) -> float:
-    return fit_percent(record.y, model.simulate(record.u), start_up_samples)
-
-
-def design_facts(design: Design, model: SSM, balls: tuple[JacobianBall, JacobianBall], data: DataSet) -> Facts:
+def design_facts(
+    design: Design, model: SSM, balls: tuple[JacobianBall, JacobianBall], validation: tuple[Trajectory, ...]
+) -> Facts:
     """Feasible, certified, how far from the frontier, how large, and how much model error the pair tolerates."""
     feedback, observer = design.state_feedback, design.observer
     facts = part_facts("controller", feedback) | part_facts("observer", observer)
     if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
-        return facts
-    predicted = mismatch(model, feedback.k, observer.l, *balls, data.validation)
+        reasons = (part.reason for part in (feedback, observer) if isinstance(part, Infeasible))
+        return facts | {"infeasible_reason": "; ".join(reasons)}
+    predicted = mismatch(model, feedback.k, observer.l, *balls, validation)
     return facts | {"mismatch_gain": predicted.gain, "mismatch_margin": predicted.margin}
 
 
 def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> Facts:
-    feasible = not isinstance(part, Infeasible)
-    return {
+    """The columns of one side of the design; null where there is no certificate."""
+    facts = {
         f"rate_{side}": part.rate,
-        f"{side}_feasible": feasible,
+        f"{side}_feasible": not isinstance(part, Infeasible),
         f"{side}_certified": part.certified,
         f"{side}_rate_limit": part.rate_limit,
-        f"{side}_margin": None if isinstance(part, Infeasible) else part.margin,
-        f"{side}_gain_norm": None if isinstance(part, Infeasible) else part.gain_norm,
-        f"{side}_reason": part.reason if isinstance(part, Infeasible) else None,
     }
+    if isinstance(part, Infeasible):
+        return facts | {f"{side}_reason": part.reason}
+    return facts | {f"{side}_margin": part.margin, f"{side}_gain_norm": part.gain_norm}

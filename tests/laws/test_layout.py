@@ -19,6 +19,7 @@ FLOW = [
     "loop",
     "results",
     "report",
+    "specification",
     "study",
     "cli",
 ]
@@ -29,7 +30,7 @@ ROOMS = {
     "flint": {"synthesis"},
     "matplotlib": {"report"},
     "seaborn": {"report"},
-    "hydra": {"results", "study", "cli"},
+    "hydra": {"results", "specification", "study", "cli"},
     "foxglove": {"data"},
     "mcap": {"data"},
 }

@@ -1,0 +1,175 @@
+"""`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the request was wrong."""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from ssm_study.refusal import BadRequest
+
+DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
+THREADS = {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one `ssm-study` command; returns its exit status."""
+    for variable, value in THREADS.items():
+        os.environ.setdefault(
+            variable, value
+        )  # before torch is imported: two default-threaded processes are 20x slower
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        if arguments[:1] == ["run"]:
+            return run(arguments[1:])
+        options = _parser().parse_args(arguments)
+        command: Callable[[argparse.Namespace], int] = options.command
+        return command(options)
+    except BadRequest as refusal:
+        print(f"ssm-study: {refusal}", file=sys.stderr)
+        return WRONG_REQUEST
+    except BrokenPipeError:  # `ssm-study show STUDY | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+
+
+def configuration_folder() -> Path:
+    """Where the configuration lies: inside the installed package, or beside it in a clone."""
+    package = Path(str(files("ssm_study")))
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def run(overrides: list[str]) -> int:
+    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's."""
+    import hydra
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from ssm_study import study
+
+    study.register_resolvers()
+    os.environ["HYDRA_FULL_ERROR"] = (
+        "1"  # Hydra then raises instead of printing, so that one sentence can be made of it
+    )
+    sys.argv = ["ssm-study run", *overrides]
+    StudyCallback.failed = False
+    application = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(
+        study.job
+    )
+    try:
+        application()
+    except (HydraException, OmegaConfBaseException) as error:
+        asked = " ".join(overrides) or "(no override)"
+        raise BadRequest("request", asked, one_sentence(error), "see `ssm-study run --help`") from error
+    except OSError as error:
+        problem = error.strerror or type(error).__name__
+        raise BadRequest("results_dir", error.filename, problem, "choose a folder that you may write to") from error
+    return SOME_FAILED if StudyCallback.failed else DONE
+
+
+class StudyCallback(Callback):
+    """Before a run: refuse what is wrong. After it: gather the study, draw its figures, say how it went."""
+
+    failed = False
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        from ssm_study import study
+
+        try:
+            study.check(config)
+        except BadRequest as refusal:  # Hydra swallows exceptions of callbacks, not an exit
+            print(f"ssm-study: {refusal}", file=sys.stderr)
+            raise SystemExit(WRONG_REQUEST) from refusal
+
+    def on_run_end(self, config: DictConfig, **_: Any) -> None:
+        from ssm_study import study
+
+        StudyCallback.failed |= study.conclude_run(config)
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        from ssm_study import study
+
+        StudyCallback.failed |= study.conclude_sweep(config)
+
+
+def one_sentence(error: BaseException) -> str:
+    """OmegaConf's and Hydra's messages without their appendices."""
+    return " ".join(str(error).split("\n    full_key")[0].split()).rstrip(".")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ssm-study",
+        description="From input-output data to a certified output-feedback controller, swept and reported.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands.add_parser("run", help="one study run, or with -m a sweep; see `ssm-study run --help`", add_help=False)
+    gather = commands.add_parser("gather", help="(re)build runs.parquet and runs.csv of a study folder")
+    show = commands.add_parser("show", help="print the study's table, best first; failures with reasons")
+    verify = commands.add_parser("verify", help="re-derive every claim of a run from its files alone")
+    export = commands.add_parser("export", help="the controller for use elsewhere: C, ONNX, python-control")
+    report = commands.add_parser("report", help="figures and the report page of a study")
+    for command in (gather, show, report):
+        command.add_argument("study", type=Path, metavar="STUDY", help="the study folder, e.g. results/paper")
+    for command in (verify, export):
+        command.add_argument("run", type=Path, metavar="RUN", help="the run folder, e.g. results/paper/<run>")
+    show.add_argument("--by", metavar="COLUMN", help="sort by this column, in its better direction")
+    show.add_argument(
+        "--where", metavar="EXPR", help="keep runs for which this holds, e.g. 'order == 8 and status == \"ok\"'"
+    )
+    show.add_argument(
+        "--cost", action="store_true", help="what was computed, what reused, and how long each stage took"
+    )
+    export.add_argument("--to", type=Path, required=True, metavar="DIR", help="the folder to write into")
+    report.add_argument("--only", action="append", metavar="NAME", help="draw only this figure (may be repeated)")
+    for command, action in ((gather, _gather), (show, _show), (verify, _verify), (export, _export), (report, _report)):
+        command.set_defaults(command=action)
+    return parser
+
+
+def _gather(options: argparse.Namespace) -> int:
+    from ssm_study.results.gather import gather
+
+    print(f"{len(gather(options.study))} runs in {options.study / 'runs.parquet'}")
+    return DONE
+
+
+def _show(options: argparse.Namespace) -> int:
+    from ssm_study.results.show import show
+
+    show(options.study, by=options.by, where=options.where, cost=options.cost)
+    return DONE
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from ssm_study.results.verify import verify
+
+    findings = verify(options.run)
+    for finding in findings:
+        print(finding)
+    return DONE if all(finding.holds for finding in findings) else SOME_FAILED
+
+
+def _export(options: argparse.Namespace) -> int:
+    from ssm_study.report.export import export
+
+    for path in export(options.run, options.to):
+        print(path)
+    return DONE
+
+
+def _report(options: argparse.Namespace) -> int:
+    from ssm_study.report.figures import draw
+
+    for path in draw(options.only, options.study):
+        print(path)
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())
