@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.network import Network
 from ssm_study.models.scaffold import Scaffold
@@ -12,6 +13,7 @@ from ssm_study.models.scaffold_linear import LinearScaffold
 from ssm_study.models.scaffold_mlp import MlpScaffold
 from ssm_study.models.scaffold_monotone import MonotoneScaffold
 from ssm_study.models.scaffold_residual import ResidualScaffold
+from ssm_study.signals import Channel
 from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
 from ssm_study.systems import StateSpace
 
@@ -22,9 +24,9 @@ ORDER = 4
 def random_run(folder: Path, *, kind: str, channels: int, seed: int) -> Path:
     """A stable model with a gentle controller; the certificate's numbers are placeholders of the right shape."""
     rng = np.random.default_rng(seed)
-    model, design = random_model(rng, kind, channels), None
+    model = random_model(rng, kind, channels)
     design = random_design(rng, model)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.json").write_text(json.dumps(model.to_json()))
     design.save(folder / "certificate.json")
     return folder
@@ -78,3 +80,27 @@ def random_design(rng: np.random.Generator, model: SSM) -> Design:
         state_feedback=StateFeedback(a=linear.a, b=linear.b, p=eye, y=eye, x=k, sigma=1.0, k=k, **shared),
         observer=Observer(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
     )
+
+
+def write_recordings(run: Path, *, plant_alone: bool = True) -> Path:
+    """`validation.mcap`, `excitation.mcap` and `closed_loop.mcap` with ten made-up cases, as a study leaves them."""
+    rng, time_s = np.random.default_rng(0), np.arange(200) * 0.01
+    u, y = np.sign(rng.standard_normal((200, 1))) * 5, rng.standard_normal((200, 1))
+    volt, speed = (Channel(name="armature_voltage", unit="V"),), (Channel(name="load_speed", unit="rad/s"),)
+
+    def group(topic: str, channels: tuple[Channel, ...], values: np.ndarray) -> SignalGroup:
+        return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
+
+    signals = [("/input", volt, u), ("/measured", speed, y), ("/simulated", speed, 0.9 * y)]
+    write_mcap(run / "validation.mcap", tuple(group(*signal) for signal in signals), {})
+    records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
+    write_mcap(run / "excitation.mcap", tuple(records), {})
+    cases = []
+    for i, start in enumerate(rng.uniform(-4, 4, 11)):
+        decay = start * np.exp(-time_s / 0.05)[:, None]
+        cases += [group(f"/case_{i}/reference", speed, 0 * y), group(f"/case_{i}/output", speed, decay)]
+        cases += [group(f"/case_{i}/input", volt, -decay)]
+        cases += [group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))] if plant_alone else []
+    write_mcap(run / "closed_loop.mcap", tuple(cases), {})
+    (run / "training_curve.json").write_text(json.dumps([{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)]))
+    return run

@@ -81,6 +81,6 @@ def write_study(folder: Path, frame: pd.DataFrame) -> Path:
     frame.to_parquet(folder / "runs.parquet")
     for record in json.loads(frame.to_json(orient="records")):
         run = folder / record["run"]
-        run.mkdir()
+        run.mkdir(exist_ok=True)
         (run / "record.json").write_text(json.dumps(record))
     return folder

@@ -12,7 +12,14 @@ import yaml  # type: ignore[import-untyped]
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 from ssm_study.report.columns import text
-from ssm_study.report.trajectories import ClosedLoop, Validation, read_closed_loop, read_validation
+from ssm_study.report.trajectories import (
+    ClosedLoop,
+    Excitation,
+    Validation,
+    read_closed_loop,
+    read_excitation,
+    read_validation,
+)
 from ssm_study.report.verdict import best_first
 
 
@@ -53,6 +60,18 @@ class RunFolder:
     def validation(self) -> Validation | None:
         path = self.path / "validation.mcap"
         return read_validation(path) if path.is_file() else None
+
+    @cached_property
+    def excitation(self) -> Excitation | None:
+        """The training records' input; the validation record's where those were not kept."""
+        path = self.path / "excitation.mcap"
+        if path.is_file():
+            return read_excitation(path)
+        seen = self.validation
+        if seen is None:
+            return None
+        step_s = float(seen.time_s[1] - seen.time_s[0])
+        return Excitation(u=(seen.u[:, 0],), step_s=step_s, input_label=seen.input_label, records="validation record")
 
     @cached_property
     def closed_loop(self) -> ClosedLoop | None:

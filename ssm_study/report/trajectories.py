@@ -39,6 +39,16 @@ class ClosedLoop:
     output_label: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class Excitation:
+    """The first input channel of each record that excited the plant; `records` says which these are."""
+
+    u: tuple[Float[np.ndarray, "_"], ...]
+    step_s: float
+    input_label: str
+    records: str
+
+
 def read_validation(path: Path) -> Validation:
     """Topics `/input`, `/measured`, `/simulated`."""
     (topics,) = _by_case(path).values()
@@ -67,6 +77,19 @@ def read_closed_loop(path: Path) -> ClosedLoop:
         uncontrolled=_stack(cases, "uncontrolled", path) if left_alone else None,
         input_label=label(_topic(first, "input", path).channels[0]),
         output_label=label(output.channels[0]),
+    )
+
+
+def read_excitation(path: Path) -> Excitation:
+    """Topics `/record_0/input`, `/record_1/input`, ... of the training records."""
+    records = [topics for case, topics in sorted(_by_case(path).items()) if case]
+    require(len(records) > 0, "excitation", path, "holds no training record", "run the study again")
+    inputs = [_topic(topics, "input", path) for topics in records]
+    return Excitation(
+        u=tuple(group.values[:, 0] for group in inputs),
+        step_s=float(inputs[0].time_s[1] - inputs[0].time_s[0]),
+        input_label=label(inputs[0].channels[0]),
+        records="training records",
     )
 
 

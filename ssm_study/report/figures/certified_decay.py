@@ -46,8 +46,12 @@ def controlled(model: SSM, k: Float[np.ndarray, "m n"]) -> Step:
 
 def observed(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
     """`xh+ = A xh + L S_y(C xh)`: two observers that see the same input and output (u = 0, D drops out)."""
-    rest = np.zeros(model.linear.b.shape[1])
-    return lambda x: model.advance(x, rest) + model.read_scaled(x, rest) @ l.T
+
+    def step(x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
+        rest = np.zeros((len(x), model.linear.b.shape[1]))
+        return model.advance(x, rest) + model.read_scaled(x, rest) @ l.T
+
+    return step
 
 
 def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
@@ -65,11 +69,10 @@ def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray,
 def _panel(axes: Axes, d: Float[np.ndarray, "N T"], rate: float, title: str) -> None:
     k = np.arange(d.shape[1])
     r = np.sqrt(1 - rate)
-    axes.plot(k, r**k, color=style.VERMILLION, ls="--", label=f"certified, r = {r:.3f}")
-    axes.plot(k, d.max(axis=0), color=style.BLUE, label="measured, worst pair")
+    axes.plot(k, r**k, color=style.VERMILLION, ls="--", label=f"bound, r = {r:.3f}")
+    axes.plot(k, d.max(axis=0), color=style.BLUE, label="worst pair")
     axes.plot(k, np.median(d, axis=0), color=style.SKY, label="median pair")
     axes.set_yscale("log")
     axes.set_ylim(bottom=max(1e-12, 0.3 * float(np.nanmin(np.median(d, axis=0)))), top=3)
-    axes.set(xlabel="Sample", ylabel="Distance / its start (–)")
-    axes.text(0.98, 0.95, title, transform=axes.transAxes, ha="right", va="top")
+    axes.set(xlabel="Sample", ylabel=f"{title}:\ndistance / its start (–)")
     style.above(axes)

@@ -19,8 +19,8 @@ def draw(study: Study) -> Figure:
 
 
 def figure(record: Validation, fit_percent: float | None) -> Figure:
-    fig = style.canvas(style.COLUMN_IN, 2.7)
-    output, given = fig.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
+    fig = style.canvas(style.COLUMN_IN, 3.0)
+    output, given = fig.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
     shown = record.time_s <= record.time_s[0] + LONGEST_S
     time_s = record.time_s[shown]
     output.plot(time_s, record.y[shown, 0], color=style.GREY, lw=0.7, label="measured")
@@ -30,6 +30,7 @@ def figure(record: Validation, fit_percent: float | None) -> Figure:
     output.set_ylabel(record.output_label)
     given.step(time_s, record.u[shown, 0], where="post", color=style.INK, lw=0.7)
     given.set(xlabel="Time (s)", ylabel=record.input_label, xlim=_ends(time_s))
+    fig.align_ylabels()
     return fig
 
 
