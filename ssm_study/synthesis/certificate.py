@@ -1,5 +1,6 @@
 """What synthesis hands on: a gain with the matrices of the theorem that certifies it, or why there is none."""
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -154,11 +155,18 @@ class Design:
 
 def _plain(part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
     plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(part).items()}
-    return plain | {"certified": part.certified, "feasible": not isinstance(part, Infeasible)}
+    plain |= {"certified": part.certified, "feasible": not isinstance(part, Infeasible)}
+    return plain | {"digest": digest(plain)}
+
+
+def digest(content: dict[str, Any]) -> str:
+    """SHA-256 of a part's other fields as canonical JSON: whether the file still says what was written."""
+    rest = {name: value for name, value in content.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def _read(kind: Any, label: str, content: dict[str, Any]) -> Any:
-    values = dict(content)
+    values = {name: value for name, value in content.items() if name != "digest"}
     if not values.pop("feasible", True):
         values.pop("certified", None)
         kind = Infeasible
@@ -166,16 +174,27 @@ def _read(kind: Any, label: str, content: dict[str, Any]) -> Any:
     for name in known ^ set(values):
         problem = "is missing" if name in known else "is not part of a certificate"
         require(False, f"certificate.{label}.{name}", values.get(name), problem, "synthesise again")
-    return kind(**{name: _array(label, name, value) for name, value in values.items()})
+    types = {part.name: part.type for part in fields(kind)}
+    return kind(**{name: _value(label, name, types[name], value) for name, value in values.items()})
 
 
-def _array(label: str, name: str, value: Any) -> Any:
-    if not isinstance(value, list):
+def _value(label: str, name: str, kind: Any, value: Any) -> Any:
+    where = f"certificate.{label}.{name}"
+    if kind is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+        require(number, where, value, "is not a finite number", "synthesise again")
+        return float(value)
+    if kind in (bool, str):
+        require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", "synthesise again")
         return value
+    return _matrix(where, value)
+
+
+def _matrix(where: str, value: Any) -> Float[np.ndarray, "r c"]:
     try:
         matrix = np.array(value, dtype=float)
     except (TypeError, ValueError):
         matrix = np.empty(0)
     finite = matrix.ndim == 2 and bool(np.isfinite(matrix).all())
-    require(finite, f"certificate.{label}.{name}", value, "is not a finite matrix", "synthesise again")
+    require(finite, where, value, "is not a finite matrix", "synthesise again")
     return matrix
