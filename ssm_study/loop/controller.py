@@ -46,6 +46,10 @@ class Controller(ABC):
         """What is followed at each sample; by default the reference itself."""
         return reference
 
+    def demanded(self, targets: Float[np.ndarray, "T t"]) -> Float[np.ndarray, "K m"]:
+        """The inputs that following the targets takes, by the law's own reckoning; none if it reckons nothing."""
+        return np.zeros((0, self.dimensions[0]))
+
     @abstractmethod
     def input(
         self, memory: Float[np.ndarray, "N s"], y: Float[np.ndarray, "N p"], target: Float[np.ndarray, "t"]
@@ -133,16 +137,19 @@ class ObserverFeedback(Controller):
         return len(self.model.input_scale), len(self.model.output_scale)
 
     def start(self, cases: int) -> Float[np.ndarray, "N s"]:
-        return np.zeros((cases, self.model.linear.order))
+        return np.zeros((cases, self.model.order))
 
     def targets(self, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
         steps = len(np.unique(reference, axis=0)) <= MOST_SET_POINTS
         return set_points(self.model, reference) if steps else feasible_trajectory(self.model, reference)
 
+    def demanded(self, targets: Float[np.ndarray, "T t"]) -> Float[np.ndarray, "K m"]:
+        return self.model.input_equilibrium + self.model.input_scale * targets[:, self.model.order :]
+
     def input(
         self, memory: Float[np.ndarray, "N s"], y: Float[np.ndarray, "N p"], target: Float[np.ndarray, "t"]
     ) -> Float[np.ndarray, "N m"]:
-        n = self.model.linear.order
+        n = self.model.order
         scaled = target[n:] + (memory[:, :n] - target[:n]) @ self.k.T
         return self.model.input_equilibrium + self.model.input_scale * scaled
 
@@ -156,7 +163,7 @@ class ObserverFeedback(Controller):
         return observe(self.model, self.l, memory, u, y)
 
     def estimate(self, memory: Float[np.ndarray, "N s"]) -> Float[np.ndarray, "N n"]:
-        return memory[:, : self.model.linear.order]
+        return memory[:, : self.model.order]
 
 
 def parts(design: Design) -> tuple[StateFeedback, Observer]:

@@ -80,7 +80,8 @@ class FileReference(Reference):
     def _columns(self) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
         remedy = "give a CSV file of two columns, time in seconds and offset"
         try:
-            table = np.loadtxt(Path(self.path), delimiter=",", ndmin=2, comments="#")
+            lines = [line for line in Path(self.path).read_text(encoding="utf-8").splitlines() if line.strip()]
+            table = np.loadtxt(lines, delimiter=",", ndmin=2, comments="#") if lines else np.empty((0, 2))
         except (OSError, ValueError) as error:
             raise BadRequest("loop.reference.path", self.path, " ".join(str(error).split())[:120], remedy) from error
         require(table.shape[1:] == (2,) and len(table) > 0, "loop.reference.path", self.path, "not two columns", remedy)

@@ -87,6 +87,7 @@ def close_loop(
     matched(plant, controller)
     (cases, samples, outputs), inputs = noise.shape, len(plant.inputs)
     targets, rest = controller.targets(reference), plant.equilibrium().y
+    _reachable(controller.demanded(targets), input_lower, input_upper)
     log = {
         "u": np.zeros((cases, samples, inputs)),
         "y": np.zeros((cases, samples, outputs)),
@@ -113,6 +114,21 @@ def close_loop(
         x = plant.advance(x, u, disturbance[going, k])
     _hold_last(log, left)
     return Rollouts(step_s=plant.step_s, reference=reference, bound=bound, left_at_sample=left, **log)
+
+
+def _reachable(
+    demanded: Float[np.ndarray, "K m"],
+    lower: Float[np.ndarray, "m"] | None,
+    upper: Float[np.ndarray, "m"] | None,
+) -> None:
+    excess = float(np.abs(demanded - _limited(demanded, lower, upper)).max(initial=0.0))
+    require(
+        excess == 0.0,
+        "loop.reference",
+        f"needs inputs in [{demanded.min(initial=0.0):.4g}, {demanded.max(initial=0.0):.4g}]",
+        f"beyond the limits loop.input_lower, loop.input_upper by {excess:.4g}",
+        "choose a smaller or slower reference",
+    )
 
 
 def _sane(values: Float[np.ndarray, "N k"]) -> Bool[np.ndarray, "N"]:

@@ -1,0 +1,122 @@
+"""Laws of `auto`: its choice is certified, holds the margin, keeps what it is given, and never sees the plant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record
+
+from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.regulation import Loop
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.systems import JacobianBall
+
+SMALL = Auto(
+    controller_rate_shares=(0.1, 0.6),
+    observer_rates=(0.05, 0.3),
+    input_weights=(0.01, 0.1, 1.0),
+    output_noises=(0.01, 0.1, 1.0),
+)
+
+
+def margin(design: Design, record: Trajectory) -> float:
+    gains = design.state_feedback.k, design.observer.l
+    return mismatch(motor_model(), *gains, INPUT_BALL, OUTPUT_BALL, (record,)).margin
+
+
+@pytest.fixture(scope="module")
+def chosen() -> Design:
+    return SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+
+
+def test_the_choice_is_certified_and_holds_the_margin(chosen):
+    assert chosen.certified
+    assert chosen.state_feedback.method == chosen.observer.method == "auto"
+    assert margin(chosen, motor_record()) > 1.0
+    assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
+
+
+def test_no_candidate_with_margin_above_one_is_faster_on_the_model(chosen):
+    candidates = SMALL.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
+    areas = relative_areas(motor_model(), candidates.ks, candidates.ls, pairs)
+    margins = [
+        mismatch(motor_model(), candidates.ks[i], candidates.ls[j], INPUT_BALL, OUTPUT_BALL, (motor_record(),)).margin
+        for i, j in pairs
+    ]
+    own = relative_areas(motor_model(), chosen.state_feedback.k[None], chosen.observer.l[None], np.zeros((1, 2), int))
+    assert own[0] == pytest.approx(areas[np.array(margins) > 1.0].min(), rel=1e-9)
+
+
+def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
+    result = Loop(horizon_s=1.5, measurement_noise_variance=0.02).run(motor(), motor_model(), chosen, seed=0)
+    columns = behaviour(result) | certified(result, chosen)
+    assert columns["stable_count"] == 10
+    assert columns["settling_time_mean_s"] < 0.6 * columns["settling_time_open_loop_s"]
+    assert columns["certified_bound_violations"] == 0
+
+
+def test_more_mismatch_makes_it_slower(chosen):
+    rng = np.random.default_rng(0)
+    record = motor_record()
+    worse = replace(record, y=record.y + 2.0 * rng.standard_normal(record.y.shape))
+    careful = SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (worse,))
+    zero = np.zeros((1, 2), int)
+    areas = [
+        relative_areas(motor_model(), d.state_feedback.k[None], d.observer.l[None], zero)[0] for d in (chosen, careful)
+    ]
+    assert areas[1] > areas[0]
+
+
+def test_without_any_margin_the_largest_is_taken_and_said():
+    record = motor_record()
+    useless = replace(record, y=record.y + 1e4)
+    design = SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (useless,))
+    assert design.certified
+    assert margin(design, useless) < 1.0
+    assert "largest margin" in design.state_feedback.solver_status
+
+
+def test_a_given_rate_is_kept():
+    kept = replace(SMALL, rate_controller=0.02, rate_observer=0.15)
+    design = kept.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert design.state_feedback.rate == 0.02
+    assert design.observer.rate == 0.15
+
+
+def test_a_rate_beyond_the_frontier_is_infeasible_and_says_how_far():
+    design = replace(SMALL, rate_controller=0.9).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert isinstance(design.state_feedback, Infeasible)
+    assert design.state_feedback.proved
+    assert design.state_feedback.rate_limit < 0.9
+
+
+def test_slopes_that_hold_zero_are_infeasible():
+    design = SMALL.design(motor_model(), JacobianBall.from_slopes(-0.1, 1.0), OUTPUT_BALL, (motor_record(),))
+    assert isinstance(design.state_feedback, Infeasible)
+
+
+def test_a_record_without_excitation_is_refused():
+    still = Trajectory(u=np.zeros((50, 1)), y=np.zeros((50, 1)), step_s=0.01)
+    with pytest.raises(BadRequest, match="validation"):
+        SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (still,))
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        ({"rate_controller": "fast"}, "rate_controller"),
+        ({"rate_observer": 1.0}, "rate_observer"),
+        ({"margin": 0.0}, "margin"),
+        ({"observer_rates": ()}, "observer_rates"),
+        ({"input_weights": (0.0,)}, "input_weights"),
+    ],
+)
+def test_values_out_of_range(values, names):
+    with pytest.raises(BadRequest, match=names):
+        Auto(**values)

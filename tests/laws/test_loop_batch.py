@@ -1,0 +1,114 @@
+"""Laws of the loop: a batch is its rows, the seed decides the draw, and what the controller sees is what it acts on."""
+
+import numpy as np
+import pytest
+from loop_cases import motor, motor_design, motor_model, random_model
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.disturbance import StepDisturbance
+from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.reference import SineReference, StepReference
+from ssm_study.loop.regulation import Loop
+from ssm_study.loop.rollout import STAYED
+from ssm_study.signals import Channel
+
+LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
+
+
+def controller() -> ObserverFeedback:
+    return ObserverFeedback.of(motor_model(), motor_design())
+
+
+@pytest.mark.parametrize(
+    "reference", [StepReference(before=0.0, after=6.0, at_s=0.2), SineReference(amplitude=4.0, frequency_hz=2.0)]
+)
+def test_a_batch_is_its_rows(reference):
+    loop = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference)
+    y0, noise = loop.draw(motor(), seed=1)
+    together = loop.simulate(motor(), controller(), y0, noise)
+    for i in range(len(y0)):
+        alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
+        for name in ("u", "y", "measured", "estimate", "states"):
+            np.testing.assert_allclose(getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-9, atol=1e-12)
+
+
+def test_the_loop_is_the_equations_written_out():
+    """One case, sample by sample, from the model's numbers alone: the second route to every signal."""
+    model, design = motor_model(), motor_design()
+    k, observer_gain = design.state_feedback.k, design.observer.l
+    y0, noise = LOOP.draw(motor(), seed=3)
+    run = LOOP.simulate(motor(), controller(), y0[:1], noise[:1])
+    x, x_hat = motor().states_at(y0[:1]), np.zeros(model.order)
+    for sample in range(run.u.shape[1]):
+        y = x[0, 2] + noise[0, sample, 0]
+        u = 1.7 * float((k @ x_hat)[0])
+        assert run.u[0, sample, 0] == pytest.approx(u, rel=1e-9, abs=1e-12)
+        assert run.measured[0, sample, 0] == pytest.approx(y, rel=1e-9, abs=1e-12)
+        assert run.y[0, sample, 0] == pytest.approx(x[0, 2], rel=1e-9, abs=1e-12)
+        lifted = float(model.scaffold_in(np.array([u / 1.7]))[0])
+        error = float((model.linear.c @ x_hat)[0]) - y / 5.0
+        x_hat = model.linear.a @ x_hat + model.linear.b[:, 0] * lifted + observer_gain[:, 0] * error
+        x = motor().advance(x, np.array([[u]]), np.zeros((1, 1)))
+
+
+def test_the_seed_decides_the_draw_and_nothing_else_does():
+    first, again, other = (LOOP.draw(motor(), seed=s) for s in (4, 4, 5))
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
+    assert not np.array_equal(first[0], other[0])
+    low, high = motor().initial_range
+    assert (first[0] >= low).all()
+    assert (first[0] <= high).all()
+
+
+def test_noise_has_the_stated_variance():
+    noise = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100).draw(motor(), seed=0)[1]
+    assert noise.var() == pytest.approx(0.02, rel=0.02)
+
+
+def test_limits_hold_and_the_observer_knows_them():
+    limited = Loop(
+        horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=5, input_lower=-1.0, input_upper=0.5
+    )
+    result = limited.run(motor(), motor_model(), motor_design(), seed=1)
+    assert result.controlled.u.min() == -1.0
+    assert result.controlled.u.max() == 0.5
+    free = LOOP.run(motor(), motor_model(), motor_design(), seed=1)
+    assert np.abs(free.controlled.u).max() > 1.0
+
+
+def test_the_disturbance_reaches_the_plant_and_not_the_model():
+    pushed = Loop(
+        horizon_s=0.6,
+        measurement_noise_variance=0.0,
+        initial_conditions=3,
+        disturbance=StepDisturbance(size=0.02, at_s=0.3),
+    )
+    quiet = Loop(horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3)
+    a, b = (loop.run(motor(), motor_model(), motor_design(), seed=2) for loop in (pushed, quiet))
+    np.testing.assert_array_equal(a.controlled.y[:, :31], b.controlled.y[:, :31])
+    assert (a.controlled.y[:, 40] < b.controlled.y[:, 40] - 0.05).all()
+    np.testing.assert_array_equal(a.on_model.y, b.on_model.y)
+
+
+def test_the_model_in_the_plants_place_replays_itself():
+    model = random_model(0, inputs=2, outputs=2)
+    plant = IdentifiedPlant(
+        model=model,
+        input_channels=(Channel(name="a", unit="V"), Channel(name="b", unit="V")),
+        output_channels=(Channel(name="c", unit="m"), Channel(name="d", unit="m")),
+    )
+    u = model.input_equilibrium + np.random.default_rng(0).standard_normal((3, 40, 2))
+    np.testing.assert_allclose(plant.simulate(u)[1], model.simulate(u), rtol=1e-12, atol=1e-12)
+    y0 = model.output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
+    np.testing.assert_allclose(plant.output(plant.states_at(y0)), y0, rtol=1e-9)
+
+
+def test_every_column_is_a_number_or_nothing():
+    result = LOOP.run(motor(), motor_model(), motor_design(), seed=0)
+    columns = behaviour(result) | certified(result, motor_design())
+    assert all(value is None or np.isfinite(value) for value in columns.values())
+    assert columns["initial_conditions"] == 5
+    assert columns["certified_bound_violations"] == 0
+    assert (result.controlled.left_at_sample == STAYED).all()

@@ -1,0 +1,87 @@
+"""A grey-box model of the motor and its balls: what the loop's tests close the loop with, without any training."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.plants.dc_motor import DCMotor
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace
+
+INPUT_BALL = JacobianBall.from_slopes(0.12, 1.0)
+OUTPUT_BALL = JacobianBall(alpha=1.0, beta=0.0)
+
+
+@cache
+def motor() -> DCMotor:
+    values = yaml.safe_load((Path(__file__).parents[1] / "conf" / "plant" / "dc_motor.yaml").read_text())
+    return DCMotor(**{name: value for name, value in values.items() if name != "_target_"})
+
+
+@cache
+def motor_model() -> SSM:
+    """Second order, dead-zone and friction as one flat piece of S_u; least squares on `motor_record`, 84 % fit."""
+    return SSM(
+        linear=StateSpace(
+            a=np.array([[0.973, 0.1], [0.0, -0.495]]),
+            b=np.array([[0.04], [0.44]]),
+            c=np.array([[1.0, 0.0]]),
+            d=np.zeros((1, 1)),
+        ),
+        scaffold_in=MonotoneScaffold(breakpoints=np.array([[-0.39, 0.39]]), slopes=np.array([[1.0, 0.12, 1.0]])),
+        scaffold_out=LinearScaffold(gain=np.eye(1)),
+        input_scale=np.array([1.7]),
+        output_scale=np.array([5.0]),
+        input_equilibrium=np.zeros(1),
+        output_equilibrium=np.zeros(1),
+        step_s=0.01,
+    )
+
+
+@cache
+def motor_record() -> Trajectory:
+    """Levels held for 2 to 30 samples, noise of variance 0.02: a validation record as the study draws them."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-3, 3, 120), rng.integers(2, 30, 120))[:800, None]
+    y = motor().simulate(u[None])[1][0]
+    return Trajectory(u=u, y=y + np.sqrt(0.02) * rng.standard_normal(y.shape), step_s=0.01)
+
+
+@cache
+def motor_design() -> Design:
+    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    model = motor_model()
+    return Design(
+        state_feedback=synthesis.state_feedback(model.linear, INPUT_BALL),
+        observer=synthesis.observer(model.linear, OUTPUT_BALL),
+    )
+
+
+def random_model(seed: int, *, inputs: int = 1, outputs: int = 1, order: int = 4) -> SSM:
+    """A stable random model with slopes in [0.5, 1] and unequal scales, away from the origin."""
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((order, order))
+    a *= rng.uniform(0.5, 0.97) / np.abs(np.linalg.eigvals(a)).max()
+    breakpoints = np.sort(rng.uniform(-1, 1, (inputs, 3)), axis=1)
+    return SSM(
+        linear=StateSpace(
+            a=a,
+            b=rng.standard_normal((order, inputs)),
+            c=rng.standard_normal((outputs, order)),
+            d=np.zeros((outputs, inputs)),
+        ),
+        scaffold_in=MonotoneScaffold(breakpoints=breakpoints, slopes=rng.uniform(0.5, 1.0, (inputs, 4))),
+        scaffold_out=LinearScaffold.identity(outputs),
+        input_scale=rng.uniform(0.5, 2, inputs),
+        output_scale=rng.uniform(0.5, 5, outputs),
+        input_equilibrium=rng.standard_normal(inputs),
+        output_equilibrium=rng.standard_normal(outputs),
+        step_s=0.01,
+    )

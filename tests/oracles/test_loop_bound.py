@@ -1,0 +1,81 @@
+"""Measured distance never exceeds the certified bound on the model; on a claim that is false, it does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_cases import random_model
+
+from ssm_study.loop.certified_bound import certified_bound, distances, violations
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.loop.rollout import Rollouts, close_loop
+from ssm_study.models.identified import SSM
+from ssm_study.signals import Channel
+from ssm_study.synthesis.certificate import Observer, StateFeedback
+from ssm_study.synthesis.frontier import rate_limit
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.systems import JacobianBall
+
+IDENTITY = JacobianBall(alpha=1.0, beta=0.0)
+
+
+def certified(model: SSM) -> tuple[StateFeedback, Observer]:
+    ball = JacobianBall.from_slopes(float(model.scaffold_in.slopes.min()), float(model.scaffold_in.slopes.max()))
+    limit = rate_limit(model.linear, ball, IDENTITY)[0]
+    synthesis = RiccatiSynthesis(rate_controller=0.9 * limit, rate_observer=0.5, input_weight=0.1)
+    feedback, observer = synthesis.state_feedback(model.linear, ball), synthesis.observer(model.linear, IDENTITY)
+    assert feedback.certified
+    assert observer.certified
+    return feedback, observer
+
+
+def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int) -> Rollouts:
+    m, p = len(model.input_scale), len(model.output_scale)
+    plant = IdentifiedPlant(
+        model=model,
+        input_channels=tuple(Channel(name=f"u{i}", unit="V") for i in range(m)),
+        output_channels=tuple(Channel(name=f"y{i}", unit="m") for i in range(p)),
+    )
+    return close_loop(
+        plant,
+        ObserverFeedback(model=model, k=feedback.k, l=observer.l),
+        x0=np.random.default_rng(seed).standard_normal((20, model.order)),
+        reference=np.tile(model.output_equilibrium, (120, 1)),
+        noise=np.zeros((20, 120, p)),
+        disturbance=np.zeros((20, 120, m)),
+        bound=np.full(p, 1e6),
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_measured_is_within_certified(seed):
+    model = random_model(seed, inputs=1 + seed % 2, outputs=1 + seed // 2 % 2, order=3 + seed % 4)
+    feedback, observer = certified(model)
+    run = rollouts(model, feedback, observer, seed)
+    assert violations(run.states, run.estimate, feedback, observer) == 0
+    d, e = distances(run.states, run.estimate, feedback, observer)
+    floor = 1e-12 * e[:, :1]  # of the start: below it, differences of two states are rounding
+    assert (e[:, 1:] <= observer.contraction * e[:, :-1] * (1 + 1e-9) + floor).all()
+    assert d[:, -1].max() < 1e-3 * d[:, 0].max()
+
+
+def test_a_rate_that_is_not_certified_is_caught():
+    model = random_model(2)
+    feedback, observer = certified(model)
+    run = rollouts(model, feedback, observer, 0)
+    boast, boast_observer = replace(feedback, rate=0.9), replace(observer, rate=0.99)
+    assert violations(run.states, run.estimate, boast, boast_observer) > 0
+
+
+def test_the_bound_is_the_sum_it_says():
+    model = random_model(5)
+    feedback, observer = certified(model)
+    d0, e0 = np.array([2.0]), np.array([3.0])
+    r_c, r_o = feedback.contraction, observer.contraction
+    into = np.linalg.norm(np.linalg.cholesky(feedback.metric).T @ model.linear.b, 2)
+    out = np.linalg.norm(feedback.k @ np.linalg.inv(np.linalg.cholesky(observer.q).T), 2)
+    c = float(model.scaffold_in.slopes.max()) * into * out
+    k = 7
+    expected = r_c**k * 2.0 + c * 3.0 * sum(r_c ** (k - 1 - i) * r_o**i for i in range(k))
+    assert certified_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(expected, rel=1e-9)

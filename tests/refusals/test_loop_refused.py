@@ -1,0 +1,130 @@
+"""What the loop refuses, in one sentence, and how a diverging loop is recorded."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_cases import motor, motor_design, motor_model, random_model
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
+from ssm_study.loop.regulation import Loop
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace
+
+LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        ({"initial_conditions": 0}, "initial_conditions"),
+        ({"horizon_s": 0.0}, "horizon_s"),
+        ({"measurement_noise_variance": -1.0}, "measurement_noise_variance"),
+        ({"bound_in_initial_ranges": 0.5}, "bound_in_initial_ranges"),
+        ({"input_lower": 1.0, "input_upper": -1.0}, "input_lower"),
+    ],
+)
+def test_values_out_of_range(values, names):
+    with pytest.raises(BadRequest, match=names):
+        Loop(**({"horizon_s": 1.0, "measurement_noise_variance": 0.02} | values))
+
+
+def test_a_controller_for_other_dimensions():
+    model = random_model(0, inputs=2, outputs=1)
+    controller = ObserverFeedback(model=model, k=np.zeros((2, 4)), l=np.zeros((4, 1)))
+    with pytest.raises(BadRequest, match="controller inputs, outputs"):
+        LOOP.compare(motor(), {"wrong": controller}, seed=0)
+
+
+def test_a_controller_for_another_sampling_time():
+    design = motor_design()
+    controller = ObserverFeedback(
+        model=replace(motor_model(), step_s=0.02), k=design.state_feedback.k, l=design.observer.l
+    )
+    with pytest.raises(BadRequest, match="step_s"):
+        LOOP.compare(motor(), {"slow": controller}, seed=0)
+
+
+def test_gains_of_another_model():
+    with pytest.raises(BadRequest, match=r"k = .*shape"):
+        ObserverFeedback(model=motor_model(), k=np.zeros((1, 5)), l=np.zeros((5, 1)))
+    with pytest.raises(BadRequest, match=r"l = .*shape"):
+        ObserverFeedback(model=motor_model(), k=np.zeros((1, 2)), l=np.zeros((2, 2)))
+
+
+def test_an_infeasible_design_closes_no_loop():
+    infeasible = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.2).state_feedback(
+        motor_model().linear, JacobianBall.from_slopes(0.01, 1.0)
+    )
+    with pytest.raises(BadRequest, match="state_feedback"):
+        LOOP.run(motor(), motor_model(), Design(state_feedback=infeasible, observer=motor_design().observer), seed=0)
+
+
+def test_a_model_with_feedthrough_in_the_plants_place():
+    model = motor_model()
+    linear = StateSpace(a=model.linear.a, b=model.linear.b, c=model.linear.c, d=np.ones((1, 1)))
+    one = (Channel(name="x", unit="1"),)
+    with pytest.raises(BadRequest, match="feedthrough"):
+        IdentifiedPlant(model=model.with_linear(linear), input_channels=one, output_channels=one)
+
+
+def test_a_diverging_loop_is_stopped_and_labelled():
+    """Gains with the wrong sign: every case leaves the bound, no overflow, no NaN, and the record says when."""
+    design = motor_design()
+    wrong = ObserverFeedback(model=motor_model(), k=-5 * design.state_feedback.k, l=design.observer.l)
+    loop = Loop(horizon_s=1.0, measurement_noise_variance=0.02)  # noise carries the slowest case out of the dead-zone
+    result = loop.compare(motor(), {"wrong": wrong}, seed=0)["wrong"]
+    columns = behaviour(result)
+    assert columns["stable_count"] == 0
+    assert columns["left_bound_count"] == 10
+    assert 0 < columns["left_bound_first_s"] < 1.0
+    assert columns["settling_time_mean_s"] is None
+    assert columns["settling_time_worst_s"] is None
+    assert all(value is None or np.isfinite(value) for value in columns.values())
+    run = result.controlled
+    assert (np.abs(run.y) <= run.bound).all()
+    for case, left_s in enumerate(run.left_at_s):
+        at = round(left_s / run.step_s)
+        assert (run.y[case, at:] == run.y[case, at - 1]).all()
+
+
+def test_an_unstable_observer_is_stopped_before_it_overflows():
+    design = motor_design()
+    wild = ObserverFeedback(model=motor_model(), k=0 * design.state_feedback.k, l=1e3 * design.observer.l)
+    loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
+    run = loop.compare(motor(), {"wild": wild}, seed=0)["wild"].controlled
+    assert not run.stayed.any()
+    assert np.isfinite(run.estimate).all()
+
+
+def test_references_out_of_order():
+    with pytest.raises(BadRequest, match="from_s, until_s"):
+        RampReference(slope_per_s=1.0, from_s=1.0, until_s=0.5)
+    with pytest.raises(BadRequest, match="frequency_hz"):
+        SineReference(amplitude=1.0, frequency_hz=0.0)
+
+
+@pytest.mark.parametrize("content", ["", "1,2,3\n", "0,1\n0,2\n", "0,1\n1,nan\n", "time,offset\n0,1\n"])
+def test_a_malformed_reference_file(tmp_path, content):
+    path = tmp_path / "reference.csv"
+    path.write_text(content)
+    with pytest.raises(BadRequest, match=r"loop\.reference\.path"):
+        FileReference(path=str(path)).offset(np.arange(3.0))
+
+
+def test_a_missing_reference_file(tmp_path):
+    with pytest.raises(BadRequest, match=r"loop\.reference\.path"):
+        FileReference(path=str(tmp_path / "none.csv")).offset(np.arange(3.0))
+
+
+def test_a_reference_that_needs_more_than_the_limits_allow():
+    reference = StepReference(before=0.0, after=30.0, at_s=0.0)
+    loop = Loop(horizon_s=1.0, measurement_noise_variance=0.0, reference=reference, input_upper=3.0, input_lower=-3.0)
+    with pytest.raises(BadRequest, match=r"loop\.reference"):
+        loop.run(motor(), motor_model(), motor_design(), seed=0)
