@@ -13,7 +13,8 @@ from ssm_study.models.identified import SSM
 from ssm_study.report import style
 from ssm_study.report.study_folder import Study
 
-SCALED_REACH = 3.0  # how far to draw, in input scales (standard deviations of the training input)
+REACH_IN_DEAD_ZONES = 8  # how far to draw: far enough for the straight part, near enough to see the dead-zone
+REACH_IN_SCALES = 2.0  # how far training reached, in input scales: where the gain is compared, and drawn otherwise
 
 
 def draw(study: Study) -> Figure:
@@ -29,24 +30,30 @@ def draw(study: Study) -> Figure:
 def figure(model: SSM, plant: Mapping[str, Any], slopes: tuple[float | None, float | None]) -> Figure:
     fig = style.canvas(style.PAGE_IN, 2.5)
     value, slope = fig.subplots(1, 2)
-    scale, rest = float(model.input_scale[0]), float(model.input_equilibrium[0])
-    voltage = rest + np.linspace(-SCALED_REACH, SCALED_REACH, 801) * scale
-    learned = model.lift(voltage[:, None])[:, 0]
-    truth = _dead_zone(voltage, plant["dead_zone_v"]) if "dead_zone_v" in plant else None
-    gain = 1.0 if truth is None else float(truth @ learned / (learned @ learned))
-    value.plot(voltage, gain * learned, color=style.BLUE, label="learned S$_u$", zorder=3)
+    threshold, scale = plant.get("dead_zone_v"), float(model.input_scale[0])
+    gain = 1.0 if threshold is None else _gain_to_volts(model, threshold)
+    reach = REACH_IN_SCALES * scale if threshold is None else REACH_IN_DEAD_ZONES * threshold
+    voltage = model.input_equilibrium[0] + np.linspace(-reach, reach, 401)
+    value.plot(voltage, gain * model.lift(voltage[:, None])[:, 0], color=style.BLUE, label="learned S$_u$", zorder=3)
     _true_curves(value, voltage, plant)
-    style.above(value)
-    unit = "scaled to the true gain (V)" if truth is not None else "(scaled units)"
-    value.set(xlabel="Input (V)" if truth is not None else "Input (physical unit)", ylabel=f"S$_u$ {unit}")
     _slopes(slope, model, voltage, slopes)
-    if truth is not None:
-        slope.plot(
-            voltage, np.gradient(truth, voltage) * scale / gain, color=style.INK, lw=0.9, ls="--", label="dead-zone"
-        )
-    style.above(slope)
-    slope.set(xlabel=value.get_xlabel(), ylabel="Local slope of S$_u$ (scaled units, –)")
+    if threshold is not None:
+        true_slope = np.where(np.abs(voltage) < threshold, 0.0, scale / gain)
+        slope.step(voltage, true_slope, where="mid", color=style.INK, lw=0.9, ls="--", label="dead-zone")
+    for axes in (value, slope):
+        style.above(axes)
+        axes.set_xlabel("Input (physical unit)" if threshold is None else "Armature voltage (V)")
+    value.set_ylabel("S$_u$ (scaled units, –)" if threshold is None else "S$_u$ scaled to the true gain (V)")
+    slope.set_ylabel("Local slope of S$_u$ (scaled units, –)")
     return fig
+
+
+def _gain_to_volts(model: SSM, threshold: float) -> float:
+    """S_u is free up to a factor that B takes up: the factor that brings it nearest to the dead-zone, least squares."""
+    reach = REACH_IN_SCALES * float(model.input_scale[0])
+    voltage = model.input_equilibrium[0] + np.linspace(-reach, reach, 401)
+    learned = model.lift(voltage[:, None])[:, 0]
+    return float(_dead_zone(voltage, threshold) @ learned / (learned @ learned))
 
 
 def _true_curves(axes: Axes, voltage: Float[np.ndarray, "N"], plant: Mapping[str, Any]) -> None:

@@ -1,0 +1,58 @@
+"""The end-of-run table: 80 columns, plain in a pipe, coloured on a terminal, and never silent about why."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import report_tables
+from rich.console import Console
+
+from ssm_study.report.outcome import print_outcome
+
+TABLE = report_tables.table(30).astype(object)
+RECORDS = TABLE.where(TABLE.notna(), None).to_dict("records")
+
+
+def printed(record: dict[str, Any], *figures: Path, terminal: bool = False) -> str:
+    stream = io.StringIO()
+    console = Console(file=stream, width=200, force_terminal=terminal, color_system="standard" if terminal else None)
+    print_outcome(record, figures, console)
+    return stream.getvalue()
+
+
+def a_run(status: str) -> dict[str, Any]:
+    return next(dict(record) for record in RECORDS if record["status"] == status)
+
+
+def test_no_line_is_longer_than_80_columns_whatever_the_run() -> None:
+    for record in RECORDS:
+        assert max(len(line) for line in printed(record).splitlines()) <= 80
+
+
+def test_plain_in_a_pipe_and_coloured_on_a_terminal() -> None:
+    assert "\x1b[" not in printed(a_run("ok"))
+    assert "\x1b[" in printed(a_run("ok"), terminal=True)
+
+
+def test_every_number_of_the_argument_is_there() -> None:
+    record = a_run("ok") | {"fit_test_percent": 91.27, "stable_count": 9, "initial_conditions": 10}
+    record |= {"settling_time_mean_s": 0.07, "settling_time_open_loop_s": 0.21, "controller_rate_limit": 0.3141}
+    text = printed(record)
+    for words in ("91.3 %", "9 of 10", "ratio 0.33", "at most 0.314: certified", "Mismatch margin", "Slopes of S_u"):
+        assert words in text, words
+
+
+def test_a_path_is_never_broken() -> None:
+    path = Path("results") / ("long_" * 20) / "figures" / "closed_loop_responses.png"
+    assert str(path) in printed(a_run("ok"), path).splitlines()[-1]
+
+
+def test_a_failed_run_shows_its_message_and_no_empty_lines() -> None:
+    text = printed(a_run("failed") | {"error_message": "model.order = 0: must be at least 1; use 8."})
+    assert "model.order = 0: must be at least 1; use 8." in text
+    assert "Mismatch margin" not in text
+
+
+def test_an_infeasible_run_shows_the_rate_that_was_possible() -> None:
+    text = printed(a_run("infeasible") | {"controller_rate_limit": 0.0987})
+    assert "at most 0.0987: infeasible" in text
