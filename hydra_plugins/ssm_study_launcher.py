@@ -28,7 +28,7 @@ class ProcessesLauncher(Launcher):
     """One fresh process per job, from a server that has imported the heavy libraries already."""
 
     def __init__(self, n_jobs: int | None, threads: int, timeout_s: float | None, preload: list[str]) -> None:
-        self.settings = {"n_jobs": n_jobs, "threads": threads, "timeout_s": timeout_s, "preload": tuple(preload)}
+        self.n_jobs, self.threads, self.timeout_s, self.preload = n_jobs, threads, timeout_s, tuple(preload)
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
@@ -37,4 +37,5 @@ class ProcessesLauncher(Launcher):
         from ssm_study.results.launcher import Processes, Sweep
 
         sweep = Sweep(hydra_context=self.hydra_context, task_function=self.task_function, config=self.config)
-        return Processes(**self.settings).launch(sweep, [list(o) for o in job_overrides], initial_job_idx)
+        processes = Processes(n_jobs=self.n_jobs, threads=self.threads, timeout_s=self.timeout_s, preload=self.preload)
+        return processes.launch(sweep, [list(overrides) for overrides in job_overrides], initial_job_idx)

@@ -122,7 +122,6 @@ hydra:
   sweep: {dir: "${results_dir}/${study}", subdir: "${run_name:}"}
   job_logging: {root: {handlers: [file]}}
   hydra_logging: {root: {handlers: []}}
-  launcher: {preload: [ssm_study.results.store]}
 """
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from ssm_study.refusal import require
 from ssm_study.results.columns import BY_NAME, RANKING
+from ssm_study.results.cost import cost_lines
 from ssm_study.results.filters import where as filtered
 from ssm_study.results.gather import gather
 
@@ -31,9 +32,15 @@ OUTCOMES = ("fit_test_percent", "stable_fraction", "settling_time_mean_s", "cont
 REASONS = ("error_message", "infeasible_reason")
 
 
-def show(study: Path, by: str | None = None, where: str | None = None) -> None:
-    """Print the study's table, best first, after gathering it anew; `where` filters, `by` sorts."""
+def show(study: Path, by: str | None = None, where: str | None = None, cost: bool = False) -> None:
+    """Print the study's table, best first, after gathering it anew; `where` filters, `by` sorts.
+
+    With `cost`: instead of it what was computed and what reused, stage by stage.
+    """
     table = gather(study)
+    if cost:
+        print("\n".join(cost_lines(filtered(table, where) if where else table)))
+        return
     rows = ranked(filtered(table, where) if where else table, by)
     if sys.stdout.isatty():
         Console(width=max(WIDTH, Console().width)).print(rich_table(rows, by))

@@ -6,11 +6,13 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
+from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from ssm_study.refusal import BadRequest
+from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.runs import Outcome, run_folder
 
 
@@ -45,8 +47,12 @@ class Job:
 
 
 def compose(sweep: Sweep, overrides: list[str], number: int) -> Job:
+    return job_of(sweep.hydra_context.config_loader, sweep.config, overrides, number)
+
+
+def job_of(loader: ConfigLoader, sweep_config: DictConfig, overrides: list[str], number: int) -> Job:
     """The configuration of one job and the folder it names; raises `BadRequest` if that leaves the results folder."""
-    config = sweep.hydra_context.config_loader.load_sweep_config(sweep.config, overrides)
+    config = loader.load_sweep_config(sweep_config, overrides)
     with open_dict(config):
         config.hydra.job.id = number
         config.hydra.job.num = number
@@ -57,11 +63,17 @@ def compose(sweep: Sweep, overrides: list[str], number: int) -> Job:
 
 
 def check_all(task_function: TaskFunction, jobs: list[Job]) -> None:
-    """`check(configuration)` of the task's module on every job, before any starts; `BadRequest` names the job."""
+    """The allow-list and `check(configuration)` of the task's module on every job, before any starts.
+
+    The `BadRequest` names the job.
+    """
     check = task_hook(task_function, "check")
-    for job in jobs if check else []:
+    for job in jobs:
         try:
-            check(job.task_config)
+            HydraConfig.instance().set_config(job.config)
+            refuse_foreign_targets(job.config)
+            if check is not None:
+                check(job.task_config)
         except BadRequest as refusal:
             where = f"{refusal.field} (of the run {' '.join(job.overrides)})"
             raise BadRequest(where, refusal.value, refusal.problem, refusal.remedy) from refusal

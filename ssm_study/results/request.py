@@ -1,0 +1,71 @@
+"""What was asked for, looked at before Hydra acts on it: our two options, and every configuration of a sweep."""
+
+from pathlib import Path
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.utils import create_config_search_path, get_args_parser
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import setup_globals
+from hydra.types import RunMode, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+from ssm_study.results.allow_list import refuse_foreign_targets
+from ssm_study.results.sweep import Job, check_all, job_of
+
+OPTIONS = {
+    "--dry-run": ("--multirun", "hydra/launcher=processes", "dry_run=true"),
+    "--retry-failed": ("retry_failed=true",),
+}
+# With --dry-run nothing is launched, so what was said about another launcher does not matter.
+LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
+JUST_ASKING = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
+
+
+def translate(arguments: list[str]) -> list[str]:
+    """Our own options of `ssm-study run` as Hydra's arguments."""
+    if "--dry-run" in arguments:
+        arguments = [word for word in arguments if not word.startswith(LAUNCHER) and word not in ("-m", "--multirun")]
+    return [word for argument in arguments for word in OPTIONS.get(argument, (argument,))]
+
+
+def check_request(arguments: list[str], folder: Path, name: str) -> None:
+    """Compose what `hydra.main` will compose and refuse foreign targets in it, Hydra's own section included.
+
+    Hydra instantiates callbacks, launcher and sweeper before any code of ours is asked; so this comes first.
+    Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
+    """
+    if any(word.split("=")[0] in JUST_ASKING for word in arguments):
+        return
+    setup_globals()
+    asked = get_args_parser().parse_args(arguments)
+    search_path = create_config_search_path(str(Path(asked.config_path).absolute() if asked.config_path else folder))
+    if asked.config_dir is not None:
+        search_path.prepend(provider="command-line", path=f"file://{Path(asked.config_dir).absolute()}")
+    loader = ConfigLoaderImpl(config_search_path=search_path)
+    mode = RunMode.MULTIRUN if asked.multirun else RunMode.RUN
+    config = loader.load_configuration(asked.config_name or name, overrides=asked.overrides, run_mode=mode)
+    HydraConfig.instance().set_config(config)
+    refuse_foreign_targets(config)
+
+
+def check_sweep(config: DictConfig, task_function: TaskFunction) -> list[Job]:
+    """Compose every job of the sweep, whatever its launcher, and refuse it whole if one of them is wrong.
+
+    For `on_multirun_start`, where `config` is the sweep's own configuration.
+    """
+    loader = GlobalHydra.instance().config_loader()
+    words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
+    assert isinstance(words, list)
+    jobs = [job_of(loader, config, overrides, number) for number, overrides in enumerate(combinations(words))]
+    check_all(task_function, jobs)
+    return jobs
+
+
+def combinations(words: list[str]) -> list[list[str]]:
+    """`a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`, as Hydra's basic sweeper combines them."""
+    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+
+    overrides = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader()).parse_overrides(words)
+    return BasicSweeper.split_arguments(overrides, max_batch_size=None)[0]

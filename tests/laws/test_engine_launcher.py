@@ -1,0 +1,179 @@
+"""The launcher against real processes: whatever one job does, the others are done and nothing lives on."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ssm_study.results.gather import gather
+from ssm_study.results.records import read_record
+
+PROGRAM = [sys.executable, str(Path(__file__).resolve().parents[1] / "engine_study.py"), "-m"]
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    (folder / "conf").mkdir(exist_ok=True)
+    unwanted = ("OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THREADS")
+    base = {name: value for name, value in os.environ.items() if name not in unwanted}
+    path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+    return base | {"ENGINE_CONF": str(folder / "conf"), "PYTHONPATH": path, "HYDRA_FULL_ERROR": "1"}
+
+
+def start(folder: Path, *words: str) -> "subprocess.Popen[str]":
+    ours = not any(word.startswith(("hydra/launcher", "hydra.launcher.preload")) for word in words)
+    light = ["hydra.launcher.preload=[ssm_study.results.store]"] if ours else []
+    command = [*PROGRAM, f"results_dir={folder / 'results'}", *light, *words]
+    return subprocess.Popen(command, env=environment(folder), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def sweep(folder: Path, *words: str) -> tuple[int, str]:
+    process = start(folder, *words)
+    output, errors = process.communicate(timeout=120)
+    return process.returncode, output + errors
+
+
+def records(folder: Path) -> list[dict[str, Any]]:
+    found = [read_record(path.parent) for path in sorted((folder / "results" / "study").glob("*/record.json"))]
+    return [record for record in found if record is not None]
+
+
+def living(folder: Path) -> list[str]:
+    """Processes that name the folder, or the sleep that only our jobs start."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (
+                (entry / "cmdline").read_bytes().decode(errors="replace").replace("\0", " ")
+                if entry.name.isdigit()
+                else ""
+            )
+            state = (entry / "stat").read_text().rsplit(")", 1)[1].split()[0] if words else "Z"
+        except OSError:
+            continue
+        if state != "Z" and entry.name != str(os.getpid()) and (str(folder) in words or "sleep 86399" in words):
+            found.append(f"{entry.name} {words}")
+    return found
+
+
+def wait_for(condition: Any, seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.02)
+
+
+BAD = {
+    "raise": ("RuntimeError", "the bad job", False),
+    "exit": ("SystemExit", "exited with status 3", False),
+    "os_exit": ("ProcessExit", "ended with status 4", False),
+    "kill": ("SIGKILL", "memory runs out", True),
+    "terminate": ("SIGTERM", "stopped by SIGTERM", True),
+    "interrupt": ("SIGINT", "stopped by SIGINT", True),
+    "segfault": ("SIGSEGV", "a crash in native code", False),
+    "memory": ("MemoryError", "no room", True),
+    "hang": ("Timeout", "timeout_s", False),
+}
+
+
+def test_the_failure_matrix(tmp_path: Path) -> None:
+    """All misbehaviours in one sweep, among five good jobs and an infeasible one."""
+    words = f"do={','.join([*BAD, 'infeasible', 'work'])}"
+    assert sweep(tmp_path, words, "hydra.launcher.timeout_s=4")[0] == 0
+    assert sweep(tmp_path, "do=work", "seed=1,2,3,4")[0] == 0
+    by_label = {record.get("error_type"): record for record in records(tmp_path) if record["status"] == "failed"}
+    assert set(by_label) == {label for label, _, _ in BAD.values()}
+    for label, message, transient in BAD.values():
+        record = by_label[label]
+        assert message in record["error_message"]
+        assert record["failure_transient"] is transient
+        assert (tmp_path / "results" / "study" / record["run"] / "traceback.txt").read_text().strip()
+    counts = gather(tmp_path / "results" / "study")["status"].value_counts().to_dict()
+    assert counts == {"failed": len(BAD), "ok": 5, "infeasible": 1}
+    segfault = tmp_path / "results" / "study" / by_label["SIGSEGV"]["run"] / "traceback.txt"
+    assert "in _segfault" in segfault.read_text()
+    hang = tmp_path / "results" / "study" / by_label["Timeout"]["run"] / "traceback.txt"
+    assert "in _hang" in hang.read_text()
+    assert living(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_sweep_that_is_stopped_leaves_no_process_and_is_finished_by_the_same_command(
+    tmp_path: Path, number: int
+) -> None:
+    process = start(tmp_path, "do=hang,work")
+    wait_for(lambda: any("sleep 86399" in line for line in living(tmp_path)))
+    process.send_signal(number)
+    process.communicate(timeout=30)
+    assert process.returncode != 0
+    wait_for(lambda: living(tmp_path) == [], seconds=10)
+    before = {record["run"]: record["status"] for record in records(tmp_path)}
+    assert sorted(before.values()) == ["lost", "ok"] or sorted(before.values()) == ["lost"]
+    assert sweep(tmp_path, "do=hang,work", "hydra.launcher.timeout_s=5")[0] == 0
+    after = {record["run"]: record["status"] for record in records(tmp_path)}
+    assert sorted(after.values()) == ["failed", "ok"]
+
+
+def test_a_sweep_computes_each_stage_once_and_repeats_nothing(tmp_path: Path) -> None:
+    for _ in range(2):
+        assert sweep(tmp_path, "seed=0,1", "rate=range(4)")[0] == 0
+    ledger = (tmp_path / "results" / "ledger").read_text().split("\n")[:-1]
+    assert len(ledger) == len(set(ledger)) == 2 + 8
+    assert {record["attempt"] for record in records(tmp_path)} == {1}
+
+
+def test_two_sweeps_at_once_do_everything_once(tmp_path: Path) -> None:
+    both = [start(tmp_path, "seed=0,1", "rate=range(3)", "work_s=0.1") for _ in range(2)]
+    for process in both:
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors
+    ledger = (tmp_path / "results" / "ledger").read_text().split("\n")[:-1]
+    assert len(ledger) == len(set(ledger)) == 2 + 6
+    table = gather(tmp_path / "results" / "study")
+    assert table["status"].to_list() == ["ok"] * 6
+    assert set(table["attempt"]) == {1}
+
+
+def test_threads_times_jobs_stay_within_the_cores(tmp_path: Path) -> None:
+    cores = len(os.sched_getaffinity(0))
+    status, output = sweep(tmp_path, "seed=0,1", "hydra.launcher.n_jobs=2", f"hydra.launcher.threads={cores}")
+    assert status != 0
+    assert "oversubscribed" in output
+    assert records(tmp_path) == []
+    status, output = sweep(tmp_path, "do=threads", "hydra.launcher.preload=[torch]")
+    assert (status, [record["threads_seen"] for record in records(tmp_path)]) == (0, [1]), output
+
+
+def test_a_wrong_job_stops_the_sweep_before_any_starts(tmp_path: Path) -> None:
+    status, output = sweep(tmp_path, "seed=0,1,-1")
+    assert status != 0
+    assert "BadRequest: seed (of the run" in output
+    assert records(tmp_path) == []
+
+
+def test_failed_runs_wait_for_retry_and_are_then_the_only_ones(tmp_path: Path) -> None:
+    assert sweep(tmp_path, "do=raise,work")[0] == 0
+    assert sweep(tmp_path, "do=raise,work", "seed=0,1", "retry_failed=true")[0] == 0
+    assert sorted((record["status"], record["attempt"]) for record in records(tmp_path)) == [("failed", 2), ("ok", 1)]
+
+
+def test_run_names_do_not_depend_on_the_launcher(tmp_path: Path) -> None:
+    assert sweep(tmp_path, "seed=0,1")[0] == 0
+    names = {record["run"] for record in records(tmp_path)}
+    assert sweep(tmp_path, "seed=0,1", "study=basic", "hydra/launcher=basic")[0] == 0
+    assert {path.parent.name for path in (tmp_path / "results" / "basic").glob("*/record.json")} == names
+
+
+def test_a_plan_starts_nothing(tmp_path: Path) -> None:
+    status, output = sweep(tmp_path, "seed=0,1", "rate=range(3)", "dry_run=true")
+    assert (status, records(tmp_path)) == (0, [])
+    assert "6 runs: 0 finished, 6 to do" in output
+    assert [line.split()[:4] for line in output.splitlines() if line.startswith(("data", "model"))] == [
+        ["data", "2", "0", "2"],
+        ["model", "6", "0", "6"],
+    ]
