@@ -61,6 +61,18 @@ def _mode(speed: float, torque: float, limit: float) -> int:
     return 0 if abs(torque) <= limit else int(np.sign(torque))
 
 
+def _end_within(flow: _Flow, z: Float[np.ndarray, "5"], body: int, span: float) -> float:
+    """When the body leaves a mode it has left after `span`; a mode on its edge at 0 may end one tolerance later."""
+
+    def keeps(t: float) -> float:
+        return flow.keeps(flow.at(z, t), body)
+
+    earliest = 0.0 if keeps(0.0) > 0.0 else SWITCH_TIME_TOLERANCE_S
+    if keeps(earliest) < 0.0:
+        return earliest
+    return float(brentq(keeps, earliest, span, xtol=SWITCH_TIME_TOLERANCE_S, rtol=1e-14))
+
+
 def _first_end(flow: _Flow, z: Float[np.ndarray, "5"], span: float, scan: float) -> tuple[float, int] | None:
     """The first time within `span` at which a body leaves its mode, and which body; None if neither does."""
     looks = max(1, int(np.ceil(span / scan)))
@@ -69,11 +81,8 @@ def _first_end(flow: _Flow, z: Float[np.ndarray, "5"], span: float, scan: float)
     for look in range(looks):
         after = transition @ before
         ends = [
-            (brentq(lambda t, b=body, z0=before: flow.keeps(flow.at(z0, t), b), 0.0, span / looks,
-                    xtol=SWITCH_TIME_TOLERANCE_S, rtol=1e-14), body)
-            for body in (0, 1)
-            if flow.keeps(after, body) < 0.0 < flow.keeps(before, body)
-        ]  # fmt: skip
+            (_end_within(flow, before, body, span / looks), body) for body in (0, 1) if flow.keeps(after, body) < 0.0
+        ]
         if ends:
             t, body = min(ends)
             return look * span / looks + t, body

@@ -1,0 +1,125 @@
+"""Two water tanks above each other, both of which can overflow: a benchmark of the field."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.plants.integration import runge_kutta
+from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.refusal import require
+from ssm_study.signals import Channel
+
+
+@dataclass(frozen=True, kw_only=True)
+class CascadedTanks(Plant):
+    """Torricelli's law twice, with brims.
+
+        dx1/dt = k4 u - k1 sqrt(x1),                       x1 <= brim, the excess spills
+        dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
+
+    State the levels (V of the level sensors), input pump voltage (V, negative ones pump nothing), output the lower
+    level, disturbance an inflow to the lower tank (V/s). Source: Schoukens et al. 2016.
+    """
+
+    outflow_upper: float
+    inflow_lower: float
+    outflow_lower: float
+    pump_gain: float
+    spill_share: float
+    brim_v: float
+    rest_pump_v: float
+    step_s: float
+    substeps: int
+    initial_level_v: float
+    settling_band: float
+    amplitude_v: float
+    clock_s: float
+    level_noise_variance: float
+
+    def __post_init__(self) -> None:
+        names = ("outflow_upper", "inflow_lower", "outflow_lower", "pump_gain", "brim_v", "rest_pump_v", "step_s",
+                 "initial_level_v", "settling_band", "amplitude_v", "clock_s")  # fmt: skip
+        for name in names:
+            value = getattr(self, name)
+            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
+        share, noise = self.spill_share, self.level_noise_variance
+        require(
+            0 <= share <= 1, "spill_share", share, "a share lies in [0, 1]", "use 0 if nothing falls into the lower"
+        )
+        require(
+            0 <= noise < np.inf, "level_noise_variance", noise, "a variance is never negative", "use 0 for no noise"
+        )
+        require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 4")
+        levels = self.equilibrium().x
+        require(
+            bool((levels < self.brim_v).all()),
+            "rest_pump_v",
+            self.rest_pump_v,
+            "the tanks overflow at rest",
+            "lower it",
+        )
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        return (Channel(name="pump_voltage", unit="V"),)
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        return (Channel(name="lower_level", unit="V"),)
+
+    @property
+    def states(self) -> tuple[Channel, ...]:
+        return Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V")
+
+    @property
+    def disturbances(self) -> tuple[Channel, ...]:
+        return (Channel(name="lower_inflow", unit="V/s"),)
+
+    @property
+    def initial_range(self) -> tuple[float, float]:
+        return -self.initial_level_v, self.initial_level_v
+
+    @property
+    def input_amplitude(self) -> tuple[float, ...]:
+        return (self.amplitude_v,)
+
+    @property
+    def input_clock_s(self) -> float:
+        return self.clock_s
+
+    @property
+    def noise_variance(self) -> tuple[float, ...]:
+        return (self.level_noise_variance,)
+
+    def equilibrium(self) -> Equilibrium:
+        upper = (self.pump_gain * self.rest_pump_v / self.outflow_upper) ** 2
+        lower = upper * (self.inflow_lower / self.outflow_lower) ** 2
+        return Equilibrium(u=np.array([self.rest_pump_v]), x=np.array([upper, lower]), y=np.array([lower]))
+
+    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
+        """The lower level as asked, the upper one at rest."""
+        return np.concatenate([np.full_like(y0, self.equilibrium().x[0]), y0], axis=1)
+
+    def advance(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
+    ) -> Float[np.ndarray, "N 2"]:
+        pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)
+        for _ in range(self.substeps):  # the brim is enforced after each substep
+            x = runge_kutta(lambda z: self._rate(z, pumped, d[:, 0]), x, self.step_s / self.substeps, 1)
+            x = np.clip(x, 0.0, self.brim_v)
+        return x
+
+    def _rate(
+        self, x: Float[np.ndarray, "N 2"], pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
+        root = np.sqrt(np.clip(x, 0.0, self.brim_v))
+        surplus = pumped - self.outflow_upper * root[:, 0]
+        full = x[:, 0] >= self.brim_v
+        spill = np.where(full, np.maximum(surplus, 0.0), 0.0)
+        upper = np.where(full, np.minimum(surplus, 0.0), surplus)
+        lower = self.inflow_lower * root[:, 0] - self.outflow_lower * root[:, 1] + self.spill_share * spill + d
+        return np.stack([upper, lower], axis=1)
+
+    def output(self, x: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 1"]:
+        return x[:, 1:2]

@@ -1,0 +1,125 @@
+"""Four tanks, two pumps, two level sensors: the field's two-input two-output laboratory plant."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.plants.integration import runge_kutta
+from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.refusal import require
+from ssm_study.signals import Channel
+
+GRAVITY_CM_PER_S2 = 981.0
+Pair = tuple[float, float] | list[float]
+Four = tuple[float, float, float, float] | list[float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuadrupleTank(Plant):
+    """Pump 1 fills tanks 1 and 4, pump 2 fills 2 and 3; tank 3 drains into 1 and 4 into 2.
+
+        A_i dh_i/dt = inflows - a_i sqrt(2 g h_i);  pump j gives k_j v_j: gamma_j of it below, the rest across
+
+    State the levels (cm), inputs pump voltages (V), outputs the lower levels as sensor voltages (V), disturbances
+    inflows to the lower tanks (cm^3/s). Source: Johansson 2000, minimum-phase setting.
+    """
+
+    area_cm2: Four
+    outlet_cm2: Four
+    pump_cm3_per_vs: Pair
+    share_below: Pair
+    sensor_v_per_cm: float
+    rest_pump_v: Pair
+    step_s: float
+    substeps: int
+    initial_level_v: float
+    settling_band: float
+    amplitude_v: float
+    clock_s: float
+    level_noise_variance: float
+
+    def __post_init__(self) -> None:
+        for name, count in (("area_cm2", 4), ("outlet_cm2", 4), ("pump_cm3_per_vs", 2), ("rest_pump_v", 2)):
+            values = getattr(self, name)
+            good = len(values) == count and all(0 < value < np.inf for value in values)
+            require(good, name, values, f"{count} positive numbers are needed", "give one per tank or pump")
+        shares = self.share_below
+        require(len(shares) == 2 and all(0 < s < 1 for s in shares), "share_below", shares, "not in (0, 1)", "use 0.6")
+        names = ("sensor_v_per_cm", "step_s", "initial_level_v", "settling_band", "amplitude_v", "clock_s")
+        for name in names:
+            value = getattr(self, name)
+            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
+        noise = self.level_noise_variance
+        require(
+            0 <= noise < np.inf, "level_noise_variance", noise, "a variance is never negative", "use 0 for no noise"
+        )
+        require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 4")
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        return Channel(name="pump_1_voltage", unit="V"), Channel(name="pump_2_voltage", unit="V")
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        return Channel(name="level_1_voltage", unit="V"), Channel(name="level_2_voltage", unit="V")
+
+    @property
+    def states(self) -> tuple[Channel, ...]:
+        return tuple(Channel(name=f"level_{i}", unit="cm") for i in (1, 2, 3, 4))
+
+    @property
+    def disturbances(self) -> tuple[Channel, ...]:
+        return Channel(name="inflow_1", unit="cm^3/s"), Channel(name="inflow_2", unit="cm^3/s")
+
+    @property
+    def initial_range(self) -> tuple[float, float]:
+        return -self.initial_level_v, self.initial_level_v
+
+    @property
+    def input_amplitude(self) -> tuple[float, ...]:
+        return self.amplitude_v, self.amplitude_v
+
+    @property
+    def input_clock_s(self) -> float:
+        return self.clock_s
+
+    @property
+    def noise_variance(self) -> tuple[float, ...]:
+        return self.level_noise_variance, self.level_noise_variance
+
+    def equilibrium(self) -> Equilibrium:
+        """Each outlet passes what flows in: `a_i sqrt(2 g h_i) = inflow_i`."""
+        u = np.array(self.rest_pump_v, dtype=np.float64)
+        into = self._pumped(u[None])[0]
+        flow = into + np.array([into[2], into[3], 0.0, 0.0])
+        x = (flow / np.array(self.outlet_cm2)) ** 2 / (2 * GRAVITY_CM_PER_S2)
+        return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
+
+    def states_at(self, y0: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 4"]:
+        """The lower levels as asked, the upper ones at rest."""
+        upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))
+        return np.concatenate([y0 / self.sensor_v_per_cm, upper], axis=1)
+
+    def advance(
+        self, x: Float[np.ndarray, "N 4"], u: Float[np.ndarray, "N 2"], d: Float[np.ndarray, "N 2"]
+    ) -> Float[np.ndarray, "N 4"]:
+        into = self._pumped(u)
+        into[:, :2] += d
+        area, outlet = np.array(self.area_cm2), np.array(self.outlet_cm2)
+
+        def rate(h: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 4"]:
+            out = outlet * np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))
+            fallen = np.concatenate([out[:, 2:], np.zeros_like(out[:, 2:])], axis=1)
+            return (into + fallen - out) / area
+
+        return np.maximum(runge_kutta(rate, x, self.step_s, self.substeps), 0.0)
+
+    def _pumped(self, u: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 4"]:
+        """What the pumps put into each tank, cm^3/s; a negative voltage pumps nothing."""
+        flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
+        below = np.array(self.share_below)
+        return np.concatenate([below * flow, ((1 - below) * flow)[:, ::-1]], axis=1)
+
+    def output(self, x: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 2"]:
+        return self.sensor_v_per_cm * x[:, :2]

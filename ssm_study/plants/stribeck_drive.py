@@ -1,0 +1,112 @@
+"""A servo drive whose friction drops as it starts to move, behind an amplifier that saturates."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.refusal import require
+from ssm_study.signals import Channel
+
+
+@dataclass(frozen=True, kw_only=True)
+class StribeckDrive(Plant):
+    """One inertia with Stribeck friction, driven by a saturated current loop.
+
+        tau di/dt = sat(u) - i,    J dw/dt = K i - b w - F(w) - d
+        F(w) = sgn(w) (Fc + (Fs - Fc) exp(-(w/ws)^2)),   at rest any torque up to Fs
+
+    State `(i, w)`, input current command (A), output speed (rad/s), disturbance load torque (N m). Each substep solves
+    the current exactly and thresholds the speed by what friction can take away: first order, and rest is exactly 0.0.
+    Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994 (friction); the values are this project's.
+    """
+
+    current_lag_s: float
+    current_limit_a: float
+    torque_constant_nm_per_a: float
+    inertia_kgm2: float
+    viscous_nms_per_rad: float
+    coulomb_torque_nm: float
+    static_torque_nm: float
+    stribeck_speed_rad_per_s: float
+    step_s: float
+    substeps: int
+    initial_speed_rad_per_s: float
+    settling_band: float
+    amplitude_a: float
+    clock_s: float
+    speed_noise_variance: float
+
+    def __post_init__(self) -> None:
+        names = ("current_lag_s", "current_limit_a", "torque_constant_nm_per_a", "inertia_kgm2",
+                 "stribeck_speed_rad_per_s", "step_s", "initial_speed_rad_per_s", "settling_band", "amplitude_a",
+                 "clock_s")  # fmt: skip
+        for name in names:
+            value = getattr(self, name)
+            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
+        for name in ("viscous_nms_per_rad", "coulomb_torque_nm", "speed_noise_variance"):
+            value = getattr(self, name)
+            require(0 <= value < np.inf, name, value, "must not be negative", "use 0 to leave the effect out")
+        static = self.static_torque_nm
+        require(static >= self.coulomb_torque_nm, "static_torque_nm", static, "below the Coulomb torque", "raise it")
+        require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 20")
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        return (Channel(name="current_command", unit="A"),)
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        return (Channel(name="speed", unit="rad/s"),)
+
+    @property
+    def states(self) -> tuple[Channel, ...]:
+        return Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s")
+
+    @property
+    def disturbances(self) -> tuple[Channel, ...]:
+        return (Channel(name="load_torque", unit="N m"),)
+
+    @property
+    def initial_range(self) -> tuple[float, float]:
+        return -self.initial_speed_rad_per_s, self.initial_speed_rad_per_s
+
+    @property
+    def input_amplitude(self) -> tuple[float, ...]:
+        return (self.amplitude_a,)
+
+    @property
+    def input_clock_s(self) -> float:
+        return self.clock_s
+
+    @property
+    def noise_variance(self) -> tuple[float, ...]:
+        return (self.speed_noise_variance,)
+
+    def equilibrium(self) -> Equilibrium:
+        return Equilibrium(u=np.zeros(1), x=np.zeros(2), y=np.zeros(1))
+
+    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
+        return np.concatenate([np.zeros_like(y0), y0], axis=1)
+
+    def advance(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
+    ) -> Float[np.ndarray, "N 2"]:
+        h = self.step_s / self.substeps
+        keep, drive = np.exp(-h / self.current_lag_s), np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a)
+        i, w = x[:, 0], x[:, 1]
+        for _ in range(self.substeps):
+            torque = self.torque_constant_nm_per_a * i - self.viscous_nms_per_rad * w - d[:, 0]
+            free = w + (h / self.inertia_kgm2) * torque
+            w = np.sign(free) * np.maximum(np.abs(free) - (h / self.inertia_kgm2) * self.friction_nm(w), 0.0)
+            i = drive + (i - drive) * keep
+        return np.stack([i, w], axis=1)
+
+    def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+        """The torque friction can take up at speed w: `Fs` at rest, falling to `Fc`."""
+        extra = self.static_torque_nm - self.coulomb_torque_nm
+        return self.coulomb_torque_nm + extra * np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
+
+    def output(self, x: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 1"]:
+        return x[:, 1:2]

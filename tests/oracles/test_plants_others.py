@@ -1,0 +1,110 @@
+"""The other plants against published figures and against scipy's integrator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants_cases import from_yaml
+from scipy.integrate import solve_ivp
+
+from ssm_study.plants.cascaded_tanks import CascadedTanks
+from ssm_study.plants.stribeck_drive import StribeckDrive
+from ssm_study.refusal import BadRequest
+
+
+def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> None:
+    plant = from_yaml("plant", "quadruple_tank")
+    rest = plant.equilibrium()
+    np.testing.assert_allclose(rest.x, [12.4, 12.7, 1.8, 1.4], rtol=0.05)  # table 2, rounded there
+    t = np.array(plant.area_cm2) / np.array(plant.outlet_cm2) * np.sqrt(2 * rest.x / 981.0)
+    np.testing.assert_allclose(t, [62, 90, 23, 30], rtol=0.05)
+    bumped = plant.advance(rest.x + 0.01 * np.eye(4), np.tile(rest.u, (4, 1)), np.zeros((4, 2))) - rest.x
+    np.testing.assert_allclose(np.diag(bumped) / 0.01, np.exp(-plant.step_s / t), rtol=2e-3)
+
+
+def test_quadruple_tank_agrees_with_a_general_solver() -> None:
+    plant = from_yaml("plant", "quadruple_tank")
+    u, d = np.array([[2.2, 3.7]]), np.array([[3.0, -2.0]])
+    area, out = np.array(plant.area_cm2), np.array(plant.outlet_cm2)
+    k, g = np.array(plant.pump_cm3_per_vs), np.array(plant.share_below)
+
+    def rate(_: float, h: np.ndarray) -> np.ndarray:
+        q = out * np.sqrt(2 * 981.0 * h)
+        pumped = np.array([g[0] * k[0] * 2.2, g[1] * k[1] * 3.7, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2])
+        return (pumped + np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0]) - q) / area
+
+    x = plant.equilibrium().x
+    there = solve_ivp(rate, (0, 10 * plant.step_s), x, rtol=1e-11, atol=1e-12).y[:, -1]
+    here = plant.simulate(np.tile(u, (1, 11, 1)), x0=x[None], d=np.tile(d, (1, 11, 1)))[0][0, -1]
+    np.testing.assert_allclose(here, there, rtol=1e-6)
+
+
+@pytest.fixture
+def tanks() -> CascadedTanks:
+    return from_yaml("plant", "cascaded_tanks")
+
+
+def test_tanks_agree_with_a_general_solver_below_the_brim(tanks: CascadedTanks) -> None:
+    def rate(_: float, x: np.ndarray) -> list[float]:
+        upper = tanks.pump_gain * 2.0 - tanks.outflow_upper * np.sqrt(x[0])
+        return [upper, tanks.inflow_lower * np.sqrt(x[0]) - tanks.outflow_lower * np.sqrt(x[1]) + 1e-3]
+
+    x = tanks.equilibrium().x
+    there = solve_ivp(rate, (0, 20 * tanks.step_s), x, rtol=1e-11, atol=1e-12).y[:, -1]
+    here = tanks.simulate(np.full((1, 21, 1), 2.0), x0=x[None], d=np.full((1, 21, 1), 1e-3))[0][0, -1]
+    np.testing.assert_allclose(here, there, rtol=1e-8)
+
+
+def test_tanks_overflow_and_the_spill_reaches_the_lower_tank(tanks: CascadedTanks) -> None:
+    u = np.full((1, 200, 1), 6.0)
+    x, y = tanks.simulate(u)
+    assert x.max() == tanks.brim_v  # full to the brim, never over
+    dry, _ = replace(tanks, spill_share=0.0).simulate(u)
+    first_full = int(np.argmax(x[0, :, 0] == tanks.brim_v))
+    np.testing.assert_array_equal(dry[0, : first_full - 1], x[0, : first_full - 1])
+    assert (x[0, first_full + 1 : first_full + 5, 1] > dry[0, first_full + 1 : first_full + 5, 1]).all()
+
+
+def test_the_pump_never_sucks(tanks: CascadedTanks) -> None:
+    np.testing.assert_array_equal(tanks.simulate(np.full((1, 50, 1), -3.0))[0], tanks.simulate(np.zeros((1, 50, 1)))[0])
+
+
+def test_tanks_that_overflow_at_rest_are_refused(tanks: CascadedTanks) -> None:
+    with pytest.raises(BadRequest, match="rest_pump_v = 6.0: the tanks overflow at rest"):
+        replace(tanks, rest_pump_v=6.0)
+
+
+@pytest.fixture
+def drive() -> StribeckDrive:
+    return from_yaml("plant", "stribeck_drive")
+
+
+def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckDrive) -> None:
+    def rate(_: float, x: np.ndarray) -> list[float]:
+        friction = drive.friction_nm(np.array([x[1]]))[0]
+        torque = drive.torque_constant_nm_per_a * x[0] - drive.viscous_nms_per_rad * x[1] - friction
+        return [(1.5 - x[0]) / drive.current_lag_s, torque / drive.inertia_kgm2]
+
+    there = solve_ivp(rate, (0, 20 * drive.step_s), [0.0, 5.0], rtol=1e-11, atol=1e-12).y[1, -1]
+    errors = [
+        abs(
+            replace(drive, substeps=n).simulate(np.full((1, 21, 1), 1.5), x0=np.array([[0.0, 5.0]]))[1][0, -1, 0]
+            - there
+        )
+        for n in (20, 40, 80)
+    ]
+    assert errors[0] < 0.02 * abs(there)
+    np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / np.array(errors[1:])), 1.0, atol=0.1)
+
+
+def test_the_drive_sticks_up_to_the_static_torque_and_not_beyond(drive: StribeckDrive) -> None:
+    hold_a = drive.static_torque_nm / drive.torque_constant_nm_per_a
+    assert (drive.simulate(np.full((1, 100, 1), 0.99 * hold_a))[1] == 0.0).all()
+    assert drive.simulate(np.full((1, 100, 1), 1.01 * hold_a))[1][0, -1, 0] > 0.1  # and then runs away from rest
+
+
+def test_the_drive_saturates(drive: StribeckDrive) -> None:
+    limit = drive.current_limit_a
+    np.testing.assert_array_equal(
+        drive.simulate(np.full((1, 50, 1), 3 * limit))[0], drive.simulate(np.full((1, 50, 1), limit))[0]
+    )
