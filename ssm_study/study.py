@@ -29,7 +29,7 @@ from ssm_study.results.facts import Facts, data_facts, design_facts, model_facts
 from ssm_study.results.gather import gather
 from ssm_study.results.keys import code_version
 from ssm_study.results.naming import register_resolver, run_name
-from ssm_study.results.recordings import write_closed_loop, write_simulation
+from ssm_study.results.recordings import write_rollouts, write_simulation
 from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record
 from ssm_study.results.runs import Outcome, Run, execute
 from ssm_study.results.show import show
@@ -209,13 +209,16 @@ def loop_stage(
         plant = specification.plant or stand_in(bounded.value, data.value)
         closed = specification.loop.run(plant, bounded.value, design.value, specification.loop_seed)
         metadata = on | {"plant": type(plant).__name__, "loop_seed": str(specification.loop_seed)}
-        write_closed_loop(folder / "closed_loop.mcap", closed, plant, metadata)
+        write_rollouts(folder / "closed_loop.mcap", closed.controlled, closed.uncontrolled, plant, metadata)
+        if closed.on_model is not None:
+            twin = stand_in(bounded.value, data.value)
+            write_rollouts(folder / "closed_loop_model.mcap", closed.on_model, None, twin, metadata)
         write_json(folder / "facts.json", on | behaviour(closed) | certified(closed, design.value))
 
     settings = select(specification, "loop", "loop_seed", *(("plant",) if specification.plant else ()))
     version = code_version(*NOUNS, "plants", "models", "synthesis", "loop", "results.recordings")
     result = stages.stage("loop", settings, (data.key, bounded.key, design.key), version, compute)
-    return Kept(result, _nothing, ("closed_loop.mcap",))
+    return Kept(result, _nothing, ("closed_loop.mcap", "closed_loop_model.mcap"))
 
 
 def stand_in(model: SSM, data: DataSet) -> Plant:

@@ -21,19 +21,25 @@ def data_facts(data: DataSet) -> Facts:
 
 
 def model_facts(model: SSM, identified: SSM, data: DataSet) -> Facts:
-    """Fits of the model that is certified, its Hankel singular values, and the slopes of its scaffoldings."""
-    hankel = hankel_singular_values(model.linear)
+    """Fits of the model that is certified, its linear part and the slopes of its scaffoldings."""
     return {
         "fit_train_percent": mean_fit(model, data.training, data),
         "fit_validation_percent": mean_fit(model, data.validation, data),
         "fit_test_percent": mean_fit(model, data.test, data),
         "fit_test_before_reduction_percent": mean_fit(identified, data.test, data),
         "rmse_test": rmse_over(model, data.test, data.start_up_samples),
+    } | (linear_facts(model) | slope_facts(model))
+
+
+def linear_facts(model: SSM) -> Facts:
+    """States, extreme Hankel singular values and spectral radius of the linear part."""
+    hankel = hankel_singular_values(model.linear)
+    return {
         "states": model.order,
         "hankel_largest": float(hankel[0]),
         "hankel_smallest": float(hankel[-1]),
         "spectral_radius": model.linear.spectral_radius,
-    } | slope_facts(model)
+    }
 
 
 def rmse_over(model: SSM, records: tuple[Trajectory, ...], start_up_samples: int) -> float:

@@ -1,52 +1,133 @@
-"""The two recordings of a run folder: what the model says beside what was measured, and every closed loop."""
+"""The recordings of a run folder, written and read back: simulated beside measured output, and every closed loop."""
 
+import json
+import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.loop.regulation import ClosedLoop
+from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.loop.rollout import Rollouts
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectory
+
+NO_BOUND = 1e300  # a recorded bound is finite
 
 
 def write_simulation(path: Path, model: SSM, records: tuple[Trajectory, ...], data: DataSet) -> None:
-    """`/input`, `/measured` and `/simulated` (free run of the model) over one record, in physical units.
-
-    Several records stand under `/record_<i>/...`.
-    """
+    """`/input`, `/measured` and `/simulated` (free run of the model), physical; several records under `/record_<i>`."""
     groups: list[SignalGroup] = []
     for i, record in enumerate(records):
         prefix = "" if len(records) == 1 else f"/record_{i}"
-        signals = (
-            ("input", data.inputs, record.u),
-            ("measured", data.outputs, record.y),
-            ("simulated", data.outputs, model.simulate(record.u)),
-        )
-        for name, channels, values in signals:
-            groups.append(SignalGroup(topic=f"{prefix}/{name}", time_s=record.time_s, channels=channels, values=values))
-    write_mcap(path, tuple(groups), data.metadata | {"start_up_samples": str(data.start_up_samples)})
+        signals = {
+            "input": (data.inputs, record.u),
+            "measured": (data.outputs, record.y),
+            "simulated": (data.outputs, model.simulate(record.u)),
+        }
+        for name, (channels, values) in signals.items():
+            groups.append(_group(f"{prefix}/{name}", record.time_s, channels, values))
+    about = {"start_up_samples": str(data.start_up_samples), "step_s": repr(data.step_s)}
+    write_mcap(path, tuple(groups), data.metadata | about)
 
 
-def write_closed_loop(path: Path, loop: ClosedLoop, plant: Plant, metadata: dict[str, str]) -> None:
-    """`/case_<i>/` reference, input, true and measured output, estimate (scaled), states, and uncontrolled output."""
-    run, inputs, outputs, states = loop.controlled, plant.inputs, plant.outputs, plant.states
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """What `write_simulation` kept: the records, the free runs beside them, and how many samples are not scored."""
+
+    records: tuple[Trajectory, ...]
+    simulated: tuple[Float[np.ndarray, "T p"], ...]
+    start_up_samples: int
+
+
+def read_simulation(path: Path) -> Simulation:
+    """Raises `BadRequest` if the file lacks a topic."""
+    groups, about = read_mcap(path)
+    parts = {group.topic: group.values for group in groups}
+    prefixes = sorted({topic.rpartition("/")[0] for topic in parts}, key=_number)
+    step_s = float(about["step_s"])
+    records, simulated = [], []
+    for prefix in prefixes:
+        u, y, y_hat = (_topic(parts, f"{prefix}/{name}", path) for name in ("input", "measured", "simulated"))
+        records.append(Trajectory(u=u, y=y, step_s=step_s, name=prefix or path.stem))
+        simulated.append(y_hat)
+    return Simulation(
+        records=tuple(records), simulated=tuple(simulated), start_up_samples=int(about["start_up_samples"])
+    )
+
+
+def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]) -> None:
+    """`/case_<i>/` reference, input, true and measured output, estimate (scaled), states; the output left alone."""
     estimates = tuple(Channel(name=f"x{i + 1}", unit="1") for i in range(run.estimate.shape[2]))
-
-    def group(case: int, name: str, channels: tuple[Channel, ...], values: Float[np.ndarray, "T c"]) -> SignalGroup:
-        return SignalGroup(topic=f"/case_{case}/{name}", time_s=run.time_s, channels=channels, values=values)
-
     groups: list[SignalGroup] = []
     for case in range(len(run.y)):
-        groups += [
-            group(case, "reference", outputs, run.reference),
-            group(case, "input", inputs, run.u[case]),
-            group(case, "output", outputs, run.y[case]),
-            group(case, "measured", outputs, run.measured[case]),
-            group(case, "estimate", estimates, run.estimate[case]),
-            group(case, "states", states, run.states[case]),
-            group(case, "uncontrolled", outputs, loop.uncontrolled.y[case]),
-        ]
-    write_mcap(path, tuple(groups), metadata | {"settling_band": repr(loop.settling_band)})
+        signals = {
+            "reference": (plant.outputs, run.reference),
+            "input": (plant.inputs, run.u[case]),
+            "output": (plant.outputs, run.y[case]),
+            "measured": (plant.outputs, run.measured[case]),
+            "estimate": (estimates, run.estimate[case]),
+            "states": (plant.states, run.states[case]),
+        }
+        if alone is not None:
+            signals["uncontrolled"] = (plant.outputs, alone.y[case])
+        for name, (channels, values) in signals.items():
+            groups.append(_group(f"/case_{case}/{name}", run.time_s, channels, values))
+    facts = {
+        "step_s": repr(run.step_s),
+        "settling_band": repr(plant.settling_band),
+        "left_at_sample": json.dumps(run.left_at_sample.tolist()),
+        "bound": json.dumps(np.minimum(run.bound, NO_BOUND).tolist()),
+    }
+    write_mcap(path, tuple(groups), about | facts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedLoop:
+    """What `write_rollouts` kept: the runs, and the band that counts as settled."""
+
+    run: Rollouts
+    settling_band: float
+
+
+def read_rollouts(path: Path) -> RecordedLoop:
+    """Raises `BadRequest` if the file lacks a topic."""
+    groups, about = read_mcap(path)
+    parts = {group.topic: group.values for group in groups}
+    cases = sorted({topic.rpartition("/")[0] for topic in parts}, key=_number)
+
+    def stack(name: str) -> Float[np.ndarray, "N T c"]:
+        return np.stack([_topic(parts, f"{case}/{name}", path) for case in cases])
+
+    run = Rollouts(
+        step_s=float(about["step_s"]),
+        reference=stack("reference")[0],
+        u=stack("input"),
+        y=stack("output"),
+        measured=stack("measured"),
+        estimate=stack("estimate"),
+        states=stack("states"),
+        bound=np.array(json.loads(about["bound"]), dtype=float),
+        left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
+    )
+    return RecordedLoop(run=run, settling_band=float(about["settling_band"]))
+
+
+def _group(
+    topic: str, time_s: Float[np.ndarray, "T"], channels: tuple[Channel, ...], values: Float[np.ndarray, "T c"]
+) -> SignalGroup:
+    return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
+
+
+def _number(topic: str) -> int:
+    found = re.search(r"\d+$", topic)
+    return int(found.group()) if found else 0
+
+
+def _topic(parts: dict[str, Float[np.ndarray, "T c"]], topic: str, path: Path) -> Float[np.ndarray, "T c"]:
+    require(topic in parts, topic, path.name, "the recording lacks this topic", "run the study again")
+    return parts[topic]

@@ -1,0 +1,203 @@
+"""`verify`: believe nothing of a run but its files, and derive every claim of its record from them again.
+
+What is recomputed: the seals of the files; the slopes of the scaffoldings from their break points; both theorems in
+exact rational arithmetic on the stored matrices; the frontier; the fits and the mismatch margin from the recordings;
+the controller's inputs from the measured outputs with the certified gains; and the counts and times of the loop.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.loop.certified_bound import violations
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.settling import settling_times_s
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import BadRequest, require
+from ssm_study.results.facts import design_facts, linear_facts, slope_facts
+from ssm_study.results.recordings import RecordedLoop, Simulation, read_rollouts, read_simulation
+from ssm_study.results.records import FAILED, INFEASIBLE, OK, RECORD, read_record
+from ssm_study.results.store import intact_manifest
+from ssm_study.signals import fit_percent
+from ssm_study.synthesis import exact
+from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.systems import JacobianBall
+
+FLOAT_AGREEMENT = 1e-9
+"""Relative: the same float64 formula on another machine's libraries."""
+ITERATED_AGREEMENT = 1e-6
+"""Relative: numbers that an iteration or a thousand steps produce (frontier, norms, replayed trajectories)."""
+
+EIGENVALUE_RESOLUTION = 1e-12
+"""Absolute: what rounding moves the smallest eigenvalue of a matrix with unit diagonal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One claim of the record, whether it holds, and what was found."""
+
+    claim: str
+    holds: bool
+    found: str
+
+    def __str__(self) -> str:
+        return f"{'holds' if self.holds else 'FAILS'}  {self.claim}: {self.found}"
+
+
+def verify(run: Path) -> list[Finding]:
+    """Every claim of the run, re-derived. Raises `BadRequest` if `run` is no finished run folder."""
+    record = read_record(run)
+    require(record is not None, "run", run, f"there is no {RECORD}", "give the folder of one run")
+    assert record is not None
+    status = record["status"]
+    require(status != FAILED, "run", run, "the run failed and claims nothing", f"see {run / 'traceback.txt'}")
+    findings = [_seal(run, status)]
+    for claims in (_model, _certificate, _fits, _loop):
+        findings += _guarded(claims.__name__.strip("_"), lambda claims=claims: list(claims(run, record)))
+    return findings
+
+
+def _guarded(name: str, claims: Callable[[], list[Finding]]) -> list[Finding]:
+    """A file that cannot be read is a claim that does not hold."""
+    try:
+        return claims()
+    except (BadRequest, OSError, ValueError, KeyError, TypeError) as error:
+        return [Finding(claim=name, holds=False, found=f"cannot be derived: {' '.join(str(error).split())}")]
+
+
+def _seal(run: Path, status: str) -> Finding:
+    sealed = status in (OK, INFEASIBLE) and intact_manifest(run) is not None
+    return Finding(
+        claim="files", holds=sealed, found="as they were written" if sealed else f"changed since (status {status})"
+    )
+
+
+def _model(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
+    model = _read_model(run)
+    yield from _same(record, linear_facts(model), FLOAT_AGREEMENT * 1e3)
+    yield from _same(record, slope_facts(model), FLOAT_AGREEMENT)
+
+
+def _certificate(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
+    model, design = _read_model(run), Design.load(run / "certificate.json")
+    balls = certified_balls(model)
+    validation = read_simulation(run / "validation.mcap").records
+    claimed = {
+        "controller_certified": _decide(design.state_feedback, model, balls[0]),
+        "observer_certified": _decide(design.observer, model, balls[1]),
+    }
+    for name, (verdict, why) in claimed.items():
+        yield Finding(claim=name, holds=record.get(name) == verdict, found=why)
+    facts = design_facts(design, model, balls, validation)
+    derived = {key: value for key, value in facts.items() if key not in claimed and isinstance(value, float)}
+    yield from _same(record, derived, ITERATED_AGREEMENT)
+
+
+def _decide(part: StateFeedback | Observer | Infeasible, model: SSM, ball: JacobianBall) -> tuple[bool, str]:
+    """The verdict of exact arithmetic on what is stored, and that it speaks of this model and these slopes."""
+    if isinstance(part, Infeasible):
+        return False, "infeasible: no certificate is claimed"
+    if not _covers(part, ball):
+        return False, f"the ball [{part.alpha - part.beta}, {part.alpha + part.beta}] misses slopes of the scaffolding"
+    if not np.array_equal(part.a, model.linear.a):
+        return False, "a is not the model's"
+    if isinstance(part, StateFeedback):
+        if not np.array_equal(part.b, model.linear.b):
+            return False, "b is not the model's"
+        if not np.array_equal(part.x, exact.exact_product(part.k, part.y)):
+            return False, "x is not k y"
+        lmi = exact.theorem_one(part.a, part.b, part.alpha, part.beta, part.rate, part.p, part.y, part.k, part.sigma)
+    else:
+        if not np.array_equal(part.c, model.linear.c):
+            return False, "c is not the model's"
+        if not np.array_equal(part.v, exact.exact_product(part.u, part.l)):
+            return False, "v is not u l"
+        lmi = exact.theorem_two(part.a, part.c, part.alpha, part.beta, part.rate, part.q, part.u, part.l, part.eta)
+    positive = exact.is_positive_definite(lmi)
+    return positive, f"the LMI at rate {part.rate:.6g} is {'' if positive else 'not '}positive definite (exact)"
+
+
+def _covers(part: StateFeedback | Observer, ball: JacobianBall) -> bool:
+    alpha, beta = Fraction(part.alpha), Fraction(part.beta)
+    lower, upper = Fraction(ball.alpha) - Fraction(ball.beta), Fraction(ball.alpha) + Fraction(ball.beta)
+    return alpha - beta <= lower and upper <= alpha + beta
+
+
+def _fits(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
+    model = _read_model(run)
+    for name, file in (("fit_validation_percent", "validation.mcap"), ("fit_test_percent", "test.mcap")):
+        kept = read_simulation(run / file)
+        again = [model.simulate(r.u) for r in kept.records]
+        pairs = zip(again, kept.simulated, strict=True)
+        apart = max(float(np.abs(a - b).max() / np.abs(a).max()) for a, b in pairs)
+        yield Finding(
+            claim=f"{file} /simulated", holds=apart <= FLOAT_AGREEMENT, found=f"model.json replays it to {apart:.1e}"
+        )
+        yield from _same(record, {name: _fit(kept, again)}, FLOAT_AGREEMENT)
+
+
+def _fit(kept: Simulation, simulated: list[np.ndarray]) -> float:
+    skip = kept.start_up_samples
+    measured = np.concatenate([record.y[skip:] for record in kept.records])
+    return fit_percent(measured, np.concatenate([y[skip:] for y in simulated]))
+
+
+def _loop(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
+    design = Design.load(run / "certificate.json")
+    feedback, observer = design.state_feedback, design.observer
+    if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
+        return
+    controller = ObserverFeedback.of(_read_model(run), design)
+    kept, on_model = read_rollouts(run / "closed_loop.mcap"), read_rollouts(run / "closed_loop_model.mcap")
+    apart = replay_error(controller, kept)
+    yield Finding(
+        claim="closed_loop.mcap input",
+        holds=apart <= ITERATED_AGREEMENT,
+        found=f"the certified gains give it from the measured output to {apart:.1e}",
+    )
+    settled = [t for t in settling_times_s(kept.run, kept.settling_band) if t is not None]
+    derived = {
+        "initial_conditions": len(kept.run.y),
+        "stable_count": len(settled),
+        "settling_time_mean_s": float(np.mean(settled)) if settled else None,
+        "certified_bound_violations": violations(on_model.run.states, on_model.run.estimate, feedback, observer),
+    }
+    yield from _same(record, derived, FLOAT_AGREEMENT)
+
+
+def replay_error(controller: ObserverFeedback, kept: RecordedLoop) -> float:
+    """Largest `|u - u_again| / max |u|` over cases that stayed: `u_again` from the recorded measurements alone."""
+    run = kept.run
+    stayed, targets = run.stayed, controller.targets(run.reference)
+    memory, worst = controller.start(int(stayed.sum())), 0.0
+    for k in range(run.u.shape[1]):
+        applied, measured = run.u[stayed, k], run.measured[stayed, k]
+        again = controller.input(memory, measured, targets[k])
+        worst = max(worst, float(np.abs(again - applied).max(initial=0.0)))
+        memory = controller.advance(memory, applied, measured, targets[k])
+    return worst / max(float(np.abs(run.u).max()), np.finfo(float).tiny)
+
+
+def _same(record: dict[str, Any], derived: dict[str, Any], relative: float) -> Iterator[Finding]:
+    for name, value in derived.items():
+        stored = record.get(name)
+        stored = float(stored) if stored in ("inf", "-inf") else stored
+        if isinstance(value, float) and isinstance(stored, float | int) and not isinstance(stored, bool):
+            holds = stored == value or abs(stored - value) <= max(relative * abs(value), _resolution(name))
+        else:
+            holds = stored == value
+        yield Finding(claim=name, holds=holds, found=f"{value}" if holds else f"derived {value}, stored {stored}")
+
+
+def _resolution(name: str) -> float:
+    return EIGENVALUE_RESOLUTION if name in ("controller_margin", "observer_margin") else 0.0
+
+
+def _read_model(run: Path) -> SSM:
+    return SSM.from_json(json.loads((run / "model.json").read_text(encoding="utf-8")))
