@@ -1,5 +1,6 @@
 """The identified model as explicit numbers: what is stored, replayed, certified and deployed. No torch here."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,8 +32,20 @@ def scaffold_from_json(data: Mapping[str, Any]) -> Scaffold:
             raise BadRequest("kind", kind, "unknown scaffolding", "use linear, mlp, monotone or residual")
 
 
+class Simulator(ABC):
+    """An identified model, explicit numbers only: what training returns and what is stored."""
+
+    @abstractmethod
+    def simulate(self, u: Float[np.ndarray, "*batch T m"]) -> Float[np.ndarray, "*batch T p"]:
+        """Free run from rest at the equilibrium; physical units in and out."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """Everything needed to simulate again; floats read back to the same float64."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class SSM:
+class SSM(Simulator):
     """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) / input_scale`.
 
     Physical units outside, scaled units inside; the scales are pure gains around the recorded equilibrium, so

@@ -2,15 +2,13 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from torch import nn
 
 from ssm_study.models.scaffold_specs import Frame, ScaffoldSpec
 from ssm_study.models.start import from_data, on_ring
 from ssm_study.models.torch_lru import LRU, Start
-from ssm_study.models.torch_ssm import TorchSSM
+from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet
 
@@ -19,7 +17,7 @@ class ModelSpec(ABC):
     """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
 
     @abstractmethod
-    def build(self, data: DataSet, seed: int) -> nn.Module: ...
+    def build(self, data: DataSet, seed: int) -> TorchModel: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +36,7 @@ class SSMSpec(ModelSpec):
     feedthrough: bool
     scaffold_in: ScaffoldSpec
     scaffold_out: ScaffoldSpec
-    start: Literal["data", "ring"] = "data"
+    start: str = "data"
     real_modes: int = 2
     ring_radius: tuple[float, float] | list[float] = (0.5, 0.98)
     ring_frequency: tuple[float, float] | list[float] = (0.05, 1.5)

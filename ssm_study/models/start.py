@@ -14,7 +14,7 @@ RESPONSE = 256  # samples of impulse response given to the realisation
 NOISE_FLOOR = 1e-8  # relative: smaller singular values are rounding
 SLOWEST = 0.9995  # starting modes are pulled inside this radius: a least-squares fit of noisy data may be unstable
 
-Records = Sequence[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]
+Records = Sequence[tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]  # (T, m), (T, p), T may differ
 
 
 def on_ring(
@@ -51,7 +51,7 @@ def from_data(records: Records, order: int, rng: np.random.Generator, feedthroug
 
 def arx(
     records: Records, lags: int, feedthrough: bool
-) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags1 p m"]]:
+) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
     """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
     rows, targets = [], []
     for u, y in records:

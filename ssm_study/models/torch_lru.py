@@ -41,6 +41,11 @@ class LRU(nn.Module):
         d = torch.from_numpy(start.d)
         self.d = nn.Parameter(d if feedthrough else torch.zeros_like(d), requires_grad=feedthrough)
 
+    @property
+    def order(self) -> int:
+        """Real states: one per real mode, two per pair."""
+        return 2 * len(self.nu) - self.reals
+
     def modes(self) -> Modes:
         """Free to explicit parameters: the only place that knows how stability is kept."""
         damping = torch.exp(self.nu)

@@ -1,23 +1,39 @@
 """The trainable model: scaffolding, recurrent unit, scaffolding, in scaled units."""
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ssm_study.models.identified import SSM
+from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.torch_lru import LRU
 from ssm_study.models.torch_recurrence import by_convolution
 from ssm_study.models.torch_scaffold import TorchScaffold
 from ssm_study.signals import DataSet
 
 
-class TorchSSM(nn.Module):
+class TorchModel(nn.Module, ABC):
+    """A trainable model on scaled signals; `states` is the length of the initial state it accepts, 0 for none."""
+
+    states: int = 0
+
+    @abstractmethod
+    def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]: ...
+
+    @abstractmethod
+    def freeze(self, data: DataSet) -> Simulator:
+        """The explicit numbers, with the scales they were trained under."""
+
+
+class TorchSSM(TorchModel):
     """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`."""
 
     def __init__(self, scaffold_in: TorchScaffold, lru: LRU, scaffold_out: TorchScaffold) -> None:
         super().__init__()
         self.scaffold_in, self.lru, self.scaffold_out = scaffold_in, lru, scaffold_out
+        self.states = lru.order
 
     def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
         return self.respond(self.scaffold_in(u), x0)
@@ -28,7 +44,6 @@ class TorchSSM(nn.Module):
         return self.scaffold_out(by_convolution(self.lru.modes(), ubar, modal))
 
     def freeze(self, data: DataSet) -> SSM:
-        """The explicit numbers, with the scales they were trained under."""
         return SSM(
             linear=self.lru.to_state_space(),
             scaffold_in=self.scaffold_in.freeze(),

@@ -56,6 +56,8 @@ class Keeper(Callback):
     points of the best seen, the one with the best training fit is kept.
     """
 
+    _REMEMBERED = ("best_validation", "kept_training", "kept_validation", "kept", "ended")
+
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
         self.best_validation, self.kept_training = -math.inf, -math.inf
@@ -86,10 +88,11 @@ class Keeper(Callback):
             self.kept, self.kept_training, self.kept_validation = _copy(pl_module), training, validation
 
     def state_dict(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "tolerance"}
+        return {name: getattr(self, name) for name in self._REMEMBERED}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        vars(self).update(state_dict)
+        for name in self._REMEMBERED:
+            setattr(self, name, state_dict[name])
 
 
 def _copy(module: nn.Module) -> dict[str, Tensor]:

@@ -1,32 +1,22 @@
 """What identifying a model leaves behind: the model, and the evidence that it fits."""
 
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
+from ssm_study.models.identified import Simulator
 from ssm_study.signals import DataSet, Trajectory, fit_percent
 
 
-class Simulator(Protocol):
-    """Anything that predicts a free run in physical units."""
-
-    def simulate(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]: ...
-
-
-M = TypeVar("M", bound=Simulator)
-
-
 @dataclass(frozen=True, kw_only=True)
-class Identification(Generic[M]):
+class Identification:
     """An identified model, the fits its stored numbers reproduce, and how they were reached.
 
     Fits are recomputed from `model` itself (float64, free run from rest), never taken from training. `curve` holds one
     row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why training stopped.
     """
 
-    model: M
+    model: Simulator
     fit_training_percent: float
     fit_validation_percent: float
     seconds: float

@@ -1,9 +1,9 @@
 """Which optimiser a training uses; each yaml of the group `training/optimiser` is one of these."""
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -51,7 +51,7 @@ class Adam(OptimiserSpec):
 
     def __post_init__(self) -> None:
         rate, final = self.learning_rate, self.final_fraction
-        require(0 < rate < np.inf, "optimiser.learning_rate", rate, "must be positive", "use 0.01 or so")
+        require(0 < rate < math.inf, "optimiser.learning_rate", rate, "must be positive", "use 0.01 or so")
         require(0 < final <= 1, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so")
         _check_steps(self.steps_per_epoch)
 
@@ -63,7 +63,7 @@ class Adam(OptimiserSpec):
 
         def factor(epoch: int) -> float:
             share = min(epoch / max(max_epochs, 1), 1.0)
-            return self.final_fraction + (1 - self.final_fraction) * (1 + np.cos(np.pi * share)) / 2
+            return self.final_fraction + (1 - self.final_fraction) * (1 + math.cos(math.pi * share)) / 2
 
         return torch.optim.lr_scheduler.LambdaLR(optimiser, factor)
 

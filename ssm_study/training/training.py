@@ -5,16 +5,15 @@ import time
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import lightning.pytorch as pl
 import torch
 from lightning.pytorch.callbacks import EarlyStopping
-from torch import nn
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from torch.utils.data import DataLoader
 
-from ssm_study.models.identified import SSM
-from ssm_study.models.spec import SSMSpec
+from ssm_study.models.spec import ModelSpec
+from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet
 from ssm_study.training.checkpoint import DurableCheckpointIO
@@ -42,8 +41,8 @@ class Training:
     patience: int
     min_gain_percent: float
     validation_tolerance_percent: float
-    precision: Literal[32, 64] = 64
-    initial_state: Literal["zero", "estimated"] = "zero"
+    precision: int = 64
+    initial_state: str = "zero"
     checkpoint_every_s: float = 10.0
     accelerator: str = "cpu"
     devices: int = 1
@@ -59,13 +58,13 @@ class Training:
         require(known, "training.initial_state", self.initial_state, "unknown", "use zero or estimated")
 
     def identify(
-        self, spec: SSMSpec, data: DataSet, seed: int, folder: Path, progress: bool = False
-    ) -> Identification[SSM]:
-        """The SSM of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
+        self, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool = False
+    ) -> Identification:
+        """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
         began = time.perf_counter()
         belongs_to = fingerprint((spec, seed), self.optimiser, data)
         net = spec.build(data, seed)
-        fit = self._fit(net, data, spec.order)
+        fit = self._fit(net, data)
         fit.to(torch.float32 if self.precision == 32 else torch.float64)
         keeper, curve = self._run(fit, folder, belongs_to, progress)
         if keeper.kept is not None:
@@ -84,8 +83,8 @@ class Training:
             ended=keeper.ended,
         )
 
-    def _fit(self, model: nn.Module, data: DataSet, order: int) -> Fit:
-        states = order if self.initial_state == "estimated" else 0
+    def _fit(self, model: TorchModel, data: DataSet) -> Fit:
+        states = model.states if self.initial_state == "estimated" else 0
         records = Records(data.training, data), Records(data.validation, data)
         return Fit(model, *records, self.optimiser, self.max_epochs, states)
 
@@ -126,7 +125,7 @@ class Training:
                 enable_model_summary=False,
                 num_sanity_val_steps=0,
             )
-        except (RuntimeError, ValueError) as error:  # Lightning's MisconfigurationException is one of these
+        except (MisconfigurationException, RuntimeError, ValueError) as error:
             raise BadRequest(
                 "training.accelerator", self.accelerator, "not available on this machine", "use accelerator=cpu"
             ) from error
@@ -141,7 +140,7 @@ def polish(fit: Fit) -> None:
         optimiser.zero_grad()
         loss = fit.training_step(None, 0)
         loss.backward()
-        return float(loss)
+        return float(loss.detach())
 
     first = closure()
     optimiser.step(closure)
