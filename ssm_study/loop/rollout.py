@@ -9,8 +9,9 @@ from ssm_study.loop.controller import Controller
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 
-LARGEST_SIGNAL = 1e12
-"""An input or a controller's memory beyond this counts as having left the bound, long before float64 overflows."""
+LARGEST_SIGNAL = 1e6
+"""An input or a controller's memory beyond this counts as having left the bound: the plant may saturate while the
+estimate grows without end."""
 STAYED = -1
 """`left_at_sample` of a case that never left the bound."""
 

@@ -16,6 +16,7 @@ from ssm_study.refusal import require
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import rate_limit
 from ssm_study.synthesis.mismatch import mismatch_gain, peaks_on_grid, sensitivity_peak
 from ssm_study.synthesis.problem import NoSolution, Problem
@@ -47,18 +48,21 @@ class Candidates:
 class Auto:
     """The fastest certified design whose mismatch margin exceeds `margin`.
 
-    The grids: controller rates as shares of the exact rate limit, observer rates (those below their limit), input
-    weights against `|C x|^2`, output noise against input noise. A rate given as a number instead of "auto" is kept.
-    When no candidate reaches the margin, the one with the largest is returned and `solver_status` says so.
+    The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a model that
+    is stable always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
+    whose limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. A rate
+    given as a number instead of "auto" is kept. When no candidate reaches the margin, the one with the largest is
+    returned and `solver_status` says so.
     """
 
     rate_controller: float | str = "auto"
     rate_observer: float | str = "auto"
     margin: float = 1.0
-    controller_rate_shares: Sequence[float] = (0.05, 0.3, 0.6, 0.8, 0.95)
-    observer_rates: Sequence[float] = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5)
-    input_weights: Sequence[float] = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0)
-    output_noises: Sequence[float] = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0)
+    own_rate_shares: Sequence[float] = (0.5,)
+    stretch_shares: Sequence[float] = (0.05, 0.3, 0.6, 0.9)
+    observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)
+    input_weights: Sequence[float] = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
+    output_noises: Sequence[float] = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     state_weight: float = 1e-6
     state_noise: float = 1e-4
 
@@ -71,7 +75,7 @@ class Auto:
             remedy = 'use "auto" or a number such as 0.1'
             require(rate == "auto" or given, f"synthesis.{name}", rate, "a contraction rate lies in (0, 1)", remedy)
         require(self.margin > 0, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
-        for name in ("controller_rate_shares", "observer_rates"):
+        for name in ("own_rate_shares", "stretch_shares", "observer_rates"):
             grid = getattr(self, name)
             inside = len(grid) > 0 and all(0 < value < 1 for value in grid)
             require(inside, f"synthesis.{name}", grid, "must hold numbers in (0, 1)", "keep the default grid")
@@ -104,8 +108,11 @@ class Auto:
     def candidates(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Candidates | None:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
         controller_limit, observer_limit = rate_limit(model.linear, input_ball, output_ball)
-        rates_c = self._rates(self.rate_controller, [s * controller_limit for s in self.controller_rate_shares])
-        rates_o = self._rates(self.rate_observer, list(self.observer_rates))
+        own = max(1 - model.linear.spectral_radius**2, 0.0)
+        cautious = [share * own for share in self.own_rate_shares]
+        bold = [own + share * (controller_limit - own) for share in self.stretch_shares]
+        rates_c = self._rates(self.rate_controller, cautious + bold)
+        rates_o = self._rates(self.rate_observer, cautious + list(self.observer_rates))
         feedback, observing = [], []
         for rate in (r for r in rates_c if 0 < r < controller_limit):
             for weight in self.input_weights:
@@ -183,3 +190,6 @@ def _solved(
         except NoSolution:
             continue
     return found
+
+
+Synthesis.register(Auto)  # same `design`; but it has grids where a Synthesis has one rate and one weight each

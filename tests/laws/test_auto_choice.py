@@ -17,7 +17,7 @@ from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.systems import JacobianBall
 
 SMALL = Auto(
-    controller_rate_shares=(0.1, 0.6),
+    stretch_shares=(0.1, 0.6),
     observer_rates=(0.05, 0.3),
     input_weights=(0.01, 0.1, 1.0),
     output_noises=(0.01, 0.1, 1.0),
