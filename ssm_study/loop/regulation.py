@@ -15,7 +15,6 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.synthesis.certificate import Design
 
-
 SAMPLES = 150
 """Horizon unless told otherwise: for the motor 1.5 s, seven times the uncontrolled mean settling time."""
 

@@ -48,8 +48,8 @@ class Candidates:
 class Auto:
     """The fastest certified design whose mismatch margin exceeds `margin`.
 
-    The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a model that
-    is stable always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
+    The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
+    model always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
     whose limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. A rate
     given as a number instead of "auto" is kept. When no candidate reaches the margin, the one with the largest is
     returned and `solver_status` says so.
