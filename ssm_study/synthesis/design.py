@@ -2,26 +2,24 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol, TypeVar, runtime_checkable
+from functools import partial
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from ssm_study.refusal import require
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis import exact
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
 from ssm_study.synthesis.frontier import Frontier, controller_frontier, observer_frontier
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, condition, margin, theorem_matrix
+from ssm_study.synthesis.problem import Problem, Solution
+from ssm_study.synthesis.verdict import CONTROLLER, OBSERVER, Request
 from ssm_study.systems import JacobianBall, StateSpace
 
 # A near miss is solved again for a faster rate: this share of the way (in log r) from the asked rate to the frontier.
 REPAIRS = (1e-3, 0.1, 0.5, 0.9)
 # A frontier at r = 0 (linear output) would make the repair infinitely fast; this is fast enough.
 REPAIR_FLOOR = 0.5
-
-Part = TypeVar("Part", bound=StateFeedback | Observer | Infeasible)
 
 
 @runtime_checkable
@@ -44,10 +42,10 @@ class Synthesis(ABC):
     rate_controller: float
     rate_observer: float
     output_weight: float = 1.0
-    state_weight: float = 1e-3
-    input_weight: float = 1.0
+    state_weight: float = 1e-4
+    input_weight: float = 0.01
     input_noise: float = 1.0
-    state_noise: float = 1e-3
+    state_noise: float = 1e-4
     output_noise: float = 1.0
 
     method: ClassVar[str]
@@ -82,39 +80,13 @@ class Synthesis(ABC):
 
     def state_feedback(self, linear: StateSpace, ball: JacobianBall) -> StateFeedback | Infeasible:
         """Theorem 1 for `x+ = A x + B S_u(u)`."""
-        started = time.perf_counter()
-        limit = controller_frontier(linear, ball)
-        refused = self._refused("state feedback", self.rate_controller, ball, limit, started)
-        if refused is not None:
-            return refused
-        problem = self.controller_problem(linear, ball)
-        best: StateFeedback | Infeasible = self._nothing("state feedback", problem, limit, "", started)
-        for solution in self._attempts(problem, limit):
-            if isinstance(solution, NoSolution):
-                best = _better(best, self._nothing("state feedback", problem, limit, str(solution), started))
-                continue
-            best = _better(best, self._state_feedback(problem, solution, limit, started))
-            if best.certified:
-                break
-        return best
+        request = self._request(CONTROLLER, self.rate_controller, ball, controller_frontier(linear, ball))
+        return request.refused() or self._searched(request, self.controller_problem(linear, ball))  # type: ignore[return-value]
 
     def observer(self, linear: StateSpace, ball: JacobianBall) -> Observer | Infeasible:
         """Theorem 2 for `y = S_y(C x + D S_u(u))`: Theorem 1 for `(A^T, C^T)`, transposed and verified as itself."""
-        started = time.perf_counter()
-        limit = observer_frontier(linear, ball)
-        refused = self._refused("observer", self.rate_observer, ball, limit, started)
-        if refused is not None:
-            return refused
-        problem = self.observer_problem(linear, ball)
-        best: Observer | Infeasible = self._nothing("observer", problem, limit, "", started)
-        for solution in self._attempts(problem, limit):
-            if isinstance(solution, NoSolution):
-                best = _better(best, self._nothing("observer", problem, limit, str(solution), started))
-                continue
-            best = _better(best, self._observer(problem, solution, limit, started))
-            if best.certified:
-                break
-        return best
+        request = self._request(OBSERVER, self.rate_observer, ball, observer_frontier(linear, ball))
+        return request.refused() or self._searched(request, self.observer_problem(linear, ball))  # type: ignore[return-value]
 
     def controller_problem(self, linear: StateSpace, ball: JacobianBall) -> Problem:
         weight = self.output_weight * linear.c.T @ linear.c + self.state_weight * np.eye(linear.order)
@@ -138,112 +110,12 @@ class Synthesis(ABC):
             input_weight=self.output_noise,
         )
 
-    def _attempts(self, problem: Problem, limit: Frontier) -> Iterator[Solution | NoSolution]:
+    def _request(self, side: str, rate: float, ball: JacobianBall, frontier: Frontier) -> Request:
+        started = time.perf_counter()
+        return Request(side=side, rate=rate, ball=ball, frontier=frontier, method=self.method, started=started)
+
+    def _searched(self, request: Request, problem: Problem) -> StateFeedback | Observer | Infeasible:
         """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate with room."""
-        r = problem.contraction
-        floor = max(limit.contraction_limit, REPAIR_FLOOR * r)
-        for share in (0.0, *REPAIRS):
-            rate = problem.rate if share == 0 else 1 - (r * (floor / r) ** share) ** 2
-            try:
-                yield self.solve(replace(problem, rate=rate))
-            except NoSolution as nothing:
-                yield nothing
-
-    def _refused(
-        self, side: str, rate: float, ball: JacobianBall, limit: Frontier, started: float
-    ) -> Infeasible | None:
-        """What no method can do, with the number that decides."""
-        reason = None
-        if abs(ball.alpha) <= ball.beta:
-            reason = (
-                f"the slopes [{ball.lower:.4g}, {ball.upper:.4g}] include zero, so the {side} is not certain to act; "
-                "raise the slope floor (model.slope_lower) or use a scaffolding with slopes bounded by construction"
-            )
-        elif rate >= limit.rate_limit:
-            reason = (
-                f"the asked rate {rate:.6g} is not below the frontier {limit.rate_limit:.6g}, set by "
-                f"{limit.decided_by}; "
-                "ask for less, raise the slope floor (model.slope_lower), or drop states (reduction.truncate_to)"
-            )
-        if reason is None:
-            return None
-        return Infeasible(
-            side=side,
-            alpha=ball.alpha,
-            beta=ball.beta,
-            rate=rate,
-            rate_limit=limit.rate_limit,
-            proved=True,
-            reason=reason,
-            method=self.method,
-            solver_status="not asked",
-            seconds=time.perf_counter() - started,
-        )
-
-    def _nothing(self, side: str, problem: Problem, limit: Frontier, status: str, started: float) -> Infeasible:
-        return Infeasible(
-            side=side,
-            alpha=problem.ball.alpha,
-            beta=problem.ball.beta,
-            rate=problem.rate,
-            rate_limit=limit.rate_limit,
-            proved=False,
-            reason=f"the rate is inside the frontier {limit.rate_limit:.6g}, yet {self.method} found no certificate "
-            f"({status}); try synthesis=riccati or a lower rate",
-            method=self.method,
-            solver_status=status,
-            seconds=time.perf_counter() - started,
-        )
-
-    def _state_feedback(self, problem: Problem, solution: Solution, limit: Frontier, started: float) -> StateFeedback:
-        a, b, ball, rate = problem.a, problem.b, problem.ball, problem.rate
-        p, y, k, sigma = solution.p, solution.y, solution.k, solution.sigma
-        lmi = exact.theorem_one(a, b, ball.alpha, ball.beta, rate, p, y, k, sigma)
-        return StateFeedback(
-            a=a,
-            b=b,
-            alpha=ball.alpha,
-            beta=ball.beta,
-            rate=rate,
-            p=p,
-            y=y,
-            x=exact.exact_product(k, y),
-            sigma=sigma,
-            k=k,
-            certified=exact.is_positive_definite(lmi),
-            margin=margin(theorem_matrix(a, b, ball, rate, solution)),
-            condition=condition(p),
-            rate_limit=limit.rate_limit,
-            method=self.method,
-            solver_status=solution.status,
-            seconds=time.perf_counter() - started,
-        )
-
-    def _observer(self, problem: Problem, solution: Solution, limit: Frontier, started: float) -> Observer:
-        a, c, ball, rate = problem.a.T.copy(), problem.b.T.copy(), problem.ball, problem.rate
-        q, u, l_, eta = solution.p, solution.y.T.copy(), solution.k.T.copy(), solution.sigma
-        lmi = exact.theorem_two(a, c, ball.alpha, ball.beta, rate, q, u, l_, eta)
-        return Observer(
-            a=a,
-            c=c,
-            alpha=ball.alpha,
-            beta=ball.beta,
-            rate=rate,
-            q=q,
-            u=u,
-            v=exact.exact_product(u, l_),
-            eta=eta,
-            l=l_,
-            certified=exact.is_positive_definite(lmi),
-            margin=margin(theorem_matrix(problem.a, problem.b, ball, rate, solution)),
-            condition=condition(q),
-            rate_limit=limit.rate_limit,
-            method=self.method,
-            solver_status=solution.status,
-            seconds=time.perf_counter() - started,
-        )
-
-
-def _better(best: Part, new: Part) -> Part:
-    """Certified before matrices before nothing; among equals the later attempt, which had more room."""
-    return best if isinstance(new, Infeasible) and not isinstance(best, Infeasible) else new
+        r, floor = problem.contraction, max(request.frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
+        rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
+        return request.first_certified(problem, [partial(self.solve, replace(problem, rate=rate)) for rate in rates])
