@@ -29,7 +29,7 @@ LIGHTNING = frozenset(
 )
 # Hydra's own section: what Hydra instantiates before any of our code is asked.
 PLUGINS = re.compile(r"(hydra\._internal\.core_plugins|hydra_plugins)(\.[a-z_]\w*)+\.[A-Z]\w*")
-OUR_CALLBACKS = re.compile(r"ssm_study\.(cli|study|results\.\w+)\.[A-Z]\w*")
+OUR_CALLBACKS = re.compile(r"ssm_study\.cli\.StudyCallback")
 PRELOADED = re.compile(r"(ssm_study|torch|lightning|numpy|scipy|cvxpy)(\.\w+)*")
 ENVIRONMENT = re.compile(r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_")
 RESOLVERS = re.compile(r"\$\{\s*(oc\.env|env|oc\.decode|oc\.create|oc\.deprecated)\s*:")

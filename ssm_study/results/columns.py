@@ -23,12 +23,12 @@ COLUMNS = (
     Column("seed", "Int64"),
     Column("order", "Int64"),
     Column("hidden_width", "Int64", head="width"),
-    Column("slope_lower", "Float64", head="slope lo"),
-    Column("slope_upper", "Float64", head="slope hi"),
+    Column("slope_lower", "Float64", head="mu"),
+    Column("slope_upper", "Float64", head="nu"),
     Column("scaffold_in", "string"),
     Column("excitation", "string"),
-    Column("rate_controller", "Float64", head="rate ctl"),
-    Column("rate_observer", "Float64", head="rate obs"),
+    Column("rate_controller", "Float64", head="r ctl"),
+    Column("rate_observer", "Float64", head="r obs"),
     Column("synthesis_method", "string", head="method"),
     Column("fit_train_percent", "Float64", "high", "fit train"),
     Column("fit_validation_percent", "Float64", "high", "fit val"),
@@ -67,7 +67,7 @@ COLUMNS = (
     Column("empirical_rate", "Float64", "low"),
     Column("certified_bound_violations", "Int64", "low"),
     Column("mismatch_gain", "Float64", "low"),
-    Column("mismatch_margin", "Float64", "high", "mismatch"),
+    Column("mismatch_margin", "Float64", "high", "margin"),
 )
 BY_NAME = {column.name: column for column in COLUMNS}
 # Best first, unless asked otherwise: settles everywhere, then faster, then the better model.

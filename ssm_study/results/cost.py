@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from math import fsum
 
 import pandas as pd
 
@@ -51,5 +52,5 @@ def cost_lines(table: pd.DataFrame) -> list[str]:
         counts = f"{cost.uses:>7}{cost.computed:>10}{cost.uses - cost.computed:>8}"
         each = cost.spent_s / cost.computed if cost.computed else 0.0
         lines.append(f"{cost.name:<14}{counts}{each:>8.2f} s{duration(cost.spent_s):>10}{duration(cost.saved_s):>10}")
-    spent, saved = sum(cost.spent_s for cost in costs), sum(cost.saved_s for cost in costs)
+    spent, saved = fsum(cost.spent_s for cost in costs), fsum(cost.saved_s for cost in costs)
     return [*lines, f"{'together':<14}{'':>25}{'':>10}{duration(spent):>10}{duration(saved):>10}"]

@@ -79,6 +79,8 @@ def _against(column: pd.Series, op: ast.cmpop, value: Any) -> pd.Series:
         return column.notna()
     if type(op) not in COMPARE or value is None:
         raise BadRequest("where", type(op).__name__, "this comparison does not apply here", REMEDY)
+    if not isinstance(value, pd.Series) and isinstance(value, str) != (column.dtype == "string"):
+        raise BadRequest("where", value, f"does not compare with column {column.name} ({column.dtype})", REMEDY)
     try:
         return COMPARE[type(op)](column, value).fillna(False).astype(bool)
     except TypeError:

@@ -11,7 +11,7 @@ import pandas as pd
 from ssm_study.refusal import require
 from ssm_study.results.columns import BY_NAME, COLUMNS, Kind
 from ssm_study.results.durable import write_atomically
-from ssm_study.results.records import RECORD, read_record
+from ssm_study.results.records import read_record
 
 PARQUET, CSV = "runs.parquet", "runs.csv"
 
@@ -22,7 +22,9 @@ def gather(study: Path) -> pd.DataFrame:
     The CONTRACT's columns come first, typed; whatever else the records hold follows by name. Runs are sorted by name,
     so that equal studies give equal tables.
     """
-    table = table_of(read_runs(study))
+    records = read_runs(study)
+    require(bool(records), "study", study, "there is no run in it", "give the folder that holds the run folders")
+    table = table_of(records)
     buffer = io.BytesIO()
     table.to_parquet(buffer, index=False)
     write_atomically(study / PARQUET, buffer.getvalue())
@@ -79,7 +81,3 @@ def _kind_of(values: list[Any]) -> Kind:
 
 def _is_number(value: Any) -> bool:
     return (isinstance(value, (int, float)) and not isinstance(value, bool)) or value in ("inf", "-inf")
-
-
-def is_study(folder: Path) -> bool:
-    return folder.is_dir() and any(folder.glob(f"*/{RECORD}"))

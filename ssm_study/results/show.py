@@ -28,7 +28,8 @@ SETTINGS = (
     "rate_observer",
     "synthesis_method",
 )
-OUTCOMES = ("fit_test_percent", "stable_fraction", "settling_time_mean_s", "controller_certified", "observer_certified")
+OUTCOMES = ("fit_test_percent", "stable_fraction", "settling_time_mean_s", "certified", "mismatch_margin")
+CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
 REASONS = ("error_message", "infeasible_reason")
 
 
@@ -59,17 +60,27 @@ def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
 
 
 def chosen_columns(table: pd.DataFrame, by: str | None = None) -> list[str]:
-    """Run, status, the settings that vary, the outcomes that are known, and `by`; as many as fit into 80 columns."""
+    """Run, status, `by`, the outcomes that are known, then the settings that vary; as many as fit into 80 columns."""
     varying = [name for name in SETTINGS if table[name].nunique(dropna=False) > 1]
     known = [name for name in OUTCOMES if table[name].notna().any()]
-    extra = [by] if by and by not in varying + known + ["run", "status"] else []
-    return ["run", "status", *extra, *varying, *known]
+    extra = [by] if by and by not in [*known, "run", "status"] else []
+    return ["run", "status", *extra, *known, *(name for name in varying if name != by)]
+
+
+def shortened(table: pd.DataFrame) -> pd.DataFrame:
+    """Only the digits of each run's name (the settings are columns of their own), and both certificates in one word."""
+    digits = table["run"].str.rsplit("-", n=1).str[-1]
+    controller, observer = table["controller_certified"], table["observer_certified"]
+    pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
+    words = [CERTIFIED[bool(first), bool(second)] for first, second in pairs]
+    certified = pd.Series(words, index=table.index, dtype="string").where(controller.notna() | observer.notna())
+    return table.assign(run=digits if digits.is_unique else table["run"], certified=certified)
 
 
 def plain_table(table: pd.DataFrame, by: str | None = None) -> str:
     """Fixed-width text: what pipes and files get."""
     columns: list[list[str]] = []
-    width = 0
+    table, width = shortened(table), 0
     for name in chosen_columns(table, by):
         cells = [heading(name), *(cell(value) for value in table[name])]
         room = max(len(text) for text in cells)
@@ -91,7 +102,7 @@ def rich_table(table: pd.DataFrame, by: str | None = None) -> Table:
 
 
 def heading(name: str) -> str:
-    return (BY_NAME[name].head if name in BY_NAME else "") or name
+    return (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
 
 
 def cell(value: object) -> str:

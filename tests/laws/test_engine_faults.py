@@ -1,0 +1,265 @@
+"""The disk fails at the n-th operation, or is full: old or new version whole, and a second try succeeds."""
+
+import builtins
+import errno
+import io
+import os
+import resource
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ssm_study.results.durable import unsealed, write_json_atomically
+from ssm_study.results.gather import PARQUET, gather
+from ssm_study.results.records import RECORD, read_record
+from ssm_study.results.runs import Run, execute
+from ssm_study.results.store import Store, intact_manifest
+
+OPERATIONS = ("open", "write", "fsync", "replace", "rename", "mkdir")
+
+
+class FailingDisk:
+    """Counts every operation that can meet a full or broken disk and lets the n-th fail."""
+
+    def __init__(self, nth: int, code: int) -> None:
+        self.left, self.code, self.failed = nth, code, ""
+
+    def count(self, operation: str) -> None:
+        self.left -= 1
+        if self.left == 0:
+            self.failed = operation
+            raise OSError(self.code, os.strerror(self.code))
+
+    @contextmanager
+    def inserted(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+        with monkeypatch.context() as patch:
+            for name in ("fsync", "replace", "rename", "mkdir"):
+                patch.setattr(os, name, self._counted(name, getattr(os, name)))
+            patch.setattr(io, "open", self._opening(io.open))
+            patch.setattr(builtins, "open", self._opening(builtins.open))
+            yield
+
+    def _counted(self, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def operation(*arguments: Any, **options: Any) -> Any:
+            self.count(name)
+            return real(*arguments, **options)
+
+        return operation
+
+    def _opening(self, real: Callable[..., Any]) -> Callable[..., Any]:
+        def operation(file: Any, mode: str = "r", *arguments: Any, **options: Any) -> Any:
+            if not set(mode) & set("wxa+"):
+                return real(file, mode, *arguments, **options)
+            self.count("open")
+            stream = real(file, mode, *arguments, **options)
+            return TornStream(stream, self)
+
+        return operation
+
+
+class TornStream:
+    """A stream whose failing write leaves half of what it was given."""
+
+    def __init__(self, stream: Any, disk: FailingDisk) -> None:
+        self._stream, self._disk = stream, disk
+
+    def write(self, content: Any) -> int:
+        try:
+            self._disk.count("write")
+        except OSError:
+            self._stream.write(content[: len(content) // 2])
+            raise
+        return int(self._stream.write(content))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def __enter__(self) -> "TornStream":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+
+def fail_at_every_operation(
+    monkeypatch: pytest.MonkeyPatch,
+    code: int,
+    prepare: Callable[[int], None],
+    act: Callable[[int], None],
+    judge: Callable[[int], None],
+) -> set[str]:
+    """Let operation n = 1, 2, 3, ... of `act` fail until it meets no fault; `judge` after each."""
+    failed: set[str] = set()
+    for nth in range(1, 400):
+        prepare(nth)
+        disk = FailingDisk(nth, code)
+        try:
+            with disk.inserted(monkeypatch):
+                act(nth)
+        except OSError as error:
+            if error.errno != code:
+                raise
+        judge(nth)
+        if not disk.failed:
+            return failed
+        failed.add(disk.failed)
+    raise AssertionError("the operations never came to an end")
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_an_atomic_write_is_old_or_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    path = tmp_path / "record.json"
+    old, new = {"status": "running"}, {"status": "ok"}
+
+    def judge(_: int) -> None:
+        content = path.read_bytes()
+        assert content in (b'{\n "status": "running"\n}\n', b'{\n "status": "ok"\n}\n')
+        assert [entry.name for entry in tmp_path.iterdir()] == ["record.json"]
+
+    def prepare(_: int) -> None:
+        write_json_atomically(path, old)
+
+    failed = fail_at_every_operation(monkeypatch, code, prepare, lambda _: write_json_atomically(path, new), judge)
+    assert failed == {"open", "write", "fsync", "replace"}
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_a_stage_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    def compute(folder: Path) -> None:
+        (folder / "inner").mkdir()
+        (folder / "inner" / "a.json").write_text("12345")
+        (folder / "b.bin").write_bytes(bytes(1000))
+
+    def act(nth: int) -> None:
+        Store(tmp_path / f"{nth}").stage("model", 1, [], "v", compute)
+
+    def judge(nth: int) -> None:
+        store = Store(tmp_path / f"{nth}")
+        for folder in (tmp_path / f"{nth}" / "model").glob("[!.]*"):
+            assert intact_manifest(folder) is not None
+        stage = store.stage("model", 1, [], "v", compute)
+        assert (stage.path / "inner" / "a.json").read_text() == "12345"
+        assert [path.name for path in stage.path.parent.iterdir()] == [stage.path.name]
+
+    failed = fail_at_every_operation(monkeypatch, code, lambda _: None, act, judge)
+    assert failed >= {"open", "write", "fsync", "mkdir", "rename"}
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_a_run_is_never_half_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    def work(run: Run) -> dict[str, float]:
+        (run.path / "model.json").write_text('{"a": 1}')
+        return {"fit_test_percent": 90.0}
+
+    def act(nth: int) -> None:
+        execute(tmp_path / "study" / f"{nth}", {"seed": nth}, work)
+
+    def judge(nth: int) -> None:
+        folder = tmp_path / "study" / f"{nth}"
+        record = read_record(folder)
+        assert record is None or record["status"] in ("ok", "failed", "lost")
+        if record is not None and record["status"] == "ok":
+            assert intact_manifest(folder) is not None
+        assert execute(folder, {"seed": nth}, work).status == "ok"  # the same command finishes it
+        assert intact_manifest(folder) is not None
+        assert not list(folder.glob("*.tmp"))
+
+    fail_at_every_operation(monkeypatch, code, lambda _: None, act, judge)
+    assert set(gather(tmp_path / "study")["status"]) == {"ok"}
+
+
+def test_a_failed_gathering_keeps_the_old_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pandas as pd
+
+    execute(tmp_path / "study" / "a", {}, lambda _: {})
+    gather(tmp_path / "study")
+    execute(tmp_path / "study" / "b", {}, lambda _: {})
+
+    def judge(_: int) -> None:
+        assert pd.read_parquet(tmp_path / "study" / PARQUET)["run"].to_list() in (["a"], ["a", "b"])
+
+    def act(_: int) -> None:
+        gather(tmp_path / "study")
+
+    fail_at_every_operation(monkeypatch, errno.ENOSPC, lambda _: None, act, judge)
+
+
+@contextmanager
+def no_file_longer_than(size: int) -> Iterator[None]:
+    """What a full disk does to writers in native code as well: a short write, then an error."""
+    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, previous)
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, 700])
+def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size: int) -> None:
+    def work(run: Run) -> dict[str, float]:
+        stage = Store(tmp_path / "store").stage(
+            "model", 1, [], "v", lambda folder: (folder / "m").write_bytes(bytes(1200)) and None
+        )
+        (run.path / "model.json").write_bytes((stage.path / "m").read_bytes())
+        return {"fit_test_percent": 90.0}
+
+    folder = tmp_path / "study" / "run"
+    with no_file_longer_than(size):
+        try:
+            outcome = execute(folder, {}, work).status
+        except OSError:
+            outcome = "raised"
+    assert outcome in ("failed", "raised")
+    assert not list((tmp_path / "store" / "model").glob("[!.]*"))
+    assert execute(folder, {}, work).status == "ok"
+    assert len((folder / "model.json").read_bytes()) == 1200
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    folder = tmp_path / "small"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(folder)], capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip("mounting a small file system needs more rights")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path) -> None:
+    def work(run: Run) -> dict[str, float]:
+        number = int(run.path.name)
+        store = Store(small_disk / "store")
+        stage = store.stage(
+            "model", number, [], "v", lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None
+        )
+        (run.path / "model.json").write_bytes((stage.path / "m").read_bytes()[:1000])
+        return {"fit_test_percent": float(number)}
+
+    def command() -> list[str]:
+        outcomes = []
+        for number in range(6):
+            try:
+                outcomes.append(execute(small_disk / "study" / f"{number}", {"seed": number}, work).status)
+            except OSError as error:
+                if error.errno != errno.ENOSPC:
+                    raise
+                outcomes.append("raised")
+        return outcomes
+
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(440_000))
+    assert set(command()) - {"ok"}, "the disk was not full"
+    for record in (small_disk / "study").glob(f"*/{RECORD}"):
+        assert unsealed(record.read_bytes()) is not None
+    ballast.unlink()
+    assert command() == ["ok"] * 6
+    assert gather(small_disk / "study")["fit_test_percent"].to_list() == [float(n) for n in range(6)]

@@ -1,0 +1,191 @@
+"""A configuration or a file from a stranger runs no program: everything not named in the allow-list is refused."""
+
+import ast
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from ssm_study.refusal import BadRequest
+from ssm_study.results.allow_list import is_ours, refuse_foreign_targets
+from ssm_study.results.records import parse_record
+from ssm_study.results.request import check_request, translate
+
+ROOT = Path(__file__).resolve().parents[2]
+EVIL_TARGETS = [
+    "os.system",
+    "subprocess.run",
+    "torch.load",
+    "joblib.load",
+    "pandas.read_pickle",
+    "sympy.sympify",
+    "builtins.eval",
+    "pathlib.Path.write_text",
+    "hydra.utils.call",
+    "ssm_study.plants.dc_motor.np.save",
+    "ssm_study.plants.dc_motor.dataclass",
+    "ssm_study.plants.dc_motor",
+    "ssm_study.results.store.Store",
+    "ssm_study.cli.main",
+    "ssm_study.data.mcap.write_mcap",
+    "torch.optim.os.system",
+    "torch.optim.adam.torch.load",
+    "lightning.pytorch.callbacks.LambdaCallback",
+    "lightning.pytorch.Trainer",
+    "numpy.load",
+    "",
+    "os",
+    "${x}",
+    "torch.optim.Adam; os.system",
+    None,
+    1,
+]
+
+
+@pytest.mark.parametrize("target", EVIL_TARGETS)
+def test_foreign_targets_are_refused_wherever_they_stand(target: object) -> None:
+    assert not is_ours(target)
+    for tree in (
+        {"_target_": target},
+        {"model": {"scaffold": {"_target_": target}}},
+        {"a": [{"b": [{"_target_": target}]}]},
+        {"hydra": {"callbacks": {"c": {"_target_": target}}}},
+        {"hydra": {"launcher": {"_target_": target}}},
+    ):
+        with pytest.raises(BadRequest, match="_target_"):
+            refuse_foreign_targets(OmegaConf.create({"x": "os.system", **tree}))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: ${oc.env:HOME}",
+        "a: '${oc.create:{_target_: os.system}}'",
+        "a: '${oc.decode:\"{_target_: os.system}\"}'",
+        "b: {_target_x: 1}\na: {c: '${oc.env:SECRET,none}'}",
+        "hydra: {job_logging: {handlers: {x: {'()': os.system}}}}",
+        "hydra: {job_logging: {handlers: {x: {class: subprocess.Popen}}}}",
+        "hydra: {launcher: {preload: [evil_module]}}",
+        "hydra: {job: {env_set: {LD_PRELOAD: evil.so}}}",
+        "hydra: {sweeper: {_target_: hydra_plugins.evil}}",
+    ],
+)
+def test_other_ways_in_are_refused(text: str) -> None:
+    with pytest.raises(BadRequest):
+        refuse_foreign_targets(OmegaConf.create(text))
+
+
+def test_everything_we_ship_is_allowed() -> None:
+    targets = []
+    for path in (ROOT / "conf").rglob("*.yaml"):
+        for line in path.read_text().splitlines():
+            word = line.strip().removeprefix("- ")
+            if word.startswith("_target_:") and "callbacks" not in path.read_text().split(line)[0][-60:]:
+                targets.append(word.split(":", 1)[1].split("#")[0].strip())
+    assert len(targets) > 5
+    assert [target for target in targets if not is_ours(target)] == []
+    assert is_ours("torch.optim.Adam")
+    assert is_ours("torch.optim.lr_scheduler.CosineAnnealingLR")
+    assert is_ours("lightning.pytorch.loggers.TensorBoardLogger")
+
+
+EVIL_STUDY = """
+defaults: [_self_]
+study: x
+results_dir: results
+part: {_target_: pathlib.Path.touch, _args_: [{_target_: pathlib.Path, _args_: [%s]}]}
+hydra:
+  callbacks: {evil: {_target_: pathlib.Path.touch, _args_: [{_target_: pathlib.Path, _args_: [%s]}]}}
+"""
+
+
+def test_an_evil_configuration_is_refused_before_hydra_touches_it(tmp_path: Path) -> None:
+    marker = tmp_path / "marker"
+    (tmp_path / "study.yaml").write_text(EVIL_STUDY % (marker, marker))
+    with pytest.raises(BadRequest, match="_target_"):
+        check_request([], tmp_path, "study")
+    with pytest.raises(BadRequest, match=r"hydra\.callbacks"):
+        check_request(["~part"], tmp_path, "study")
+    assert not marker.exists()
+
+
+def test_an_evil_experiment_given_to_the_command_does_nothing(tmp_path: Path) -> None:
+    marker = tmp_path / "marker"
+    (tmp_path / "experiment").mkdir()
+    touch = f"{{_target_: pathlib.Path.touch, self: {{_target_: pathlib.Path, _args_: ['{marker}']}}}}"
+    evil = f"# @package _global_\nstudy: evil\nhydra:\n  callbacks:\n    evil: {touch}\n"
+    (tmp_path / "experiment" / "evil.yaml").write_text(evil)
+    command = [
+        sys.executable,
+        "-m",
+        "ssm_study.cli",
+        "run",
+        "--config-dir",
+        str(tmp_path),
+        "experiment=evil",
+        f"results_dir={tmp_path / 'results'}",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
+    assert done.returncode == 2, done.stderr
+    assert "may not be instantiated" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not marker.exists()
+
+
+class Evil:
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.marker,))
+
+
+def test_an_evil_record_is_only_corrupt(tmp_path: Path) -> None:
+    marker = tmp_path / "marker"
+    pickle.loads(pickle.dumps(Evil(marker)))
+    assert marker.exists(), "the trap does not work"
+    marker.unlink()
+    for content in (
+        pickle.dumps(Evil(marker)),
+        b'{"status": "ok"}',
+        b"[]",
+        b"",
+        b"null",
+        json.dumps({"sha256": 1}).encode(),
+        b"[" * 100_000,
+    ):
+        assert parse_record(content) == {"status": "corrupt"}
+    assert not marker.exists()
+
+
+def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
+    """Static: no module of the package imports pickle or calls a loader that runs code."""
+    offences = []
+    for path in (ROOT / "ssm_study").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, (ast.Import, ast.ImportFrom)) else []
+            if {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"} & {
+                name.split(".")[0] for name in names
+            }:
+                offences.append(f"{path.name}:{node.lineno} imports {names}")
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in (
+                "torch.load",
+                "np.load",
+                "numpy.load",
+                "pd.read_pickle",
+                "eval",
+                "exec",
+            ):
+                safe = "weights_only=True" in ast.unparse(node) or "allow_pickle=False" in ast.unparse(node)
+                offences += [] if safe else [f"{path.name}:{node.lineno} {ast.unparse(node)[:60]}"]
+    assert offences == []
+
+
+def test_our_options_become_hydras() -> None:
+    assert translate(["-m", "seed=1,2", "--retry-failed"]) == ["-m", "seed=1,2", "retry_failed=true"]
+    planned = translate(["-m", "seed=1,2", "hydra/launcher=slurm", "hydra.launcher.partition=debug", "--dry-run"])
+    assert planned == ["seed=1,2", "--multirun", "hydra/launcher=processes", "dry_run=true"]
