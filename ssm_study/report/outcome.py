@@ -81,7 +81,7 @@ def _ratio(record: Mapping[str, Any]) -> str:
 
 def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
     """Whatever the record says about why a run is infeasible or failed."""
-    for name in ("reason", "controller_reason", "observer_reason", "error_message"):
+    for name in ("infeasible_reason", "error_message"):
         if record.get(name):
             yield f"{name.replace('_', ' ')}: {record[name]}"
 

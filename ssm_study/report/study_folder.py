@@ -51,6 +51,11 @@ class RunFolder:
         path = self.path / ".hydra" / "config.yaml"
         return (yaml.safe_load(path.read_text()) or {}) if path.is_file() else {}
 
+    @property
+    def settling_band(self) -> float | None:
+        """What counts as settled, in the output's unit; None where there was no plant."""
+        return (self.config.get("plant") or {}).get("settling_band")
+
     @cached_property
     def curve(self) -> list[dict[str, Any]]:
         path = self.path / "training_curve.json"
@@ -70,8 +75,8 @@ class RunFolder:
         seen = self.validation
         if seen is None:
             return None
-        step_s = float(seen.time_s[1] - seen.time_s[0])
-        return Excitation(u=(seen.u[:, 0],), step_s=step_s, input_label=seen.input_label, records="validation record")
+        u, label = (seen.u[:, 0],), seen.input_label
+        return Excitation(u=u, step_s=seen.step_s, input_label=label, records="validation record")
 
     @cached_property
     def closed_loop(self) -> ClosedLoop | None:

@@ -25,6 +25,10 @@ class Validation:
     input_label: str
     output_label: str
 
+    @property
+    def step_s(self) -> float:
+        return float(self.time_s[1] - self.time_s[0])
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
@@ -37,6 +41,19 @@ class ClosedLoop:
     uncontrolled: Float[np.ndarray, "N T p"] | None
     input_label: str
     output_label: str
+
+    @property
+    def step_s(self) -> float:
+        return float(self.time_s[1] - self.time_s[0])
+
+    def rest_s(self, band: float | None) -> float:
+        """A little after the last response has come to rest in the band, else the whole horizon."""
+        if band is None:
+            return float(self.time_s[-1])
+        everything = self.y if self.uncontrolled is None else np.concatenate([self.y, self.uncontrolled])
+        outside = (np.abs(everything - self.reference)[:, :, 0] > band).any(axis=0)
+        last = int(np.flatnonzero(outside).max(initial=0))
+        return float(min(1.4 * self.time_s[last] + 5 * self.step_s, self.time_s[-1]))
 
 
 @dataclass(frozen=True, kw_only=True)

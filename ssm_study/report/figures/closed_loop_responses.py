@@ -16,7 +16,7 @@ def draw(study: Study) -> Figure:
     run = study.best
     if run is None or run.closed_loop is None:
         return style.message("No run reached the closed loop.", style.PAGE_IN)
-    return figure(run.closed_loop, run.config.get("plant", {}).get("settling_band"))
+    return figure(run.closed_loop, run.settling_band)
 
 
 def figure(loop: ClosedLoop, settling_band: float | None) -> Figure:
@@ -38,18 +38,8 @@ def figure(loop: ClosedLoop, settling_band: float | None) -> Figure:
         given.step(loop.time_s, u, where="post", color=colour, lw=0.8)
     given.set(title="Input of the controlled runs", xlabel="Time (s)", ylabel=loop.input_label)
     for axes in (controlled, alone, given):
-        axes.set_xlim(0, _shown_s(loop, settling_band))
+        axes.set_xlim(0, loop.rest_s(settling_band))
     return fig
-
-
-def _shown_s(loop: ClosedLoop, band: float | None) -> float:
-    """Until a little after the last response has come to rest, else the whole horizon."""
-    if band is None:
-        return float(loop.time_s[-1])
-    everything = loop.y if loop.uncontrolled is None else np.concatenate([loop.y, loop.uncontrolled])
-    outside = (np.abs(everything - loop.reference)[:, :, 0] > band).any(axis=0)
-    last = int(np.flatnonzero(outside).max(initial=0))
-    return float(min(1.4 * loop.time_s[last] + 5 * loop.time_s[1], loop.time_s[-1]))
 
 
 def _colours(start: Float[np.ndarray, "N"]) -> list[tuple[float, ...]]:

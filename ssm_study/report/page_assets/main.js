@@ -1,0 +1,96 @@
+// Wiring: the words above, the form, the failures and the provenance below.
+function drawWords() {
+  document.getElementById("study").textContent = `Study ${DATA.study}`;
+  document.getElementById("question").textContent = DATA.question;
+  document.getElementById("swept").textContent = `${DATA.counts}. ${DATA.swept}`;
+  document.getElementById("answers").append(...DATA.answers.map(({ question, sentences }) =>
+    element("article", {}, element("h3", {}, question), ...sentences.map((text) => element("p", {}, text)))));
+}
+
+function tally(word) {
+  return (COLUMNS.verdict || []).filter((other) => other === word).length;
+}
+
+function drawForm() {
+  document.getElementById("verdicts").append(...DATA.verdicts.filter(({ word }) => tally(word)).map(({ word, sentence }) => {
+    const box = element("input", { type: "checkbox", checked: true, value: word, onchange: (event) => {
+      if (event.target.checked) state.verdicts.add(word); else state.verdicts.delete(word);
+      changed();
+    } });
+    return element("label", { title: sentence }, box, marker(word), `${word} (${tally(word)})`);
+  }));
+  document.getElementById("selects").append(...DATA.parameters.map(select).filter(Boolean));
+  const numeric = Object.keys(COLUMNS).filter(isNumeric);
+  document.getElementById("range-column").append(element("option", { value: "" }, "any column"),
+    ...numeric.map((name) => element("option", { value: name }, DATA.words[name] || name)));
+}
+
+function select(name) {
+  const values = [...new Set(COLUMNS[name].filter((value) => value !== null))];
+  if (values.length > 30) return null; // the range filter serves those
+  values.sort((a, b) => (typeof a === "number" ? a - b : String(a).localeCompare(String(b))));
+  return element("label", {}, DATA.words[name].replace(/ \(.*/, ""),
+    element("select", { "data-select": name, onchange: (event) => { state.selects[name] = event.target.value; changed(); } },
+      element("option", { value: "" }, "any"), ...values.map((value) => element("option", { value: String(value) }, printed(value)))));
+}
+
+function number(id) {
+  const { value } = document.getElementById(id);
+  return value === "" ? null : Number(value);
+}
+
+function listen() {
+  const form = document.getElementById("filters");
+  form.addEventListener("submit", (event) => event.preventDefault());
+  form.addEventListener("reset", () => {
+    Object.assign(state, { text: "", selects: {}, range: { column: "", low: null, high: null }, verdicts: new Set(DATA.verdicts.map((v) => v.word)) });
+    clearBrushes();
+    changed();
+  });
+  document.getElementById("text").addEventListener("input", (event) => { state.text = event.target.value; changed(); });
+  for (const id of ["range-column", "range-low", "range-high"]) {
+    document.getElementById(id).addEventListener("input", () => {
+      state.range = { column: document.getElementById("range-column").value, low: number("range-low"), high: number("range-high") };
+      changed();
+    });
+  }
+  document.getElementById("all-columns").addEventListener("change", (event) => { state.allColumns = event.target.checked; changed(true); });
+  document.getElementById("run-close").addEventListener("click", closeRun);
+  document.getElementById("run-before").addEventListener("click", () => step(-1));
+  document.getElementById("run-after").addEventListener("click", () => step(1));
+  document.addEventListener("keydown", (event) => { if (event.key === "Escape" && state.chosen >= 0) closeRun(); });
+}
+
+/** Runs that did not end well, grouped by reason: the same cause is told once. */
+function drawFailures() {
+  const groups = new Map();
+  for (let i = 0; i < RUNS; i += 1) {
+    const word = COLUMNS.verdict[i];
+    if (word !== "failed" && word !== "infeasible") continue;
+    const key = `${word}: ${reasons(i).join(" ") || "no reason was recorded"}`;
+    groups.set(key, [...(groups.get(key) || []), i]);
+  }
+  const box = document.getElementById("failures");
+  if (!groups.size) box.append(element("p", {}, "Nothing failed, and every request was feasible."));
+  const ordered = [...groups].sort((a, b) => a[0].localeCompare(b[0]) * (a[0][0] === b[0][0]) || (a[0][0] === "f" ? -1 : 1));
+  for (const [reason, runs] of ordered.slice(0, 40)) {
+    const buttons = runs.slice(0, 12).map((i) => element("li", {}, element("button", { type: "button", onclick: () => choose(i) }, printed(COLUMNS.run[i]))));
+    const more = runs.length > 12 ? [element("li", {}, `and ${runs.length - 12} more`)] : [];
+    box.append(element("details", {}, element("summary", {}, `${runs.length} × ${reason}`), element("ul", {}, ...buttons, ...more)));
+  }
+  if (ordered.length > 40) box.append(element("p", {}, `${ordered.length - 40} further reasons: filter the table by outcome to see them.`));
+}
+
+function drawProvenance() {
+  document.getElementById("provenance").append(...DATA.provenance.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
+  document.getElementById("configuration").textContent = DATA.configuration || "No run left its configuration.";
+}
+
+drawWords();
+drawForm();
+listen();
+drawFailures();
+drawProvenance();
+listeners.push(drawTable);
+changed();
+drawPlots().then(() => { document.body.dataset.ready = "yes"; });

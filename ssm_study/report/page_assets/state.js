@@ -1,0 +1,94 @@
+"use strict";
+// What the reader has chosen, and which runs that leaves. Everything else draws from here.
+const DATA = JSON.parse(document.getElementById("data").textContent);
+const COLUMNS = DATA.columns;
+const RUNS = (COLUMNS.run || []).length;
+
+const state = {
+  text: "",
+  verdicts: new Set(DATA.verdicts.map((v) => v.word)),
+  selects: {},
+  range: { column: "", low: null, high: null },
+  brushes: {},
+  sort: { column: null, descending: false },
+  page: 0,
+  allColumns: false,
+  chosen: -1,
+};
+
+const ALL_TEXT = Array.from({ length: RUNS }, (_, i) =>
+  Object.keys(COLUMNS).filter((name) => typeof COLUMNS[name][i] === "string").map((name) => COLUMNS[name][i]).join(" ").toLowerCase());
+
+function within(value, low, high) {
+  return value !== null && value !== undefined && (low === null || value >= low) && (high === null || value <= high);
+}
+
+/** 1 for each run that passes every filter and every brush. */
+function mask() {
+  const words = state.text.toLowerCase().split(/\s+/).filter(Boolean);
+  const selects = Object.entries(state.selects).filter(([, value]) => value !== "");
+  const brushes = Object.values(state.brushes).flatMap((brush) => Object.entries(brush));
+  const ranged = state.range.column && (state.range.low !== null || state.range.high !== null);
+  return Array.from({ length: RUNS }, (_, i) => Number(
+    state.verdicts.has(COLUMNS.verdict[i]) &&
+    words.every((word) => ALL_TEXT[i].includes(word)) &&
+    selects.every(([name, value]) => String(COLUMNS[name][i]) === value) &&
+    (!ranged || within(COLUMNS[state.range.column][i], state.range.low, state.range.high)) &&
+    brushes.every(([name, [low, high]]) => within(COLUMNS[name][i], low, high))));
+}
+
+const listeners = [];
+let waiting = false;
+
+/** Redraw once per frame however fast the filters change: a brush fires with every pixel. */
+function changed(keepPage = false) {
+  if (!keepPage) state.page = 0;
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(() => {
+    waiting = false;
+    const shown = mask();
+    for (const listener of listeners) listener(shown);
+  });
+}
+
+function element(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
+    else if (value === true) node.setAttribute(name, "");
+    else if (value !== false && value !== null) node.setAttribute(name, value);
+  }
+  node.append(...children);
+  return node;
+}
+
+function printed(value) {
+  if (value === null || value === undefined) return "–";
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (typeof value !== "number" || Number.isInteger(value)) return String(value);
+  return String(Number(value.toPrecision(4)));
+}
+
+function isNumeric(name) {
+  return COLUMNS[name].some((value) => typeof value === "number") && !COLUMNS[name].some((value) => typeof value === "string");
+}
+
+const SHAPES = {
+  "certified, settles": "M7 1a6 6 0 1 0 .01 0z",
+  "certified, plant lost": "M7 1l6 11H1z",
+  "not certified": "M2 2h10v10H2z",
+  "infeasible": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
+  "failed": "M7 0l5 7-5 7-5-7z",
+};
+
+function marker(word) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  svg.setAttribute("viewBox", "0 0 14 14");
+  svg.setAttribute("aria-hidden", "true");
+  path.setAttribute("d", SHAPES[word]);
+  path.setAttribute("fill", DATA.verdicts.find((v) => v.word === word).colour);
+  svg.append(path);
+  return svg;
+}

@@ -1,0 +1,67 @@
+// The table: sorted by a click on a heading, filtered with the plots, fifty runs at a time.
+const PAGE = 50;
+const FIRST = ["run", "verdict", "fit_test_percent", "rate_controller", "controller_rate_limit", "mismatch_margin", "stable_count",
+  "settling_time_mean_s", "settling_time_open_loop_s", "controller_gain_norm", "input_slope_lower", "input_slope_upper"];
+
+function visibleColumns() {
+  const known = Object.keys(COLUMNS);
+  const first = [...FIRST.slice(0, 2), ...DATA.parameters, ...FIRST.slice(2)].filter((name) => known.includes(name));
+  return [...new Set(state.allColumns ? [...first, ...known] : first)];
+}
+
+function sorted(rows) {
+  const { column, descending } = state.sort;
+  if (column === null) return rows; // the table comes best first
+  const values = COLUMNS[column], sign = descending ? -1 : 1;
+  const missing = (value) => value === null || value === undefined;
+  return rows.sort((i, j) => {
+    const a = values[i], b = values[j];
+    if (missing(a) || missing(b)) return missing(a) - missing(b) || i - j; // missing last, both ways
+    return (typeof a === "string" ? a.localeCompare(String(b)) : a - b) * sign || i - j;
+  });
+}
+
+function sortBy(column) {
+  const same = state.sort.column === column;
+  state.sort = same && state.sort.descending ? { column: null, descending: false } : { column, descending: same };
+  changed();
+}
+
+function drawHead() {
+  const names = visibleColumns();
+  document.getElementById("head").replaceChildren(element("tr", {}, ...names.map((name) => {
+    const here = state.sort.column === name;
+    const arrow = here ? (state.sort.descending ? " ▼" : " ▲") : "";
+    return element("th", { scope: "col", class: isNumeric(name) ? "" : "text",
+      "aria-sort": here ? (state.sort.descending ? "descending" : "ascending") : "none" },
+    element("button", { type: "button", "data-column": name, onclick: () => sortBy(name) }, (DATA.words[name] || name) + arrow));
+  })));
+}
+
+function drawRow(i, names) {
+  return element("tr", { class: i === state.chosen ? "chosen" : "", "data-run": String(i) }, ...names.map((name) => name === "run"
+    ? element("th", { scope: "row" }, element("button", { type: "button", title: COLUMNS.run[i], onclick: () => choose(i) }, printed(COLUMNS.run[i])))
+    : element("td", { class: isNumeric(name) ? "" : "text" }, printed(COLUMNS[name][i]))));
+}
+
+function drawTable(shown) {
+  const focused = document.activeElement && document.activeElement.dataset ? document.activeElement.dataset.column : null;
+  const rows = sorted([...shown.keys()].filter((i) => shown[i]));
+  const pages = Math.max(1, Math.ceil(rows.length / PAGE));
+  state.page = Math.min(state.page, pages - 1);
+  state.order = rows;
+  drawHead();
+  const names = visibleColumns();
+  document.getElementById("body").replaceChildren(...rows.slice(state.page * PAGE, (state.page + 1) * PAGE).map((i) => drawRow(i, names)));
+  drawPager(pages);
+  document.getElementById("count").textContent = `${rows.length} of ${RUNS} runs shown`;
+  if (focused) document.querySelector(`[data-column="${focused}"]`).focus();
+}
+
+function drawPager(pages) {
+  const turn = (by) => () => { state.page += by; changed(true); };
+  document.getElementById("pager").replaceChildren(
+    element("button", { type: "button", id: "page-before", onclick: turn(-1), disabled: state.page === 0 }, "Previous"),
+    element("span", {}, `Page ${state.page + 1} of ${pages}`),
+    element("button", { type: "button", id: "page-after", onclick: turn(1), disabled: state.page >= pages - 1 }, "Next"));
+}

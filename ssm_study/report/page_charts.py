@@ -1,0 +1,142 @@
+"""The page's plots as Vega-Lite specifications: one point per run, brushed together, coloured by verdict."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from ssm_study.report import style, verdict
+from ssm_study.report.columns import column, words
+
+SHAPES = {
+    verdict.SETTLED.word: "circle",
+    verdict.LOST.word: "triangle-up",
+    verdict.UNCERTIFIED.word: "square",
+    verdict.INFEASIBLE.word: "cross",
+    verdict.FAILED.word: "diamond",
+}
+WORDS_HERE = {"slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)"}
+HEIGHT = 250
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """One plot: what it asks, the two columns, where a rule stands, and whether an axis is logarithmic if it can be."""
+
+    question: str
+    x: str
+    y: str
+    log_x: bool = False
+    log_y: bool = False
+    rule_x: float | None = None
+    rule_y_column: str | None = None  # a horizontal rule at its median
+    tick_column: str | None = None  # a short bar per run at this height
+
+
+PANELS = (
+    Panel(question="Does a better fit mean a better loop?", x="fit_test_percent", y="stable_fraction"),
+    Panel(
+        question="What does a faster rate buy?",
+        x="rate_controller",
+        y="settling_time_mean_s",
+        rule_y_column="settling_time_open_loop_s",
+    ),
+    Panel(
+        question="Where does feasibility end?",
+        x="slope_ratio",
+        y="rate_controller",
+        log_x=True,
+        tick_column="controller_rate_limit",
+    ),
+    Panel(
+        question="Does the mismatch margin foretell the plant?",
+        x="mismatch_margin",
+        y="stable_fraction",
+        log_x=True,
+        rule_x=1.0,
+    ),
+    Panel(question="What does a faster rate cost?", x="rate_controller", y="controller_gain_norm", log_y=True),
+)
+
+
+def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The plots this table has numbers for: question, columns used, and specification without data."""
+    usable = [p for p in PANELS if (column(table, p.x).notna() & column(table, p.y).notna()).any()]
+    return [
+        {"question": p.question, "fields": _fields(p), "x": p.x, "y": p.y, "spec": specification(p, table)}
+        for p in usable
+    ]
+
+
+def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
+    """Parameters the script drives: `mask` (which runs are shown) and `chosen` (the run looked at); it hears `brush`."""
+    points = _points(panel, table)
+    layers = [*_rules(panel, table), points]
+    chart = alt.layer(*layers, data=alt.NamedData("runs")).properties(width="container", height=HEIGHT)
+    chart = chart.properties(
+        description=f"{panel.question} {_title(panel.y)} against {_title(panel.x)}, one point per run"
+    )
+    chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(stroke=None)
+    chart = chart.configure_axis(
+        labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12, labelFontSize=11,
+        gridColor="#E6E6E6", domainColor=style.GREY, tickColor=style.GREY,
+    )  # fmt: skip
+    spec: dict[str, Any] = chart.to_dict(validate=True)
+    return spec
+
+
+def _points(panel: Panel, table: pd.DataFrame) -> alt.Chart:
+    mask, chosen = alt.param(name="mask", value=[]), alt.param(name="chosen", value=-1)
+    known, here = "!length(mask) || mask[datum.i]", "datum.i === chosen"
+    verdicts = [v.word for v in verdict.ALL]
+    colours, shapes = [v.colour for v in verdict.ALL], [SHAPES[word] for word in verdicts]
+    return (
+        alt.Chart()
+        .mark_point(filled=True, strokeWidth=2)
+        .encode(
+            x=_axis(alt.X, panel.x, table, panel.log_x),
+            y=_axis(alt.Y, panel.y, table, panel.log_y),
+            color=alt.Color("verdict:N", scale=alt.Scale(domain=verdicts, range=colours), legend=None),
+            shape=alt.Shape("verdict:N", scale=alt.Scale(domain=verdicts, range=shapes), legend=None),
+            opacity=alt.condition(known, alt.value(0.85), alt.value(0.06)),
+            size=alt.condition(here, alt.value(220), alt.value(45)),
+            stroke=alt.condition(here, alt.value(style.INK), alt.value(None)),
+            tooltip=[alt.Tooltip("run:N"), alt.Tooltip("verdict:N"), *(_tooltip(f) for f in (panel.x, panel.y))],
+        )
+        .add_params(alt.selection_interval(name="brush"), mask, chosen)
+    )
+
+
+def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
+    found = []
+    if panel.rule_x is not None:
+        found.append(alt.Chart().mark_rule(strokeDash=[4, 3], color=style.GREY).encode(x=alt.datum(panel.rule_x)))
+    if panel.rule_y_column and column(table, panel.rule_y_column).notna().any():
+        height = float(column(table, panel.rule_y_column).median())
+        found.append(alt.Chart().mark_rule(strokeDash=[4, 3], color=style.GREY).encode(y=alt.datum(height)))
+    if panel.tick_column:
+        tick = alt.Chart().mark_tick(orient="horizontal", color=style.INK, size=16, thickness=1.2)
+        x, y = alt.X(f"{panel.x}:Q"), alt.Y(f"{panel.tick_column}:Q")
+        found.append(tick.encode(x=x, y=y, tooltip=[alt.Tooltip("run:N"), _tooltip(panel.tick_column)]))
+    return found
+
+
+def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
+    """Logarithmic only if all values allow it and they spread over more than a decade."""
+    values = column(table, name).dropna()
+    spread = log and bool((values > 0).all()) and float(values.max()) > 10 * float(values.min())
+    scale = alt.Scale(type="log") if spread else alt.Scale(zero=False, nice=True)
+    return kind(f"{name}:Q", title=_title(name), scale=scale)
+
+
+def _tooltip(name: str) -> alt.Tooltip:
+    return alt.Tooltip(f"{name}:Q", title=_title(name), format=".4g")
+
+
+def _title(name: str) -> str:
+    return WORDS_HERE.get(name, words(name))
+
+
+def _fields(panel: Panel) -> list[str]:
+    return [name for name in (panel.x, panel.y, panel.tick_column) if name]
