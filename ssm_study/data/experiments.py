@@ -1,25 +1,22 @@
 """Experiments assigned to training, validation and test one by one: how the benchmark records are described."""
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ssm_study.data.recorded import RecordedSource, assembled, check_recorded, existing
+from ssm_study.data.benchmark_files import benchmark_folder, file_in
+from ssm_study.data.recorded import RecordedSource, assembled, check_recorded
 from ssm_study.data.recording import Recording
 from ssm_study.data.scores import SCORES
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import require
 from ssm_study.signals import DataSet, Trajectory
-
-RECORDS_VARIABLE = "SSM_STUDY_DATA"  # a folder with one folder per benchmark
-RECORDS_BESIDE = Path("../shared/data")  # where a clone may have them, relative to the folder one works in
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedExperiments(RecordedSource):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
-    `folder` null looks for the folder `benchmark` in $SSM_STUDY_DATA and in ../shared/data. `score` says how a
-    benchmark is scored: "rmse" in the unit of the output, or "position_mm" for what a velocity integrates to.
+    `folder` null searches for the `benchmark` (`benchmark_folder`). `score` is "rmse" in the unit of the output, or
+    "position_mm" for what a velocity integrates to. The equilibrium is as in `RecordedData`.
     """
 
     benchmark: str
@@ -28,6 +25,8 @@ class RecordedExperiments(RecordedSource):
     test: list[Recording]
     start_up_samples: int
     equilibrium: str = "mean"
+    input_equilibrium: list[float] | None = None
+    output_equilibrium: list[float] | None = None
     score: str = "rmse"
     folder: str | None = None
 
@@ -40,7 +39,7 @@ class RecordedExperiments(RecordedSource):
     def files(self) -> tuple[Path, ...]:
         folder = self._folder()
         names = dict.fromkeys(r.path for r in (*self.training, *self.validation, *self.test))
-        return tuple(existing(folder / name) for name in names)
+        return tuple(file_in(folder, name) for name in names)
 
     def build(self, seed: int) -> DataSet:
         folder = self._folder()
@@ -51,7 +50,7 @@ class RecordedExperiments(RecordedSource):
             inputs=self.training[0].inputs,
             outputs=self.training[0].outputs,
             start_up_samples=self.start_up_samples,
-            equilibrium=self.equilibrium,
+            equilibrium=(self.equilibrium, self.input_equilibrium, self.output_equilibrium),
             metadata={"source": "recorded", "benchmark": self.benchmark, "score": self.score, "seed": str(seed)},
         )
 
@@ -59,17 +58,10 @@ class RecordedExperiments(RecordedSource):
         if self.folder is not None:
             require(Path(self.folder).is_dir(), "data.folder", self.folder, "no such folder", "check the spelling")
             return Path(self.folder)
-        around = [Path(os.environ[RECORDS_VARIABLE])] if RECORDS_VARIABLE in os.environ else []
-        for place in (*around, RECORDS_BESIDE):
-            if (place / self.benchmark).is_dir():
-                return place / self.benchmark
-        raise BadRequest(
-            "data.folder",
-            None,
-            f"the {self.benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}",
-            "give data.folder=PATH",
-        )
+        return benchmark_folder(self.benchmark)
 
 
 def _read(folder: Path, part: str, recordings: list[Recording]) -> tuple[Trajectory, ...]:
-    return tuple(replace(r, path=str(folder / r.path), name=f"{part}_{k + 1}").read() for k, r in enumerate(recordings))
+    return tuple(
+        replace(r, path=str(file_in(folder, r.path)), name=f"{part}_{k + 1}").read() for k, r in enumerate(recordings)
+    )

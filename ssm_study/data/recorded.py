@@ -36,7 +36,8 @@ class RecordedData(RecordedSource):
     """Logs of one system, each cut in time: training first, then validation, then test.
 
     `path` names one log or several (of any lengths); `input`, `output`, `time` name columns. `test_path` gives separate
-    test logs, and nothing is then cut for the test. The equilibrium is "zero" or "mean" (of the training samples).
+    test logs, and nothing is then cut for the test. The equilibrium is "zero" or "mean" (of the training samples),
+    unless `input_equilibrium` and `output_equilibrium` give it, one number per channel.
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom starts at rest.
     """
 
@@ -50,6 +51,8 @@ class RecordedData(RecordedSource):
     test_fraction: float = 0.2
     start_up_samples: int = 0
     equilibrium: str = "mean"
+    input_equilibrium: list[float] | None = None
+    output_equilibrium: list[float] | None = None
     input_unit: Names = ""
     output_unit: Names = ""
     jitter_tolerance: float = 0.05
@@ -88,7 +91,7 @@ class RecordedData(RecordedSource):
             inputs=logs[0].inputs,
             outputs=logs[0].outputs,
             start_up_samples=self.start_up_samples,
-            equilibrium=self.equilibrium,
+            equilibrium=(self.equilibrium, self.input_equilibrium, self.output_equilibrium),
             metadata={"source": "recorded", "path": ", ".join(listed(self.path)), "seed": str(seed)},
         )
 
@@ -122,26 +125,32 @@ def assembled(
     inputs: tuple[Channel, ...],
     outputs: tuple[Channel, ...],
     start_up_samples: int,
-    equilibrium: str,
+    equilibrium: tuple[str, list[float] | None, list[float] | None],
     metadata: dict[str, str],
 ) -> DataSet:
-    """A data set whose equilibrium is zero, or the mean of the training samples."""
+    """A data set about the given `equilibrium`: the rule, and the input's and output's own if they are given."""
+    rule, u_given, y_given = equilibrium
     return assemble(
         training=training,
         validation=validation,
         test=test,
         inputs=inputs,
         outputs=outputs,
-        input_equilibrium=_rest([record.u for record in training], equilibrium),
-        output_equilibrium=_rest([record.y for record in training], equilibrium),
+        input_equilibrium=_rest([record.u for record in training], rule, u_given, "data.input_equilibrium"),
+        output_equilibrium=_rest([record.y for record in training], rule, y_given, "data.output_equilibrium"),
         start_up_samples=start_up_samples,
         metadata=metadata,
     )
 
 
-def _rest(values: list[Float[np.ndarray, "_ c"]], equilibrium: str) -> Float[np.ndarray, "c"]:
+def _rest(
+    values: list[Float[np.ndarray, "_ c"]], rule: str, given: list[float] | None, field: str
+) -> Float[np.ndarray, "c"]:
     mean = np.concatenate(values).mean(axis=0)
-    return mean if equilibrium == "mean" else np.zeros_like(mean)
+    if given is None:
+        return mean if rule == "mean" else np.zeros_like(mean)
+    require(len(given) == len(mean), field, given, f"there are {len(mean)} channels", "give one number per channel")
+    return np.array(given, dtype=np.float64)
 
 
 def _cut(record: Trajectory, validation: float, test: float) -> tuple[Trajectory, Trajectory, Trajectory]:

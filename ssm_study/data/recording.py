@@ -1,5 +1,6 @@
 """One recorded experiment: which file, which columns, which clock, which samples."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,7 +85,7 @@ class Recording:
         return Trajectory(u=u, y=y, step_s=step_s, name=self.name)
 
     def _table(self) -> Table:
-        names = [c.name for c in self.inputs] + list(listed(self.output))
+        names = [*listed(self.input), *listed(self.output)]
         units = [c.unit for c in self.inputs]
         units += [c.unit for c in _channels(self.output, self.output_unit, "data.output_unit")]
         if self.time is not None:
@@ -132,4 +133,10 @@ def _channels(names: Names, units: Names, field: str) -> tuple[Channel, ...]:
     columns, stated = listed(names), listed(units)
     stated = ("",) * len(columns) if stated == ("",) else stated
     require(len(stated) == len(columns), field, units, f"there are {len(columns)} columns", "give one unit per column")
-    return tuple(Channel(name=name, unit=unit) for name, unit in zip(columns, stated, strict=True))
+    return tuple(Channel(name=_identifier(name), unit=unit) for name, unit in zip(columns, stated, strict=True))
+
+
+def _identifier(column: str) -> str:
+    """`Motor voltage (V)` becomes `Motor_voltage_V`: recordings store signals under names without other characters."""
+    words = re.sub(r"[^0-9A-Za-z]+", "_", column).strip("_") or "signal"
+    return f"signal_{words}" if words[0].isdigit() else words

@@ -1,0 +1,149 @@
+"""The benchmark records: official splits, and our scoring reproduces published rows by ordinary least squares."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from plants_cases import from_yaml
+from scipy.io import loadmat
+
+from ssm_study.data.recording import Recording
+from ssm_study.data.scores import benchmark_rmse, position_rmse_mm
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import DataSet, Trajectory
+
+pytestmark = pytest.mark.data
+
+
+@pytest.fixture
+def built(benchmark_data: Path, monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
+    monkeypatch.setenv("SSM_STUDY_DATA", str(benchmark_data))
+    return lambda name, *overrides: from_yaml("data", name, *overrides).build(0)
+
+
+def official_training(data: DataSet) -> list[Trajectory]:
+    """Training and validation pieces are neighbours in time: together they are the official training records."""
+    pairs = zip(data.training, data.validation, strict=True)
+    return [Trajectory(u=np.concatenate([a.u, b.u]), y=np.concatenate([a.y, b.y]), step_s=a.step_s) for a, b in pairs]
+
+
+def arx(records: list[Trajectory], input_lags: range, constant: bool) -> np.ndarray:
+    """`y[k] = a1 y[k-1] + a2 y[k-2] + sum_j b_j u[k-j] (+ c)` by ordinary least squares."""
+    rows = [regressors(r.u[:, 0], r.y[:, 0], k, input_lags, constant) for r in records for k in range(2, len(r))]
+    targets = np.concatenate([r.y[2:, 0] for r in records])
+    return np.linalg.lstsq(np.array(rows), targets, rcond=None)[0]
+
+
+def regressors(u: np.ndarray, y: np.ndarray, k: int, input_lags: range, constant: bool) -> np.ndarray:
+    return np.array([y[k - 1], y[k - 2], *(u[k - j] for j in input_lags), *([1.0] if constant else [])])
+
+
+def free_run(theta: np.ndarray, record: Trajectory, start: int, input_lags: range, constant: bool) -> np.ndarray:
+    y = record.y[:, 0].copy()
+    for k in range(start, len(y)):
+        y[k] = regressors(record.u[:, 0], y, k, input_lags, constant) @ theta
+    return y[:, None]
+
+
+def test_the_tanks_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-untyped-def]
+    """Champneys et al. 2024 publish 0.685 V for ARX; their lags are not stated, these are of second order."""
+    data = built("cascaded_tanks")
+    lags = range(3)
+    theta = arx(official_training(data), lags, constant=True)
+    y_hat = free_run(theta, data.test[0], data.start_up_samples, lags, constant=True)
+    assert benchmark_rmse(data, (y_hat,))[0] == pytest.approx(0.685, abs=0.0015)
+
+
+def test_the_drives_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-untyped-def]
+    """Champneys et al. 2024 publish 0.291 / 0.331 ticks/s: one model per record, second order, no constant."""
+    data = built("ced")
+    lags = range(2)
+    y_hat = tuple(
+        free_run(arx([train], lags, constant=False), test, data.start_up_samples, lags, constant=False)
+        for train, test in zip(official_training(data), data.test, strict=True)
+    )
+    np.testing.assert_allclose(benchmark_rmse(data, y_hat), [0.291, 0.331], atol=0.0025)
+
+
+def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
+    tanks, drives, servo = built("cascaded_tanks"), built("ced"), built("emps")
+    assert [len(r) for r in official_training(tanks)] == [1024]
+    assert [len(r) for r in tanks.test] == [1024]
+    assert [len(r) for r in official_training(drives)] == [400, 400]
+    assert [len(r) for r in drives.test] == [100, 100]
+    assert servo.step_s == pytest.approx(0.01)
+    assert len(servo.test[0]) == 24841 // 10 - 1
+    assert (tanks.start_up_samples, drives.start_up_samples, servo.start_up_samples) == (5, 10, 2)
+
+
+def test_the_servo_velocity_integrates_to_the_measured_position(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
+    record = built("emps").test[0]
+    position = loadmat(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")["qm"][:, 0][:24840:10]
+    np.testing.assert_allclose(position[0] + np.cumsum(record.y[:, 0]) * record.step_s, position[1:], atol=1e-12)
+
+
+def test_the_position_score_is_that_of_the_position_itself(built) -> None:  # type: ignore[no-untyped-def]
+    """Route two: integrate both, compare positions; a constant velocity error v drifts by v t."""
+    record = built("emps").test[0]
+    wrong = record.y + 1e-3
+    position, position_hat = (np.cumsum(v[2:, 0]) * record.step_s for v in (record.y, wrong))
+    expected = 1000 * np.sqrt(np.mean((position - position_hat) ** 2))
+    assert position_rmse_mm(record, wrong, 2) == pytest.approx(expected, rel=1e-9)
+    assert expected == pytest.approx(24.8 / np.sqrt(3), rel=0.01)
+
+
+def test_decimation_keeps_what_a_hold_would_have_applied(benchmark_data: Path) -> None:
+    path = str(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")
+    fine, coarse = (
+        Recording(path=path, input="vir", output="qm", step_s=0.001, decimate=every).read() for every in (1, 10)
+    )
+    np.testing.assert_array_equal(coarse.y, fine.y[:24840:10])
+    np.testing.assert_allclose(coarse.u[:, 0], fine.u[:24840, 0].reshape(-1, 10).mean(axis=1))
+
+
+def test_scales_and_equilibria_of_records(built) -> None:  # type: ignore[no-untyped-def]
+    tanks, servo = built("cascaded_tanks"), built("emps")
+    np.testing.assert_allclose(tanks.output_equilibrium, tanks.training[0].y.mean(axis=0))
+    np.testing.assert_array_equal(servo.input_equilibrium, [-0.0923])
+    np.testing.assert_array_equal(servo.output_equilibrium, [0.0])
+
+
+def test_several_experiments_of_different_lengths(built) -> None:  # type: ignore[no-untyped-def]
+    assert [len(r) for r in built("ced", "training.0.last=250").training] == [250, 300]
+
+
+class TestWhereRecordsLie:
+    def test_nowhere(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", None)
+        with pytest.raises(BadRequest, match=r"data\.folder = None: the ced records are neither .*benchmarks\]"):
+            from_yaml("data", "ced").build(0)
+
+    def test_downloaded_as_mat(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, benchmark_data: Path) -> None:
+        """The official package keeps MAT files; the yaml names the CSV twin."""
+        from scipy.io import savemat
+
+        from ssm_study.data.csv_columns import read_csv
+
+        names = ["u11", "u12", "z11", "z12"]
+        table = read_csv(benchmark_data / "ced" / "DATAUNIF.csv", names)
+        savemat(tmp_path / "DATAUNIF.MAT", {n: table.columns[n][:, None] for n in names}, appendmat=False)
+        monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
+        monkeypatch.chdir(tmp_path)
+        package = SimpleNamespace(CED=lambda data_file_locations: str(tmp_path / "DATAUNIF.MAT"))  # noqa: ARG005
+        monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", package)
+        data = from_yaml("data", "ced").build(0)
+        np.testing.assert_array_equal(data.test[0].y[:, 0], table.columns["z11"][400:])
+
+    def test_a_download_that_fails(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        def fails(data_file_locations: bool) -> None:  # noqa: ARG001
+            raise OSError("no network")
+
+        monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", SimpleNamespace(CED=fails))
+        with pytest.raises(BadRequest, match="no network"):
+            from_yaml("data", "ced").build(0)
