@@ -22,12 +22,13 @@ RESOLUTION = 1e-12
 
 
 def distances(
-    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T n"], feedback: StateFeedback, observer: Observer
+    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T s"], feedback: StateFeedback, observer: Observer
 ) -> tuple[Float[np.ndarray, "N T"], Float[np.ndarray, "N T"]]:
-    """`||x||_M` with `M = P^{-1}` and `||xh - x||_Q`."""
-    lower = np.linalg.cholesky(feedback.p)
-    d = np.linalg.norm(solve_triangular(lower, x.reshape(-1, x.shape[2]).T, lower=True), axis=0)
-    e = np.linalg.norm((x_hat - x) @ np.linalg.cholesky(observer.q), axis=2)
+    """`||x||_M` with `M = P^{-1}` and `||xh - x||_Q`; integrators, the columns of `x_hat` beyond n, belong to both."""
+    n, lower = x.shape[2], np.linalg.cholesky(feedback.p)
+    whole = np.concatenate([x, x_hat[:, :, n:]], axis=2)
+    d = np.linalg.norm(solve_triangular(lower, whole.reshape(-1, whole.shape[2]).T, lower=True), axis=0)
+    e = np.linalg.norm((x_hat[:, :, :n] - x) @ np.linalg.cholesky(observer.q), axis=2)
     return d.reshape(x.shape[:2]), e
 
 
@@ -44,14 +45,15 @@ def certified_bound(
 
 
 def input_gain(feedback: StateFeedback, observer: Observer) -> float:
-    """`c = nu ||M^{1/2} B||_2 ||K Q^{-1/2}||_2`."""
+    """`c = nu ||M^{1/2} B||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on the estimate."""
+    on_state = feedback.k[:, : len(observer.q)]
     into = solve_triangular(np.linalg.cholesky(feedback.p), feedback.b, lower=True)
-    out = solve_triangular(np.linalg.cholesky(observer.q), feedback.k.T, lower=True)
+    out = solve_triangular(np.linalg.cholesky(observer.q), on_state.T, lower=True)
     return float((abs(feedback.alpha) + feedback.beta) * np.linalg.norm(into, 2) * np.linalg.norm(out, 2))
 
 
 def violations(
-    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T n"], feedback: StateFeedback, observer: Observer
+    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T s"], feedback: StateFeedback, observer: Observer
 ) -> int:
     """Samples, over all cases, whose measured distance exceeds the bound by more than rounding."""
     d, e = distances(x, x_hat, feedback, observer)

@@ -108,18 +108,22 @@ class ObserverFeedback(Controller):
     """`u = u_eq + s_u (u* + K (xh - x*)),  xh+ = A xh + B S_u(u) + L (yh - y) / s_y`  ([Z26] eq. 9 and Theorem 3).
 
     `K (m, n)` and `L (n, p)` act in the model's scaled units. `xh[k]` predicts from `y` up to sample k-1, so the input
-    of sample k does not wait for the measurement of sample k. A target row is `(x*, u*)`, a trajectory of the model
-    itself: around any such trajectory the certified loop contracts.
+    of sample k does not wait for the measurement of sample k. A target row is `(x*, u*, r)`; `(x*, u*)` is a trajectory
+    of the model itself: around any such trajectory the certified loop contracts.
+
+    With `K (m, n + p)` the law has integral action: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
+    `z+ = z + (y - r) / s_y`. So that it does not wind up, z is held while a limit keeps the input from what was asked.
     """
 
     model: SSM
-    k: Float[np.ndarray, "m n"]
+    k: Float[np.ndarray, "m s"]
     l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
 
     def __post_init__(self) -> None:
         (n, m), p = self.model.linear.b.shape, len(self.model.output_scale)
         remedy = "use the design made for this model"
-        require(self.k.shape == (m, n), "k", self.k.shape, f"the model needs a gain of shape {(m, n)}", remedy)
+        fits = self.k.shape in ((m, n), (m, n + p))
+        require(fits, "k", self.k.shape, f"the model needs a gain of shape {(m, n)} or {(m, n + p)}", remedy)
         require(self.l.shape == (n, p), "l", self.l.shape, f"the model needs a gain of shape {(n, p)}", remedy)
 
     @classmethod
@@ -137,20 +141,23 @@ class ObserverFeedback(Controller):
         return len(self.model.input_scale), len(self.model.output_scale)
 
     def start(self, cases: int) -> Float[np.ndarray, "N s"]:
-        return np.zeros((cases, self.model.order))
+        return np.zeros((cases, self.k.shape[1]))
 
     def targets(self, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
         steps = len(np.unique(reference, axis=0)) <= MOST_SET_POINTS
-        return set_points(self.model, reference) if steps else feasible_trajectory(self.model, reference)
+        followed = set_points(self.model, reference) if steps else feasible_trajectory(self.model, reference)
+        return np.concatenate([followed, reference], axis=1)
 
     def demanded(self, targets: Float[np.ndarray, "T t"]) -> Float[np.ndarray, "K m"]:
-        return self.model.input_equilibrium + self.model.input_scale * targets[:, self.model.order :]
+        scaled = targets[:, self.model.order :][:, : len(self.k)]
+        return self.model.input_equilibrium + self.model.input_scale * scaled
 
     def input(
         self, memory: Float[np.ndarray, "N s"], y: Float[np.ndarray, "N p"], target: Float[np.ndarray, "t"]
     ) -> Float[np.ndarray, "N m"]:
-        n = self.model.order
-        scaled = target[n:] + (memory[:, :n] - target[:n]) @ self.k.T
+        n, m = self.model.order, len(self.k)
+        error = np.concatenate([memory[:, :n] - target[:n], memory[:, n:]], axis=1)
+        scaled = target[n : n + m] + error @ self.k.T
         return self.model.input_equilibrium + self.model.input_scale * scaled
 
     def advance(
@@ -160,10 +167,17 @@ class ObserverFeedback(Controller):
         y: Float[np.ndarray, "N p"],
         target: Float[np.ndarray, "t"],
     ) -> Float[np.ndarray, "N s"]:
-        return observe(self.model, self.l, memory, u, y)
+        n, p = self.model.order, y.shape[1]
+        x_hat = observe(self.model, self.l, memory[:, :n], u, y)
+        if self.k.shape[1] == n:
+            return x_hat
+        free = np.isclose(u, self.input(memory, y, target), rtol=1e-9, atol=1e-12).all(axis=1, keepdims=True)
+        error = (y - target[-p:]) / self.model.output_scale
+        return np.concatenate([x_hat, memory[:, n:] + np.where(free, error, 0.0)], axis=1)
 
     def estimate(self, memory: Float[np.ndarray, "N s"]) -> Float[np.ndarray, "N n"]:
-        return memory[:, : self.model.order]
+        """The estimated state of the model, then the integrators, if any."""
+        return memory
 
 
 def parts(design: Design) -> tuple[StateFeedback, Observer]:

@@ -19,34 +19,46 @@ LARGEST = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """States `x0 (N, n)` in which a constant input held the model, let go at sample 0; `horizon` in samples."""
+    """States `x0 (N, n)` in which a constant input held the model, let go at sample 0; `horizon` in samples.
+
+    `load (N, k)` is added to `S_u(u)` at every sample: what integral action is there to remove.
+    """
 
     x0: Float[np.ndarray, "N n"]
+    load: Float[np.ndarray, "N k"]
     horizon: int
 
 
-def release(model: SSM) -> Release:
-    """One set of states per input channel, at all `LEVELS`; channels that do not move the output are left out."""
+def release(model: SSM, loaded: bool) -> Release:
+    """One set of states per input channel, at all `LEVELS`; channels that do not move the output are left out.
+
+    If `loaded`, the same number of cases at rest under the constant load that would have led to these states.
+    """
     linear, n = model.linear, model.order
     held = np.linalg.solve(np.eye(n) - linear.a, linear.b).T
     reach = np.linalg.norm(model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1)
-    moved = held[reach > 1e-6 * reach.max()] / reach[reach > 1e-6 * reach.max(), None]
+    counts = reach > 1e-6 * reach.max()
+    moved = np.concatenate([level * held[counts] / reach[counts, None] for level in LEVELS])
+    load = np.concatenate([level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS])
     slowest = -np.log(min(max(linear.spectral_radius, 1e-6), 1 - 1e-6))
     horizon = int(np.clip(np.ceil(TIME_CONSTANTS / slowest), *SAMPLES))
-    return Release(x0=np.concatenate([level * moved for level in LEVELS]), horizon=horizon)
+    if not loaded:
+        return Release(x0=moved, load=0 * load, horizon=horizon)
+    return Release(x0=np.concatenate([moved, 0 * moved]), load=np.concatenate([0 * load, load]), horizon=horizon)
 
 
 def relative_areas(
     model: SSM,
-    ks: Float[np.ndarray, "C m n"],
+    ks: Float[np.ndarray, "C m s"],
     ls: Float[np.ndarray, "O n p"],
     pairs: Int[np.ndarray, "P 2"],
 ) -> Float[np.ndarray, "P"]:
     """`sum_k ||y[k]|| / sum_k ||y_uncontrolled[k]||`, mean over the released states; observers start from zero.
 
-    `pairs` names controller and observer of each design. No noise, scaled units. Below one is faster than no control.
+    `pairs` names controller and observer of each design. Gains of width `s = n + p` act on integrators too, and are
+    also judged by how soon they remove constant loads. No noise, scaled units. Below one is faster than no control.
     """
-    start = release(model)
+    start = release(model, loaded=ks.shape[2] > model.order)
     none = np.zeros((1, *ks.shape[1:])), np.zeros((1, *ls.shape[1:])), np.zeros((1, 2), dtype=int)
     alone = _areas(model, *none, start)[0]
     return (_areas(model, ks, ls, pairs, start) / np.maximum(alone, np.finfo(float).tiny)).mean(axis=1)
@@ -54,20 +66,23 @@ def relative_areas(
 
 def _areas(
     model: SSM,
-    ks: Float[np.ndarray, "C m n"],
+    ks: Float[np.ndarray, "C m s"],
     ls: Float[np.ndarray, "O n p"],
     pairs: Int[np.ndarray, "P 2"],
     start: Release,
 ) -> Float[np.ndarray, "P N"]:
-    linear = model.linear
+    linear, n = model.linear, model.order
     k, l_ = ks[pairs[:, 0]].transpose(0, 2, 1), ls[pairs[:, 1]].transpose(0, 2, 1)
     x = np.broadcast_to(start.x0, (len(pairs), *start.x0.shape)).copy()
     x_hat, area = np.zeros_like(x), np.zeros(x.shape[:2])
+    z = np.zeros((*x.shape[:2], k.shape[1] - n))
     for _ in range(start.horizon):
-        lifted = model.scaffold_in(np.clip(x_hat @ k, -LARGEST, LARGEST))
-        y = model.read_scaled(x, lifted)
+        u = x_hat @ k[:, :n] + z @ k[:, n:]
+        lifted = model.scaffold_in(np.clip(u, -LARGEST, LARGEST))
+        y = model.read_scaled(x, lifted + start.load)
         innovation = model.read_scaled(x_hat, lifted) - y
         area += np.linalg.norm(y, axis=2)
-        x = x @ linear.a.T + lifted @ linear.b.T
+        z = np.clip(z + y[..., : z.shape[2]], -LARGEST, LARGEST)
+        x = x @ linear.a.T + (lifted + start.load) @ linear.b.T
         x_hat = np.clip(x_hat @ linear.a.T + lifted @ linear.b.T + innovation @ l_, -LARGEST, LARGEST)
     return area

@@ -17,11 +17,12 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import rate_limit
+from ssm_study.synthesis.frontier import controller_frontier, observer_frontier
+from ssm_study.synthesis.integral import IntegralSynthesis, with_integrators
 from ssm_study.synthesis.mismatch import mismatch_gain, peaks_on_grid, sensitivity_peak
 from ssm_study.synthesis.problem import NoSolution, Problem
 from ssm_study.synthesis.riccati import RiccatiSynthesis, guaranteed_cost
-from ssm_study.systems import JacobianBall
+from ssm_study.systems import JacobianBall, StateSpace
 
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 """Frequencies (rad/sample) that rank the candidates; the chosen one is then judged by the exact norm."""
@@ -29,19 +30,24 @@ ATTEMPTS = 20
 """How many candidates are verified exactly before the search gives up: each costs two exact certificates."""
 
 
+Found = tuple[RiccatiSynthesis, Float[np.ndarray, "m s"]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Gains on the grid, and the specification that gives each of them back."""
+    """Gains on the grid, and the specification that gives each of them back; `integral` holds 0 for no integrators."""
 
     feedback: tuple[RiccatiSynthesis, ...]
-    ks: Float[np.ndarray, "C m n"]
+    integral: tuple[float, ...]
+    ks: Float[np.ndarray, "C m s"]
     observing: tuple[RiccatiSynthesis, ...]
     ls: Float[np.ndarray, "O n p"]
 
-    def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
-        feedback, observing = self.feedback[pair[0]], self.observing[pair[1]]
+    def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis | IntegralSynthesis:
+        feedback, observing, weight = self.feedback[pair[0]], self.observing[pair[1]], self.integral[pair[0]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
-        return replace(feedback, **{name: getattr(observing, name) for name in names})
+        chosen = replace(feedback, **{name: getattr(observing, name) for name in names})
+        return IntegralSynthesis(synthesis=chosen, integral_weight=weight) if weight else chosen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +58,8 @@ class Auto:
     model always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
     whose limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. A rate
     given as a number instead of "auto" is kept. When no candidate reaches the margin, the one with the largest is
-    returned and `solver_status` says so.
+    returned and `solver_status` says so. With `integral_weights`, the controller also acts on integrators of the
+    tracking error (`synthesis.integral`), and their weight is one more axis of the grid.
     """
 
     rate_controller: float | str = "auto"
@@ -63,6 +70,7 @@ class Auto:
     observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)
     input_weights: Sequence[float] = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     output_noises: Sequence[float] = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
+    integral_weights: Sequence[float] = ()
     state_weight: float = 1e-6
     state_noise: float = 1e-4
 
@@ -79,9 +87,9 @@ class Auto:
             grid = getattr(self, name)
             inside = len(grid) > 0 and all(0 < value < 1 for value in grid)
             require(inside, f"synthesis.{name}", grid, "must hold numbers in (0, 1)", "keep the default grid")
-        for name in ("input_weights", "output_noises"):
+        for name in ("input_weights", "output_noises", "integral_weights"):
             grid = getattr(self, name)
-            positive = len(grid) > 0 and all(0 < value < np.inf for value in grid)
+            positive = (len(grid) > 0 or name == "integral_weights") and all(0 < value < np.inf for value in grid)
             require(positive, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
 
     def design(
@@ -98,43 +106,59 @@ class Auto:
         gain = mismatch_gain(model, validation)
         peaks = peaks_on_grid(model.linear, candidates.ks, candidates.ls, input_ball, output_ball, GRID_ANGLES)
         for pair in self._in_order(model, candidates, 1 / np.maximum(gain * peaks, np.finfo(float).tiny)):
-            design = _both(candidates.specification(pair), model, input_ball, output_ball)
+            design = candidates.specification(pair).design(model, input_ball, output_ball)
             if design.certified and self._margin(model, design, gain, input_ball, output_ball) > self.margin:
                 return self._reported(design, "fastest with margin above the bound")
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
-        design = _both(candidates.specification(best), model, input_ball, output_ball)
+        design = candidates.specification(best).design(model, input_ball, output_ball)
         return self._reported(design, f"no margin above {self.margin:g}; largest margin taken")
 
     def candidates(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Candidates | None:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
-        controller_limit, observer_limit = rate_limit(model.linear, input_ball, output_ball)
-        own = max(1 - model.linear.spectral_radius**2, 0.0)
-        cautious = [share * own for share in self.own_rate_shares]
-        bold = [own + share * (controller_limit - own) for share in self.stretch_shares]
-        rates_c = self._rates(self.rate_controller, cautious + bold)
-        rates_o = self._rates(self.rate_observer, cautious + list(self.observer_rates))
-        feedback, observing = [], []
-        for rate in (r for r in rates_c if 0 < r < controller_limit):
-            for weight in self.input_weights:
-                feedback.append(self._specification(rate_controller=rate, input_weight=weight))
-        for rate in (r for r in rates_o if 0 < r < observer_limit):
-            for noise in self.output_noises:
-                observing.append(self._specification(rate_observer=rate, output_noise=noise))
-        if not input_ball.lower * input_ball.upper > 0 or not output_ball.lower * output_ball.upper > 0:
+        if abs(input_ball.alpha) <= input_ball.beta or abs(output_ball.alpha) <= output_ball.beta:
             return None
-        found_k = _solved((s, s.controller_problem(model.linear, input_ball)) for s in feedback)
-        found_l = _solved((s, s.observer_problem(model.linear, output_ball)) for s in observing)
-        if not found_k or not found_l:
+        feedback = [
+            (specification, weight, gain)
+            for weight in self.integral_weights or (0.0,)
+            for specification, gain in self._controllers(_controlled(model, weight), input_ball)
+        ]
+        observing = self._observers(model.linear, output_ball)
+        if not feedback or not observing:
             return None
         return Candidates(
-            feedback=tuple(s for s, _ in found_k),
-            ks=np.stack([k for _, k in found_k]),
-            observing=tuple(s for s, _ in found_l),
-            ls=np.stack([k.T for _, k in found_l]),
+            feedback=tuple(specification for specification, _, _ in feedback),
+            integral=tuple(weight for _, weight, _ in feedback),
+            ks=np.stack([gain for _, _, gain in feedback]),
+            observing=tuple(specification for specification, _ in observing),
+            ls=np.stack([gain.T for _, gain in observing]),
         )
 
-    def _rates(self, rate: float | str, grid: list[float]) -> list[float]:
-        return grid if rate == "auto" else [float(rate)]
+    def _controllers(self, system: StateSpace, ball: JacobianBall) -> list[Found]:
+        limit, own = controller_frontier(system, ball).rate_limit, _own_rate(system)
+        bold = [own + share * (limit - own) for share in self.stretch_shares]
+        rates = self._rates(self.rate_controller, self._cautious(system) + bold, limit)
+        asked = [
+            self._specification(rate_controller=rate, input_weight=weight)
+            for rate in rates
+            for weight in self.input_weights
+        ]
+        return _solved((specification, specification.controller_problem(system, ball)) for specification in asked)
+
+    def _observers(self, system: StateSpace, ball: JacobianBall) -> list[Found]:
+        limit = observer_frontier(system, ball).rate_limit
+        rates = self._rates(self.rate_observer, self._cautious(system) + list(self.observer_rates), limit)
+        asked = [
+            self._specification(rate_observer=rate, output_noise=noise)
+            for rate in rates
+            for noise in self.output_noises
+        ]
+        return _solved((specification, specification.observer_problem(system, ball)) for specification in asked)
+
+    def _cautious(self, system: StateSpace) -> list[float]:
+        return [share * _own_rate(system) for share in self.own_rate_shares]
+
+    def _rates(self, rate: float | str, grid: list[float], limit: float) -> list[float]:
+        return [value for value in (grid if rate == "auto" else [float(rate)]) if 0 < value < limit]
 
     def _specification(self, **chosen: float) -> RiccatiSynthesis:
         asked = {"rate_controller": 0.5, "rate_observer": 0.5} | chosen
@@ -162,7 +186,10 @@ class Auto:
         """What the Riccati route says at the least demanding request, as the reason to report."""
         asked = [1e-3 if rate == "auto" else float(rate) for rate in (self.rate_controller, self.rate_observer)]
         specification = self._specification(rate_controller=asked[0], rate_observer=asked[1])
-        return _both(specification, model, input_ball, output_ball)
+        if not self.integral_weights:
+            return specification.design(model, input_ball, output_ball)
+        integral = IntegralSynthesis(synthesis=specification, integral_weight=self.integral_weights[0])
+        return integral.design(model, input_ball, output_ball)
 
     def _reported(self, design: Design, status: str) -> Design:
         """The parts under this method's name, with what the search found."""
@@ -173,16 +200,16 @@ class Auto:
         )
 
 
-def _both(specification: RiccatiSynthesis, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Design:
-    return Design(
-        state_feedback=specification.state_feedback(model.linear, input_ball),
-        observer=specification.observer(model.linear, output_ball),
-    )
+def _controlled(model: SSM, integral_weight: float) -> StateSpace:
+    return with_integrators(model, integral_weight) if integral_weight else model.linear
 
 
-def _solved(
-    problems: Iterator[tuple[RiccatiSynthesis, Problem]],
-) -> list[tuple[RiccatiSynthesis, Float[np.ndarray, "m n"]]]:
+def _own_rate(system: StateSpace) -> float:
+    """The rate at which the system contracts by itself, 0 if it does not."""
+    return max(1 - system.spectral_radius**2, 0.0)
+
+
+def _solved(problems: Iterator[tuple[RiccatiSynthesis, Problem]]) -> list[Found]:
     found = []
     for specification, problem in problems:
         try:

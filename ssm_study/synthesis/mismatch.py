@@ -4,9 +4,11 @@ Write the true output as `y = y_model + e`. With `u = K xh` the closed loop maps
 
     x+ = (A + B J_u K) x + B J_u K eps,     eps+ = (A + L J_y C) eps - L e,     u = K (x + eps),
 
-`J_u`, `J_y` in the balls of Jacobians (D cancels). By the small-gain theorem the loop survives any mismatch operator
-`u -> e` of gain below `1 / ||T_ue||_inf`; that gain is estimated on the validation record as `g = ||e||_2 / ||u||_2`.
-A predictor, not a certificate: g is one record's gain, and the Jacobians are taken constant. Source: THEORY section 5.
+`J_u`, `J_y` in the balls of Jacobians (D cancels). With integral action `u = K_x (x + eps) + K_z z` and
+`z+ = z + J_y C x + e`, the measured output being what is integrated (here D is taken as zero). By the small-gain
+theorem the loop survives any mismatch operator `u -> e` of gain below `1 / ||T_ue||_inf`; that gain is estimated on the
+validation record as `g = ||e||_2 / ||u||_2`. A predictor, not a certificate: g is one record's gain, and the Jacobians
+are taken constant. Source: THEORY section 5.
 """
 
 from dataclasses import dataclass
@@ -39,7 +41,7 @@ class Mismatch:
 
 def mismatch(
     model: SSM,
-    k: Float[np.ndarray, "m n"],
+    k: Float[np.ndarray, "m s"],
     l: Float[np.ndarray, "n p"],  # noqa: E741 - the paper's letter
     input_ball: JacobianBall,
     output_ball: JacobianBall,
@@ -74,25 +76,33 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
 
 def sensitivity(
     linear: StateSpace,
-    k: Float[np.ndarray, "m n"],
+    k: Float[np.ndarray, "m s"],
     l: Float[np.ndarray, "n p"],  # noqa: E741
     slope_in: float,
     slope_out: float,
 ) -> StateSpace:
-    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps)`."""
-    drive = slope_in * linear.b @ k
+    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`; `s = n`, or `n + p` with integrators."""
     n, p = l.shape
+    on_state, on_integral = k[:, :n], k[:, n:]
+    drive, integral = slope_in * linear.b @ on_state, slope_in * linear.b @ on_integral
+    seen, count = slope_out * linear.c[: on_integral.shape[1]], on_integral.shape[1]
     return StateSpace(
-        a=np.block([[linear.a + drive, drive], [np.zeros((n, n)), linear.a + slope_out * l @ linear.c]]),
-        b=np.vstack([np.zeros((n, p)), -l]),
-        c=np.hstack([k, k]),
+        a=np.block(
+            [
+                [linear.a + drive, drive, integral],
+                [np.zeros((n, n)), linear.a + slope_out * l @ linear.c, np.zeros((n, count))],
+                [seen, np.zeros((count, n)), np.eye(count)],
+            ]
+        ),
+        b=np.vstack([np.zeros((n, p)), -l, np.eye(count, p)]),
+        c=np.hstack([on_state, on_state, on_integral]),
         d=np.zeros((len(k), p)),
     )
 
 
 def sensitivity_peak(
     linear: StateSpace,
-    k: Float[np.ndarray, "m n"],
+    k: Float[np.ndarray, "m s"],
     l: Float[np.ndarray, "n p"],  # noqa: E741
     input_ball: JacobianBall,
     output_ball: JacobianBall,
@@ -104,7 +114,7 @@ def sensitivity_peak(
 
 def peaks_on_grid(
     linear: StateSpace,
-    ks: Float[np.ndarray, "C m n"],
+    ks: Float[np.ndarray, "C m s"],
     ls: Float[np.ndarray, "O n p"],
     input_ball: JacobianBall,
     output_ball: JacobianBall,
@@ -112,18 +122,23 @@ def peaks_on_grid(
 ) -> Float[np.ndarray, "C O"]:
     """The largest `sigma_max(T_ue)` on a grid of frequencies, for every pair of controller and observer at once.
 
-    `T_ue = -(I - J_u K G)^{-1} K (z I - A - L J_y C)^{-1} L` with `G = (z I - A)^{-1} B` separates the pair into two
-    factors, so a hundred controllers and fifty observers cost little more than one of each. From below: a peak
-    between two frequencies is missed, and an unstable loop is not seen.
+    `T_ue = (I - J_u F G)^{-1} (K_z / (z - 1) - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z J_y C / (z - 1)`,
+    `G = (z I - A)^{-1} B`, separates the pair into two factors, so a hundred controllers and fifty observers cost
+    little more than one of each. From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """
-    peak = np.zeros((len(ks), len(ls)))
+    n, peak = linear.order, np.zeros((len(ks), len(ls)))
+    on_state, on_integral = ks[:, :, :n], ks[:, :, n:]
+    summed = np.einsum("cmq,f->cfmq", on_integral, 1 / (np.exp(1j * angles) - 1))
     to_state = frequency_response(_with_output(linear, linear.a, linear.b), angles)
-    loops = np.einsum("cmn,fnk->cfmk", ks, to_state)
     for slope_out in slopes(output_ball):
+        seen = slope_out * linear.c[: on_integral.shape[2]]
+        loops = (on_state[:, None] + summed @ seen) @ to_state
         observed = np.stack(
             [frequency_response(_with_output(linear, linear.a + slope_out * l @ linear.c, l), angles) for l in ls]  # noqa: E741
         )
-        through = np.einsum("cmn,ofnp->cofmp", ks, observed)
+        through = -np.einsum("cmn,ofnp->cofmp", on_state, observed)
+        if on_integral.shape[2]:
+            through = through + summed[:, None]
         for slope_in in slopes(input_ball):
             inverse = np.linalg.inv(np.eye(ks.shape[1]) - slope_in * loops)
             peak = np.maximum(peak, _largest(np.einsum("cfmk,cofkp->cofmp", inverse, through)))
