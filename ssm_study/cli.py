@@ -2,14 +2,15 @@
 
 import argparse
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.refusal import BadRequest
 
@@ -51,8 +52,9 @@ def run(overrides: list[str]) -> int:
     from omegaconf.errors import OmegaConfBaseException
 
     from ssm_study import study
+    from ssm_study.results.request import check_request, translate
 
-    study.register_resolvers()
+    overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = (
         "1"  # Hydra then raises instead of printing, so that one sentence can be made of it
     )
@@ -62,10 +64,12 @@ def run(overrides: list[str]) -> int:
         study.job
     )
     try:
+        check_request(overrides, configuration_folder(), "study")
         application()
     except (HydraException, OmegaConfBaseException) as error:
         asked = " ".join(overrides) or "(no override)"
-        raise BadRequest("request", asked, one_sentence(error), "see `ssm-study run --help`") from error
+        remedy = meant(one_sentence(error), overrides) or "see `ssm-study run --help`"
+        raise BadRequest("request", asked, one_sentence(error), remedy) from error
     except OSError as error:
         problem = error.strerror or type(error).__name__
         raise BadRequest("results_dir", error.filename, problem, "choose a folder that you may write to") from error
@@ -80,11 +84,14 @@ class StudyCallback(Callback):
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
-        try:
-            study.check(config)
-        except BadRequest as refusal:  # Hydra swallows exceptions of callbacks, not an exit
-            print(f"ssm-study: {refusal}", file=sys.stderr)
-            raise SystemExit(WRONG_REQUEST) from refusal
+        _refusing(lambda: study.check(config))
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        from ssm_study import study
+        from ssm_study.results.request import check_sweep
+
+        if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
+            _refusing(lambda: check_sweep(config, study.job))
 
     def on_run_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
@@ -94,12 +101,50 @@ class StudyCallback(Callback):
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
-        StudyCallback.failed |= study.conclude_sweep(config)
+        if not config.dry_run:
+            StudyCallback.failed |= study.conclude_sweep(config)
+
+
+def _refusing(check: Callable[[], object]) -> None:
+    """Hydra swallows the exceptions of callbacks, but not an exit."""
+    try:
+        check()
+    except BadRequest as refusal:
+        print(f"ssm-study: {refusal}", file=sys.stderr)
+        raise SystemExit(WRONG_REQUEST) from refusal
 
 
 def one_sentence(error: BaseException) -> str:
-    """OmegaConf's and Hydra's messages without their appendices."""
-    return " ".join(str(error).split("\n    full_key")[0].split()).rstrip(".")
+    """Hydra's and OmegaConf's messages without their appendices."""
+    text = str(error)
+    for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
+        text = text.split(appendix)[0]
+    return " ".join(text.split()).rstrip(".")
+
+
+def meant(problem: str, overrides: list[str]) -> str:
+    """For a misspelt key: the nearest key of the configuration, or nothing."""
+    from difflib import get_close_matches
+
+    from hydra import compose, initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+
+    found = re.search(r"Could not override '([^']+)'", problem)
+    if found is None:
+        return ""
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(configuration_folder()), version_base="1.3"):
+        config = compose("study", [word for word in overrides if "/" in word or word.startswith("experiment=")])
+    near = get_close_matches(found[1], list(keys_of(config)), n=1)
+    return f"did you mean {near[0]}?" if near else ""
+
+
+def keys_of(config: DictConfig, prefix: str = "") -> Iterator[str]:
+    """Every key of the configuration, dotted."""
+    for key in config:
+        yield f"{prefix}{key}"
+        if not OmegaConf.is_missing(config, str(key)) and isinstance(config[key], DictConfig):
+            yield from keys_of(config[key], f"{prefix}{key}.")
 
 
 def _parser() -> argparse.ArgumentParser:

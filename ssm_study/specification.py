@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import hydra
+from beartype import BeartypeConf
+from beartype.door import is_bearable
 from hydra.errors import InstantiationException
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.data.excitation import Excitation
@@ -25,6 +28,7 @@ from ssm_study.signals import DataSet
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.training.training import Training
 
+NUMBERS = BeartypeConf(is_pep484_tower=True)  # a whole number is a number
 PARTS = ("plant", "excitation", "data", "model", "training", "reduction", "synthesis", "loop")
 
 
@@ -51,6 +55,8 @@ class Specification:
     def from_config(cls, config: DictConfig) -> "Specification":
         """Build and check every part; raises `BadRequest` for the first that cannot be."""
         refuse_foreign_targets(config)
+        missing = sorted(key for key in OmegaConf.missing_keys(config) if not key.startswith("hydra."))
+        require(not missing, missing[0] if missing else "", "???", "is missing", "give it a value on the command line")
         seed = config.seed
         whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32
         require(whole, "seed", seed, "not a whole number from 0 to 2^32 - 1", "use 0")
@@ -81,21 +87,51 @@ class Specification:
 
 
 def part(config: DictConfig, name: str) -> Any:
-    """Instantiate one group of the configuration; a misspelt or missing field becomes one sentence."""
+    """Instantiate one group of the configuration after checking its fields against the constructor's own types."""
+    node = OmegaConf.create(OmegaConf.to_container(config[name], resolve=True))
+    check_fields(name, node)
     try:
-        return hydra.utils.instantiate(config[name], _convert_="all")
+        return hydra.utils.instantiate(node, _convert_="all")
     except InstantiationException as error:
         refusal = _refusal_within(error)
         if refusal is not None:
             raise refusal from error
-        cause = error.__cause__ or error
-        raise BadRequest(
-            name, config[name].get("_target_"), _sentence(cause), f"see conf/{name}/ for its fields"
-        ) from error
-    except OmegaConfBaseException as error:
-        raise BadRequest(
-            name, config[name].get("_target_"), _sentence(error), f"give the missing value of {name}"
-        ) from error
+        cause = " ".join(str(error.__cause__ or error).split()).rstrip(".")
+        raise BadRequest(name, node.get("_target_"), cause, f"see conf/{name}/ for its fields") from error
+
+
+def check_fields(path: str, node: Any) -> None:
+    """Unknown or mistyped fields, at any depth: the constructor is the schema. Raises `BadRequest`.
+
+    A whole number given where the constructor wants any number is made a float.
+    """
+    if isinstance(node, ListConfig):
+        for i, item in enumerate(node):
+            check_fields(f"{path}[{i}]", item)
+    if not isinstance(node, DictConfig) or "_target_" not in node:
+        return
+    kind = hydra.utils.get_object(node["_target_"])
+    hints = get_type_hints(kind.__init__ if isinstance(kind, type) else kind)
+    known = list(signature(kind).parameters)
+    for key in (str(key) for key in node if not str(key).startswith("_")):
+        field = f"{path}.{key}"
+        value = OmegaConf.to_container(node[key], resolve=True) if OmegaConf.is_config(node[key]) else node[key]
+        remedy = f"its fields are {', '.join(known)}"
+        require(key in known, field, value, f"{kind.__name__} has no such field", remedy)
+        if OmegaConf.is_config(node[key]):
+            check_fields(field, node[key])
+        elif key in hints:
+            fits = is_bearable(value, hints[key], conf=NUMBERS)
+            require(fits, field, value, f"is not {_words(hints[key])}", "correct the value")
+            if not is_bearable(value, hints[key]):
+                node[key] = float(value)
+
+
+def _words(hint: Any) -> str:
+    """A type as a reader would say it."""
+    said = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", type(None): "null"}
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return " or ".join(said.get(part, str(part).replace("typing.", "")) for part in parts)
 
 
 def plain(config: DictConfig) -> dict[str, Any]:
@@ -113,7 +149,3 @@ def _refusal_within(error: BaseException) -> BadRequest | None:
             return cause
         cause = cause.__cause__ or cause.__context__
     return None
-
-
-def _sentence(error: BaseException) -> str:
-    return " ".join(str(error).split("\n    full_key")[0].split()).rstrip(".")

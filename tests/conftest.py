@@ -23,3 +23,25 @@ def benchmark_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"benchmark records not found at {folder}; set SSM_STUDY_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def smoke_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers of a test session: read only."""
+    from filelock import FileLock
+
+    from ssm_study.cli import main
+
+    shared = tmp_path_factory.getbasetemp()
+    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
+    with FileLock(shared / "smoke.lock"):
+        if not (shared / "results" / "smoke" / "runs.parquet").exists():
+            assert main(["run", "experiment=smoke", f"results_dir={shared / 'results'}", "progress=false"]) == 0
+    return shared / "results" / "smoke"
+
+
+@pytest.fixture(scope="session")
+def smoke_run(smoke_study: Path) -> Path:
+    """The run folder of `smoke_study`: read only."""
+    (record,) = smoke_study.glob("*/record.json")
+    return record.parent

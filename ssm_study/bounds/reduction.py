@@ -1,7 +1,7 @@
 """The configured step between identification and synthesis: balanced coordinates, fewer states."""
 
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable, runtime_checkable
 
 from ssm_study.bounds.hankel import BALANCING_FLOOR, balance, hankel_singular_values
 from ssm_study.refusal import require
@@ -9,13 +9,14 @@ from ssm_study.systems import StateSpace
 
 
 @runtime_checkable
+@runtime_checkable
 class HasLinear(Protocol):
     """Any model whose linear part can be read and replaced."""
 
     @property
     def linear(self) -> StateSpace: ...
 
-    def with_linear(self, linear: StateSpace) -> Self: ...
+    def with_linear(self, linear: StateSpace) -> Any: ...
 
 
 Model = TypeVar("Model", bound=HasLinear)

@@ -1,7 +1,7 @@
 """`jacobian_ball(scaffold)`: the one question synthesis asks of a scaffolding, answered by the best sound method."""
 
 from fractions import Fraction
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -65,6 +65,7 @@ def _network(network: Network, method: str) -> SlopeBound:
     return interval_bound(network)
 
 
+@runtime_checkable
 class HasScaffolds(Protocol):
     """Any model with an input and an output scaffolding."""
 

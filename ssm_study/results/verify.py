@@ -59,16 +59,24 @@ def verify(run: Path) -> list[Finding]:
     require(status != FAILED, "run", run, "the run failed and claims nothing", f"see {run / 'traceback.txt'}")
     findings = [_seal(run, status)]
     for claims in (_model, _certificate, _fits, _loop):
-        findings += _guarded(claims.__name__.strip("_"), lambda claims=claims: list(claims(run, record)))
+        findings += _guarded(claims, run, record)
     return findings
 
 
-def _guarded(name: str, claims: Callable[[], list[Finding]]) -> list[Finding]:
+def _guarded(
+    claims: Callable[[Path, dict[str, Any]], Iterator[Finding]], run: Path, record: dict[str, Any]
+) -> list[Finding]:
     """A file that cannot be read is a claim that does not hold."""
     try:
-        return claims()
+        return list(claims(run, record))
     except (BadRequest, OSError, ValueError, KeyError, TypeError) as error:
-        return [Finding(claim=name, holds=False, found=f"cannot be derived: {' '.join(str(error).split())}")]
+        return [
+            Finding(
+                claim=claims.__name__.strip("_"),
+                holds=False,
+                found=f"cannot be derived: {' '.join(str(error).split())}",
+            )
+        ]
 
 
 def _seal(run: Path, status: str) -> Finding:

@@ -2,6 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Protocol, runtime_checkable
@@ -115,7 +116,10 @@ class Synthesis(ABC):
         return Request(side=side, rate=rate, ball=ball, frontier=frontier, method=self.method, started=started)
 
     def _searched(self, request: Request, problem: Problem) -> StateFeedback | Observer | Infeasible:
+        return request.first_certified(problem, self.attempts(problem, request.frontier))
+
+    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate with room."""
-        r, floor = problem.contraction, max(request.frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
+        r, floor = problem.contraction, max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
-        return request.first_certified(problem, [partial(self.solve, replace(problem, rate=rate)) for rate in rates])
+        return [partial(self.solve, replace(problem, rate=rate)) for rate in rates]
