@@ -1,0 +1,97 @@
+"""A wrong request: one sentence with field, value and remedy, exit status 2, nothing computed and no folder left."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ssm_study.cli import main
+
+RECORDED = ("experiment=paper", "data=recorded", "data.input=u", "data.output=y")
+WRONG = {
+    "model.order": ["model.order=0"],
+    "model.order = -2": ["model.order=-2"],
+    "model.order = 2.5": ["model.order=2.5"],
+    "model.real_modes": ["model.start=ring", "model.order=5", "model.real_modes=2"],
+    "model.hidden_width": ["model.hidden_width=0"],
+    "model.slope_lower, model.slope_upper": ["model.slope_lower=0.5", "model.slope_upper=0.2"],
+    "model.slope_lower": ["model.slope_lower=0"],
+    "synthesis.rate_controller": ["synthesis=riccati", "synthesis.rate_controller=1.5"],
+    "synthesis.rate_observer": ["synthesis=lmi", "synthesis.rate_observer=0"],
+    "loop.measurement_noise_variance": ["loop.measurement_noise_variance=-1"],
+    "data.noise_variance": ["data.noise_variance=-0.1"],
+    "data.samples": ["data.samples=many"],
+    "did you mean model.order?": ["model.ordr=4"],
+    "experiment/nope": ["experiment=nope"],
+    "seed": ["seed=-1"],
+    "study": ["study=../elsewhere"],
+    "data.input": ["data=recorded", "data.path=somewhere.csv"],
+    "no such file": [*RECORDED, "data.path=/nowhere/log.csv"],
+    "unrecognized arguments": ["--nonsense"],
+    "training.optimiser.nonsense": ["+training.optimiser.nonsense=1"],
+    "plant._target_": ["plant._target_=os.system"],
+}
+
+
+def refused(overrides: list[str], results: Path, capfd: pytest.CaptureFixture[str]) -> str:
+    with pytest.raises(SystemExit) if overrides == ["--nonsense"] else _NoExit():
+        status = main(["run", f"results_dir={results}", *overrides])
+        assert status == 2
+    said = capfd.readouterr().err.strip()
+    assert "Traceback" not in said
+    assert not [path for path in results.rglob("*") if path.is_file()]
+    return said
+
+
+class _NoExit:
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: type | None, error: BaseException | None, _: object) -> bool:
+        return isinstance(error, SystemExit) and error.code == 2
+
+
+@pytest.mark.parametrize(("names", "overrides"), WRONG.items(), ids=list(WRONG))
+def test_one_sentence(names: str, overrides: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    said = refused(overrides, tmp_path / "results", capfd)
+    assert names in said
+    if "--nonsense" not in overrides:
+        assert len(said.splitlines()) == 1
+
+
+def log(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    header, values = ",".join(columns), np.column_stack(list(columns.values()))
+    np.savetxt(path, values, delimiter=",", header=header, comments="")
+    return path
+
+
+TIME = np.arange(400) * 0.01
+EXCITED = np.sign(np.sin(37.0 * TIME)) * (1 + np.cos(5 * TIME))
+ANSWER = np.cumsum(EXCITED) * 0.01
+MALFORMED = {
+    "wrong columns": {"time": TIME, "voltage": EXCITED, "speed": ANSWER},
+    "NaN": {"time": TIME, "u": EXCITED, "y": np.where(TIME == TIME[77], np.nan, ANSWER)},
+    "non-uniform sampling": {"time": TIME + (TIME > 2) * 0.007, "u": EXCITED, "y": ANSWER},
+    "constant input": {"time": TIME, "u": np.ones(400), "y": ANSWER},
+}
+
+
+@pytest.mark.parametrize("what", MALFORMED)
+def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = log(tmp_path / "log.csv", MALFORMED[what])
+    said = refused([*RECORDED, f"data.path={path}"], tmp_path / "results", capfd)
+    assert len(said.splitlines()) == 1
+    assert ";" in said
+
+
+def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time,u,y\n" + "".join(f"{t},{t % 3},{t}\n" for t in range(50)) + "50,1\n")
+    said = refused([*RECORDED, f"data.path={path}"], tmp_path / "results", capfd)
+    assert "log.csv" in said
+
+
+@pytest.mark.skipif(os.geteuid() == 0 and not Path("/proc").is_dir(), reason="needs a folder nobody can write to")
+def test_unwritable_results_folder(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "experiment=smoke", "results_dir=/proc/results"]) == 2
+    assert "results_dir = /proc/results" in capfd.readouterr().err
