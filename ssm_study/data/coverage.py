@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ssm_study.signals import DataSet
 
 BINS = 20
-RANK_TOLERANCE = 1e-8  # relative to the largest singular value: below it a direction is rounding, not excitation
+RANK_TOLERANCE = 4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding
 SAMPLES_FOR_ORDER = 2000
 
 

@@ -1,11 +1,24 @@
 """The laws of `Excitation`, for every yaml of conf/excitation, and what is special to each kind."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 from plants_cases import choices, from_yaml
 
-from ssm_study.data.coverage import SlopesNotIdentifiable, input_coverage, persistency_order, warn_if_two_level
+from ssm_study.data.coverage import (
+    SlopesNotIdentifiable,
+    input_coverage,
+    input_spectrum,
+    persistency_order,
+    warn_if_two_level,
+)
 from ssm_study.data.excitation import PRBS, Request
+from ssm_study.data.multisine import Multisine, crest_factor
+from ssm_study.data.own_signal import OwnSignal
+from ssm_study.refusal import BadRequest
 
 REQUEST = Request(samples=600, step_s=0.01, amplitude=(4.0, 0.5), clock_s=0.05)
 EVERY = pytest.mark.parametrize("name", choices("excitation"))
@@ -35,7 +48,8 @@ def test_channels_differ(name: str) -> None:
 
 @EVERY
 def test_every_excitation_identifies_order_eight(name: str) -> None:
-    u = from_yaml("excitation", name).signal(REQUEST, np.random.default_rng(0))
+    """With a clock of twice the sampling time; band-limited signals reach less at slower clocks, and should."""
+    u = from_yaml("excitation", name).signal(replace(REQUEST, clock_s=0.02), np.random.default_rng(0))
     assert persistency_order(u) >= 17
 
 
@@ -70,3 +84,59 @@ def test_a_sum_of_sines_is_persistently_exciting_of_twice_their_number(sines: in
     t = np.arange(1000)
     u = sum(np.sin(2 * np.pi * (0.05 + 0.07 * k) * t + k) for k in range(sines))[:, None]
     assert persistency_order(u - 0.0) == 2 * sines
+
+
+ONE = Request(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
+
+
+def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
+    u = Multisine(band_low_hz=1.0, band_high_hz=5.0).signal(ONE, np.random.default_rng(0))
+    frequencies, amplitude = input_spectrum(u, ONE.step_s)
+    inside = (frequencies > 0.99) & (frequencies < 5.01)
+    assert inside.sum() == 41
+    np.testing.assert_allclose(amplitude[inside], amplitude[inside].mean(), rtol=1e-9)
+    np.testing.assert_allclose(amplitude[~inside], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clipping_lowers_the_crest_factor(seed: int) -> None:
+    random = Multisine(crest_iterations=0).signal(ONE, np.random.default_rng(seed))[:, 0]
+    clipped = Multisine().signal(ONE, np.random.default_rng(seed))[:, 0]
+    assert crest_factor(clipped) < 0.75 * crest_factor(random)
+    assert crest_factor(clipped) < 2.0
+
+
+def test_a_chirp_sweeps_its_band() -> None:
+    u = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0").signal(ONE, np.random.default_rng(0))
+    crossings = np.flatnonzero(np.diff(np.sign(u[:, 0])))
+    halves = np.diff(crossings) * ONE.step_s
+    assert 0.5 / halves[0] == pytest.approx(1.0, rel=0.2)
+    assert 0.5 / halves[-1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_a_staircase_holds_uniform_levels() -> None:
+    u = from_yaml("excitation", "staircase").signal(ONE, np.random.default_rng(0))[:, 0]
+    np.testing.assert_allclose(np.unique(u), np.linspace(-2.0, 2.0, 11), atol=1e-12)
+    assert (np.diff(np.flatnonzero(np.diff(u))) == 15).all()
+
+
+def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).uniform(-3, 3, 1500)
+    pd.DataFrame({"volt": values}).to_csv(tmp_path / "u.csv", index=False)
+    u = OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(ONE, np.random.default_rng(0))[:, 0]
+    start = int(np.argmax(values == u[0]))
+    np.testing.assert_array_equal(u, values[start : start + 1000])
+    scaled = OwnSignal(path=str(tmp_path / "u.csv"), column="volt", amplitude=1.0)
+    assert np.abs(scaled.signal(ONE, np.random.default_rng(0))).max() <= 1.0
+    long = Request(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)
+    with pytest.raises(BadRequest, match="has 1500 rows and records of 2000 samples"):
+        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(long, np.random.default_rng(0))
+    with pytest.raises(BadRequest, match="the plant has 2 inputs"):
+        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(REQUEST, np.random.default_rng(0))
+
+
+def test_a_band_without_lines_is_refused() -> None:
+    with pytest.raises(BadRequest, match="holds 1 lines"):
+        Multisine(band_low_hz=1.0, band_high_hz=1.05).signal(ONE, np.random.default_rng(0))
+    with pytest.raises(BadRequest, match="not below band_high_hz"):
+        Multisine(band_low_hz=2.0, band_high_hz=1.0)

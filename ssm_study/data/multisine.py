@@ -1,0 +1,80 @@
+"""A sum of sines with a low crest factor: power where it is wanted, as much as the amplitude allows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ssm_study.data.excitation import Amplitude, Excitation, Request, check_common
+from ssm_study.refusal import require
+
+FEWEST_LINES = 2
+CLIP_AT = 0.85  # of the peak: deep enough to make progress, shallow enough to converge (Van der Ouderaa et al. 1988)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multisine(Excitation):
+    """`u(t) = A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band with equal power, T the record.
+
+    Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat spectrum, which lowers the
+    crest factor peak/rms (random phases: about 3; afterwards about 1.6). `band_low_hz` None is the first line,
+    `band_high_hz` None is `0.5 / clock_s`. Source: Pintelon & Schoukens 2012, sec. 5.3; Van der Ouderaa et al. 1988.
+    """
+
+    band_low_hz: float | None = None
+    band_high_hz: float | None = None
+    crest_iterations: int = 100
+    amplitude: Amplitude = None
+    clock_s: float | None = None
+
+    def __post_init__(self) -> None:
+        check_common(self.amplitude, self.clock_s)
+        low, high = self.band_low_hz, self.band_high_hz
+        for name, value in (("band_low_hz", low), ("band_high_hz", high)):
+            field = f"excitation.{name}"
+            require(value is None or 0 < value < np.inf, field, value, "must be positive", "give hertz, or null")
+        ordered = low is None or high is None or low < high
+        require(ordered, "excitation.band_low_hz", low, f"not below band_high_hz = {high}", "swap them")
+        rounds = self.crest_iterations
+        require(rounds >= 0, "excitation.crest_iterations", rounds, "must not be negative", "use 0 for random phases")
+
+    @property
+    def kind(self) -> str:
+        return "multisine"
+
+    def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+        frequencies = np.fft.rfftfreq(request.samples, request.step_s)
+        low = 0.0 if self.band_low_hz is None else self.band_low_hz
+        high = 0.5 / request.clock_s if self.band_high_hz is None else self.band_high_hz
+        band = (frequencies > 0) & (frequencies >= low * (1 - 1e-9)) & (frequencies <= high * (1 + 1e-9))
+        band &= frequencies < 0.5 / request.step_s * (1 - 1e-9)  # the Nyquist line has no phase to choose
+        lines = int(band.sum())
+        require(
+            lines >= FEWEST_LINES,
+            "excitation.band_low_hz, excitation.band_high_hz",
+            (low, high),
+            f"holds {lines} lines of a record of {request.samples} samples every {request.step_s:g} s",
+            "widen the band or lengthen the record",
+        )
+        return np.stack([self._channel(band, request.samples, rng) for _ in range(request.inputs)], axis=1)
+
+    def _channel(self, band: np.ndarray, samples: int, rng: np.random.Generator) -> Float[np.ndarray, "T"]:
+        spectrum = np.where(band, np.exp(2j * np.pi * rng.random(len(band))), 0.0)
+        best = _flat(spectrum, samples)
+        for _ in range(self.crest_iterations):
+            level = CLIP_AT * np.abs(best).max()
+            clipped = np.fft.rfft(np.clip(best, -level, level))
+            candidate = _flat(np.where(band, np.exp(1j * np.angle(clipped)), 0.0), samples)
+            if np.abs(candidate).max() >= np.abs(best).max():
+                break
+            best = candidate
+        return best / np.abs(best).max()
+
+
+def _flat(spectrum: Complex[np.ndarray, "F"], samples: int) -> Float[np.ndarray, "T"]:
+    return np.fft.irfft(spectrum, samples)
+
+
+def crest_factor(u: Float[np.ndarray, "T"]) -> float:
+    """`max |u| / rms(u)`: 1 for two levels, sqrt(2) for a sine."""
+    return float(np.abs(u).max() / np.sqrt(np.mean(u**2)))

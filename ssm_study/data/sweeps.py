@@ -1,0 +1,81 @@
+"""Signals that walk through a range: a chirp through frequencies, a staircase through amplitudes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.excitation import Amplitude, Excitation, Request, check_common, clock_samples
+from ssm_study.refusal import require
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chirp(Excitation):
+    """`u = A sin(phi + 2 pi (f0 t + (f1 - f0) t^2 / 2T))`: frequency rises linearly from f0 to f1 over the record.
+
+    Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per record, `high_hz` None
+    is `0.5 / clock_s`.
+    """
+
+    low_hz: float | None = None
+    high_hz: float | None = None
+    amplitude: Amplitude = None
+    clock_s: float | None = None
+
+    def __post_init__(self) -> None:
+        check_common(self.amplitude, self.clock_s)
+        for name in ("low_hz", "high_hz"):
+            value = getattr(self, name)
+            require(value is None or 0 < value < np.inf, f"excitation.{name}", value, "must be positive", "give hertz")
+        low, high = self.low_hz, self.high_hz
+        ordered = low is None or high is None or low < high
+        require(ordered, "excitation.low_hz", low, f"not below high_hz = {high}", "swap them")
+
+    @property
+    def kind(self) -> str:
+        return "chirp"
+
+    def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+        t = np.arange(request.samples) * request.step_s
+        length = request.samples * request.step_s
+        low = 1.0 / length if self.low_hz is None else self.low_hz
+        high = 0.5 / request.clock_s if self.high_hz is None else self.high_hz
+        nyquist = 0.5 / request.step_s
+        require(low < high <= nyquist, "excitation.high_hz", high, f"not in ({low:g}, {nyquist:g}] Hz", "sweep inside")
+        turns = low * t + (high - low) * t**2 / (2 * length)
+        columns = [np.sin(2 * np.pi * (rng.random() + turns)) for _ in range(request.inputs)]
+        return np.stack([column[:: 1 - 2 * (j % 2)] for j, column in enumerate(columns)], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Staircase(Excitation):
+    """`levels` values spaced uniformly over `[-A, A]`, climbed and descended, each held for `hold_clocks` clocks.
+
+    Shows the static map: long holds let each level settle. Every channel starts at a random point of the climb.
+    """
+
+    levels: int
+    hold_clocks: int
+    amplitude: Amplitude = None
+    clock_s: float | None = None
+
+    def __post_init__(self) -> None:
+        check_common(self.amplitude, self.clock_s)
+        require(self.levels >= 3, "excitation.levels", self.levels, "a staircase has at least 3", "use 11 or so")
+        require(
+            self.hold_clocks >= 1, "excitation.hold_clocks", self.hold_clocks, "must be at least one", "use 5 or so"
+        )
+
+    @property
+    def kind(self) -> str:
+        return "staircase"
+
+    def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+        hold = self.hold_clocks * clock_samples(request.clock_s, request.step_s)
+        up = np.linspace(-1.0, 1.0, self.levels)
+        cycle = np.repeat(np.concatenate([up, up[-2:0:-1]]), hold)
+        columns = []
+        for _ in range(request.inputs):
+            start = rng.integers(len(cycle))
+            columns.append(np.resize(np.roll(cycle, -start), request.samples))
+        return np.stack(columns, axis=1)
