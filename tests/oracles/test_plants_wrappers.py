@@ -1,0 +1,144 @@
+"""Wrappers: each against the plain plant with the same thing done to its signals by hand."""
+
+import numpy as np
+import pytest
+from plants_cases import choices, from_yaml
+
+from ssm_study.plants.actuator import DelayedInput, SaturatedInput
+from ssm_study.plants.disturbed import Disturbed, PeriodicProfile, RandomProfile, StepProfile
+from ssm_study.plants.plant import Plant
+from ssm_study.plants.sensor import NoisyOutput, QuantisedOutput
+from ssm_study.refusal import BadRequest
+
+PLAIN = ["dc_motor", "cascaded_tanks", "stribeck_drive", "quadruple_tank"]
+SAMPLES = 40
+
+
+def test_the_plain_plants_are_there() -> None:
+    assert set(PLAIN) <= set(choices("plant"))
+
+
+@pytest.fixture(params=PLAIN)
+def plant(request: pytest.FixtureRequest) -> Plant:
+    return from_yaml("plant", request.param)
+
+
+def inputs(plant: Plant, cases: int = 2) -> np.ndarray:
+    levels = np.random.default_rng(0).uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
+    return plant.equilibrium().u + levels * np.array(plant.input_amplitude)
+
+
+def test_saturation_clips(plant: Plant) -> None:
+    rest, half = plant.equilibrium().u, 0.5 * np.array(plant.input_amplitude)
+    limited = SaturatedInput(plant=plant, lower=list(rest - half), upper=list(rest + half))
+    u = inputs(plant)
+    np.testing.assert_array_equal(limited.simulate(u)[1], plant.simulate(np.clip(u, rest - half, rest + half))[1])
+    assert not np.array_equal(limited.simulate(u)[1], plant.simulate(u)[1])
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_delay_shifts(plant: Plant, samples: int) -> None:
+    u = inputs(plant)
+    shifted = np.concatenate([np.tile(plant.equilibrium().u, (2, samples, 1)), u[:, :-samples]], axis=1)
+    delayed = DelayedInput(plant=plant, samples=samples)
+    np.testing.assert_array_equal(delayed.simulate(u)[1], plant.simulate(shifted)[1])
+
+
+def test_quantisation_rounds(plant: Plant) -> None:
+    u, resolution = inputs(plant), 0.03
+    coarse = QuantisedOutput(plant=plant, resolution=resolution).simulate(u)[1]
+    assert np.abs(coarse - plant.simulate(u)[1]).max() <= resolution / 2 + 1e-12
+    np.testing.assert_allclose(coarse / resolution, np.round(coarse / resolution), atol=1e-9)
+
+
+def test_noise_is_white_normal_and_independent() -> None:
+    motor = from_yaml("plant", "dc_motor")
+    noisy = NoisyOutput(plant=motor, seed=3)
+    u = np.random.default_rng(1).uniform(-3, 3, (40, 500, 1))
+    e = (noisy.simulate(u)[1] - motor.simulate(u)[1])[..., 0]
+    later = e[:, 1:]  # the first sample has seen no input yet
+    assert later.mean() == pytest.approx(0.0, abs=6 * np.sqrt(0.02 / later.size))
+    assert later.var() == pytest.approx(0.02, rel=6 * np.sqrt(2 / later.size))
+    kurtosis = np.mean(later**4) / later.var() ** 2
+    assert kurtosis == pytest.approx(3.0, abs=6 * np.sqrt(24 / later.size))
+    between_samples = np.mean(later[:, 1:] * later[:, :-1]) / later.var()
+    between_cases = np.mean(later[1:] * later[:-1]) / later.var()
+    assert abs(between_samples) < 6 / np.sqrt(later.size)
+    assert abs(between_cases) < 6 / np.sqrt(later.size)
+
+
+def test_noise_repeats_with_its_seed_even_while_the_motor_rests() -> None:
+    motor, still = from_yaml("plant", "dc_motor"), np.zeros((1, 100, 1))
+    first, again, other = (NoisyOutput(plant=motor, seed=s, variance=0.02).simulate(still)[1] for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert len(np.unique(first)) == 100
+
+
+def test_two_outputs_get_noise_of_their_own() -> None:
+    tank = from_yaml("plant", "quadruple_tank")
+    y = NoisyOutput(plant=tank, seed=0).simulate(np.tile(tank.equilibrium().u, (1, 500, 1)))[1][0]
+    e = y - tank.equilibrium().y
+    np.testing.assert_allclose(e.var(axis=0), tank.noise_variance, rtol=6 * np.sqrt(2 / 500))
+    assert abs(np.corrcoef(e.T)[0, 1]) < 6 / np.sqrt(500)
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [
+        StepProfile(size=1e-3, at_s=0.1, until_s=0.2),
+        PeriodicProfile(amplitude=1e-3, frequency_hz=3.0),
+        RandomProfile(amplitude=1e-3, hold_s=0.05, seed=1),
+    ],
+    ids=lambda p: type(p).__name__,
+)
+def test_disturbance_profiles_act_as_if_given_by_hand(plant: Plant, profile) -> None:  # type: ignore[no-untyped-def]
+    u = inputs(plant)
+    d = np.zeros((2, SAMPLES, len(plant.disturbances)))
+    d[..., 0] = profile.signal(np.arange(SAMPLES) * plant.step_s)
+    np.testing.assert_allclose(
+        Disturbed(plant=plant, profile=profile).simulate(u)[1], plant.simulate(u, d=d)[1], rtol=1e-12
+    )
+
+
+def test_a_random_profile_holds_and_repeats() -> None:
+    profile = RandomProfile(amplitude=2.0, hold_s=0.05, seed=1)
+    d = profile.signal(np.arange(1000) * 0.01)
+    assert (np.diff(np.flatnonzero(np.diff(d))) % 5 == 0).all()
+    assert 1.5 < np.abs(d).max() <= 2.0
+    np.testing.assert_array_equal(d, profile.signal(np.arange(1000) * 0.01))
+
+
+def test_wrappers_stack(plant: Plant) -> None:
+    rest, reach = plant.equilibrium().u, 2 * np.array(plant.input_amplitude)
+    stack = NoisyOutput(
+        plant=QuantisedOutput(
+            plant=DelayedInput(
+                plant=SaturatedInput(plant=plant, lower=list(rest - reach), upper=list(rest + reach)), samples=2
+            ),
+            resolution=1e-6,
+        ),
+        seed=0,
+        variance=0.0,
+    )
+    x, y = stack.simulate(inputs(plant))
+    assert x.shape[2] == len(stack.states) == len(plant.states) + 2 * len(plant.inputs) + 1
+    np.testing.assert_allclose(y, DelayedInput(plant=plant, samples=2).simulate(inputs(plant))[1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("build", "says"),
+    [
+        (lambda p: SaturatedInput(plant=p, lower=1.0, upper=2.0), "do not enclose rest"),
+        (lambda p: SaturatedInput(plant=p, lower=[-1.0, -1.0], upper=1.0), "there are 1 inputs"),
+        (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
+        (lambda p: QuantisedOutput(plant=p, resolution=0.0), "resolution = 0.0"),
+        (lambda p: NoisyOutput(plant=p, seed=0, variance=-1.0), "never negative"),
+        (lambda p: Disturbed(plant=p, profile=StepProfile(size=1.0, at_s=0.0), channel=1), "has 1 disturbances"),
+        (lambda _: RandomProfile(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),
+        (lambda _: PeriodicProfile(amplitude=1.0, frequency_hz=0.0), "frequency_hz = 0.0"),
+    ],
+)
+def test_refused(build, says: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(BadRequest, match=says):
+        build(from_yaml("plant", "dc_motor"))
