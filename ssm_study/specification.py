@@ -88,7 +88,7 @@ class Specification:
 
 def part(config: DictConfig, name: str) -> Any:
     """Instantiate one group of the configuration after checking its fields against the constructor's own types."""
-    node = OmegaConf.create(OmegaConf.to_container(config[name], resolve=True))
+    node = OmegaConf.create(dict(plain(config)[name]))
     check_fields(name, node)
     try:
         return hydra.utils.instantiate(node, _convert_="all")
@@ -111,11 +111,11 @@ def check_fields(path: str, node: Any) -> None:
     if not isinstance(node, DictConfig) or "_target_" not in node:
         return
     kind = hydra.utils.get_object(node["_target_"])
-    hints = get_type_hints(kind.__init__ if isinstance(kind, type) else kind)
+    hints = get_type_hints(getattr(kind, "__init__", kind) if isinstance(kind, type) else kind)
     known = list(signature(kind).parameters)
     for key in (str(key) for key in node if not str(key).startswith("_")):
         field = f"{path}.{key}"
-        value = OmegaConf.to_container(node[key], resolve=True) if OmegaConf.is_config(node[key]) else node[key]
+        value: Any = OmegaConf.to_container(node[key], resolve=True) if OmegaConf.is_config(node[key]) else node[key]
         remedy = f"its fields are {', '.join(known)}"
         require(key in known, field, value, f"{kind.__name__} has no such field", remedy)
         if OmegaConf.is_config(node[key]):

@@ -104,4 +104,6 @@ def modal_start(system: StateSpace) -> Start:
     values = np.where(np.abs(values) > SLOWEST, values * SLOWEST / np.maximum(np.abs(values), SLOWEST), values)
     real = np.flatnonzero(np.isreal(values))
     kept = np.concatenate([real, np.flatnonzero(values.imag > 0)])
-    return Start(modes=values[kept].astype(complex), b=b[kept], c=c[:, kept], d=system.d)
+    return Start(
+        modes=values[kept].astype(complex), b=b[kept].astype(complex), c=c[:, kept].astype(complex), d=system.d
+    )

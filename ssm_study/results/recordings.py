@@ -128,6 +128,6 @@ def _number(topic: str) -> int:
     return int(found.group()) if found else 0
 
 
-def _topic(parts: dict[str, Float[np.ndarray, "T c"]], topic: str, path: Path) -> Float[np.ndarray, "T c"]:
+def _topic(parts: dict[str, np.ndarray], topic: str, path: Path) -> Float[np.ndarray, "T c"]:
     require(topic in parts, topic, path.name, "the recording lacks this topic", "run the study again")
     return parts[topic]

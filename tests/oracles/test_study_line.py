@@ -1,0 +1,162 @@
+"""The line as a user runs it: one run, its files, its verification, its sweep; computed once, kept whole, never overwritten."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from ssm_study.cli import main
+from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.models.identified import SSM
+from ssm_study.models.torch_recurrence import Modes, by_convolution
+from ssm_study.results.verify import verify
+
+CONTRACT_FILES = ("record.json", "model.json", "certificate.json", "validation.mcap", "closed_loop.mcap", ".hydra")
+
+
+@pytest.fixture
+def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(smoke_run, tmp_path / smoke_run.name)
+
+
+def failing(run: Path) -> set[str]:
+    return {finding.claim for finding in verify(run) if not finding.holds}
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def test_the_run_folder_is_the_public_one(smoke_run: Path) -> None:
+    for name in CONTRACT_FILES:
+        assert (smoke_run / name).exists(), name
+    assert {path.name for path in (smoke_run / ".hydra").iterdir()} >= {"config.yaml", "overrides.yaml"}
+
+
+def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
+    record = json.loads((smoke_run / "record.json").read_text())
+    assert record["status"] == "ok"
+    assert record["controller_certified"]
+    assert record["observer_certified"]
+    assert record["stable_count"] == record["initial_conditions"] == 4
+    assert record["certified_bound_violations"] == 0
+    assert record["mismatch_margin"] > 1
+
+
+def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
+    """Training simulates by convolution (torch); `model.json` steps (NumPy). The stored fit is the latter's."""
+    model = SSM.from_json(json.loads((smoke_run / "model.json").read_text()))
+    groups = {group.topic: group.values for group in read_mcap(smoke_run / "validation.mcap")[0]}
+    eigenvalues, vectors = np.linalg.eig(model.linear.a.astype(complex))
+    modes = Modes(
+        decay=torch.from_numpy(np.log(eigenvalues)),
+        b=torch.from_numpy(np.linalg.solve(vectors, model.linear.b.astype(complex))),
+        c=torch.from_numpy(model.linear.c @ vectors),
+        d=torch.from_numpy(model.linear.d),
+    )
+    ybar = by_convolution(modes, torch.from_numpy(model.lift(groups["/input"]))[None])[0].numpy()
+    y = model.output_equilibrium + model.output_scale * model.scaffold_out(ybar)
+    assert np.abs(y - groups["/simulated"]).max() < 1e-9 * np.abs(y).max()
+
+
+def test_every_stored_claim_holds(smoke_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert [finding for finding in verify(smoke_run) if not finding.holds] == []
+    assert main(["verify", str(smoke_run)]) == 0
+    assert "FAILS" not in capsys.readouterr().out
+
+
+TAMPERING = {
+    "k": (
+        "certificate.json",
+        lambda c: c["state_feedback"]["k"][0].__setitem__(0, 1.5 * c["state_feedback"]["k"][0][0]),
+    ),
+    "p": ("certificate.json", lambda c: c["state_feedback"]["p"][0].__setitem__(0, -c["state_feedback"]["p"][0][0])),
+    "rate": ("certificate.json", lambda c: c["state_feedback"].update(rate=0.9)),
+    "ball": ("certificate.json", lambda c: c["state_feedback"].update(beta=c["state_feedback"]["beta"] / 2)),
+    "l": ("certificate.json", lambda c: c["observer"]["l"][0].__setitem__(0, 3 + c["observer"]["l"][0][0])),
+    "a": ("model.json", lambda m: m["a"][0].__setitem__(0, m["a"][0][0] * (1 + 1e-12))),
+    "step": ("model.json", lambda m: m["b"][0].__setitem__(0, 2 * m["b"][0][0])),
+}
+
+
+@pytest.mark.parametrize("what", TAMPERING)
+def test_tampering_is_found_and_named(what: str, copied_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, change = TAMPERING[what]
+    edit(copied_run / file, change)
+    failures = failing(copied_run)
+    assert len(failures - {"files"}) > 0  # not the seal alone: the claim itself is found not to hold
+    assert main(["verify", str(copied_run)]) == 1
+    assert "FAILS" in capsys.readouterr().out
+
+
+def test_a_truncated_recording_is_a_failed_claim(copied_run: Path) -> None:
+    path = copied_run / "closed_loop.mcap"
+    path.write_bytes(path.read_bytes()[:-500])
+    assert {"files", "loop"} <= failing(copied_run)
+
+
+def test_verify_refuses_what_is_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(tmp_path)]) == 2
+    assert "record.json" in capsys.readouterr().err
+
+
+def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
+    table = pd.read_parquet(smoke_study / "runs.parquet")
+    assert len(table) == 1
+    assert table["stable_count"].dtype == "Int64"
+    assert len(pd.read_csv(smoke_study / "runs.csv")) == 1
+
+
+TINY = ["experiment=smoke", "study=sweep", "progress=false", "synthesis=riccati", "training.max_epochs=2"]
+
+
+def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Path) -> None:
+    """Basic launcher: three rates, one of them beyond the frontier. One data set, one training; exit status 0."""
+    rates = "synthesis.rate_controller=0.02,0.05,0.999"
+    asked = ["run", "-m", *TINY, f"results_dir={tmp_path}", rates, "hydra/launcher=basic"]
+    assert main(asked) == 0
+    table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet").sort_values("rate_controller")
+    assert list(table["status"]) == ["ok", "ok", "infeasible"]
+    assert table["infeasible_reason"].iloc[2].count("frontier") == 1
+    assert len(list((tmp_path / ".store" / "model").iterdir())) == 1
+    assert len(list((tmp_path / ".store" / "synthesis").iterdir())) == 3
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")}
+    assert main(asked) == 0  # nothing to do, nothing touched
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")} == before
+
+
+def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None:
+    """A run whose data diverge at run time fails; the others are kept and gathered; exit status 1."""
+    bad = "plant.solver_step_s=5e-4,1e-300"
+    assert main(["run", "-m", *TINY, f"results_dir={tmp_path}", bad, "hydra/launcher=basic"]) == 1
+    table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet")
+    assert sorted(table["status"]) == ["failed", "ok"]
+    assert table["error_message"].notna().sum() == 1
+
+
+def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
+    """CSV in, certified pair out; there is no plant, the loop runs on the model, and the record says so."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-2, 2, 120), 5)
+    y = np.zeros(600)
+    for k in range(599):
+        y[k + 1] = 0.9 * y[k] + 0.1 * np.tanh(u[k])
+    columns = np.column_stack([np.arange(600) * 0.05, u, y + 0.001 * rng.standard_normal(600)])
+    np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header="t,volt,speed", comments="")
+    data = [f"data.path={tmp_path / 'log.csv'}", "data.input=volt", "data.output=speed", "data.step_s=0.05"]
+    settings = ["data=recorded", *data, "model.order=2", "model.hidden_width=8", "training.max_epochs=15"]
+    assert main(["run", f"results_dir={tmp_path / 'results'}", "study=mine", "progress=false", *settings]) == 0
+    (path,) = (tmp_path / "results" / "mine").glob("*/record.json")
+    record = json.loads(path.read_text())
+    assert record["loop_on"] == "identified model"
+    assert record["plant"] is None
+    assert record["fit_test_percent"] > 90
+    assert record["stable_count"] == 10
+    assert failing(path.parent) == set()
