@@ -1,8 +1,9 @@
-"""Makes `hydra/launcher=processes` known to Hydra. Imported at every start of Hydra: nothing heavy here."""
+"""Makes `hydra/launcher=processes` and `hydra/sweeper=grid` known to Hydra; read at each start, so nothing heavy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper, BasicSweeperConf
 from hydra.core.config_store import ConfigStore
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
@@ -22,6 +23,21 @@ class ProcessesConf:
 
 
 ConfigStore.instance().store(group="hydra/launcher", name="processes", node=ProcessesConf, provider="ssm-study")
+
+
+@dataclass
+class GridConf(BasicSweeperConf):
+    _target_: str = "hydra_plugins.ssm_study_launcher.GridSweeper"
+
+
+ConfigStore.instance().store(group="hydra/sweeper", name="grid", node=GridConf, provider="ssm-study")
+
+
+class GridSweeper(BasicSweeper):
+    """Hydra's own grid, without composing every job once more: the launcher or the callback checks them all."""
+
+    def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
+        del batch
 
 
 class ProcessesLauncher(Launcher):

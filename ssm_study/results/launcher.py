@@ -17,6 +17,7 @@ from hydra.core.utils import JobReturn, JobStatus, setup_globals
 from omegaconf import OmegaConf
 
 from ssm_study.refusal import require
+from ssm_study.results.compose import Composer
 from ssm_study.results.deaths import GRACE_S, conclude, kill_group, stop_hanging
 from ssm_study.results.jobs import run_in_this_process
 from ssm_study.results.plan import plan
@@ -24,7 +25,7 @@ from ssm_study.results.progress import Progress
 from ssm_study.results.records import read_record
 from ssm_study.results.runs import Outcome, is_to_run, outcome_of
 from ssm_study.results.store import Store
-from ssm_study.results.sweep import Job, Sweep, check_all, compose, task_hook
+from ssm_study.results.sweep import Job, Sweep, check_all, job_of, task_hook
 
 # Large tensors then stay in the process instead of going back to the system at every step: 1.6-2.2 times faster.
 ALLOCATOR = {
@@ -60,16 +61,17 @@ class Processes:
         return max(1, len(os.sched_getaffinity(0)) // self.threads) if self.n_jobs is None else self.n_jobs
 
     def launch(self, sweep: Sweep, overrides: Sequence[list[str]], first_number: int) -> list[JobReturn]:
-        """Compose and check every configuration, then run those that are not finished; one `JobReturn` each."""
+        """Compose every configuration, check those that are not finished, then run them; one `JobReturn` each."""
         setup_globals()
-        jobs = [compose(sweep, words, first_number + i) for i, words in enumerate(overrides)]
-        check_all(sweep.task_function, jobs)
+        composer = Composer(sweep.hydra_context.config_loader, sweep.config)
+        jobs = [job_of(composer, words, first_number + i) for i, words in enumerate(overrides)]
         unique = list({job.folder: job for job in jobs}.values())
         retry = bool(OmegaConf.select(sweep.config, "retry_failed", default=False))
         for job in unique:
             before = read_record(job.folder)
             if not is_to_run(before, retry):
                 job.outcome = outcome_of(job.folder, before)
+        check_all(sweep.task_function, [job for job in unique if job.outcome is None])
         if OmegaConf.select(sweep.config, "dry_run", default=False):
             self._tell(sweep, unique)
         else:

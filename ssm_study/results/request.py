@@ -12,22 +12,22 @@ from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.results.allow_list import refuse_foreign_targets
+from ssm_study.results.compose import Composer
 from ssm_study.results.sweep import Job, check_all, job_of
 
-OPTIONS = {
-    "--dry-run": ("--multirun", "hydra/launcher=processes", "dry_run=true"),
-    "--retry-failed": ("retry_failed=true",),
-}
+OPTIONS = {"--dry-run": ("hydra/launcher=processes", "dry_run=true"), "--retry-failed": ("retry_failed=true",)}
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
 LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
 JUST_ASKING = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
 
 
 def translate(arguments: list[str]) -> list[str]:
-    """Our own options of `ssm-study run` as Hydra's arguments."""
-    if "--dry-run" in arguments:
-        arguments = [word for word in arguments if not word.startswith(LAUNCHER) and word not in ("-m", "--multirun")]
-    return [word for argument in arguments for word in OPTIONS.get(argument, (argument,))]
+    """Our own options of `ssm-study run` as Hydra's arguments; `-m` may stand anywhere."""
+    many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
+    rest = [word for word in arguments if word not in ("-m", "--multirun")]
+    if "--dry-run" in rest:
+        rest = [word for word in rest if not word.startswith(LAUNCHER)]
+    return ["--multirun"] * many + [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
 
 
 def check_request(arguments: list[str], folder: Path, name: str) -> None:
@@ -55,10 +55,10 @@ def check_sweep(config: DictConfig, task_function: TaskFunction) -> list[Job]:
 
     For `on_multirun_start`, where `config` is the sweep's own configuration.
     """
-    loader = GlobalHydra.instance().config_loader()
+    composer = Composer(GlobalHydra.instance().config_loader(), config)
     words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
     assert isinstance(words, list)
-    jobs = [job_of(loader, config, overrides, number) for number, overrides in enumerate(combinations(words))]
+    jobs = [job_of(composer, overrides, number) for number, overrides in enumerate(combinations(words))]
     check_all(task_function, jobs)
     return jobs
 

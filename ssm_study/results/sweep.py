@@ -6,13 +6,13 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
-from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from ssm_study.refusal import BadRequest
 from ssm_study.results.allow_list import refuse_foreign_targets
+from ssm_study.results.compose import Composer
 from ssm_study.results.runs import Outcome, run_folder
 
 
@@ -46,13 +46,9 @@ class Job:
         return OmegaConf.masked_copy(self.config, [str(key) for key in self.config if key != "hydra"])
 
 
-def compose(sweep: Sweep, overrides: list[str], number: int) -> Job:
-    return job_of(sweep.hydra_context.config_loader, sweep.config, overrides, number)
-
-
-def job_of(loader: ConfigLoader, sweep_config: DictConfig, overrides: list[str], number: int) -> Job:
+def job_of(composer: Composer, overrides: list[str], number: int) -> Job:
     """The configuration of one job and the folder it names; raises `BadRequest` if that leaves the results folder."""
-    config = loader.load_sweep_config(sweep_config, overrides)
+    config = composer.compose(overrides)
     with open_dict(config):
         config.hydra.job.id = number
         config.hydra.job.num = number

@@ -113,7 +113,7 @@ def test_a_sweep_that_is_stopped_leaves_no_process_and_is_finished_by_the_same_c
     assert process.returncode != 0
     wait_for(lambda: living(tmp_path) == [], seconds=10)
     before = {record["run"]: record["status"] for record in records(tmp_path)}
-    assert sorted(before.values()) == ["lost", "ok"] or sorted(before.values()) == ["lost"]
+    assert {"lost"} <= set(before.values()) <= {"lost", "ok"}
     assert sweep(tmp_path, "do=hang,work", "hydra.launcher.timeout_s=5")[0] == 0
     after = {record["run"]: record["status"] for record in records(tmp_path)}
     assert sorted(after.values()) == ["failed", "ok"]
@@ -177,3 +177,32 @@ def test_a_plan_starts_nothing(tmp_path: Path) -> None:
         ["data", "2", "0", "2"],
         ["model", "6", "0", "6"],
     ]
+
+
+def test_shared_compositions_are_hydras_own() -> None:
+    """Every sweep of choices and values: the fast composition equals `load_sweep_config`, names included."""
+    from hydra import initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+    from omegaconf import OmegaConf
+
+    from ssm_study.results.compose import Composer
+
+    jobs = [
+        ["seed=3"],
+        ["seed=3", "model.order=6", "synthesis.rate_controller=0.5"],
+        ["synthesis=riccati", "synthesis.rate_controller=0.5", "seed=1"],
+        ["model.order=6", "synthesis=riccati", "synthesis.rate_controller=0.5"],
+        ["+extra=1", "model.order=2", "study='a b'"],
+        ["experiment=smoke", "data.samples=300"],
+    ]
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        loader = GlobalHydra.instance().config_loader()
+        sweep_config = loader.load_configuration("study", overrides=[], run_mode=RunMode.MULTIRUN)
+        HydraConfig.instance().set_config(sweep_config)
+        composer = Composer(loader, sweep_config)
+        for overrides in jobs * 2:
+            ours, theirs = composer.compose(overrides), loader.load_sweep_config(sweep_config, overrides)
+            assert OmegaConf.to_container(ours, resolve=False) == OmegaConf.to_container(theirs, resolve=False)
+        assert len(composer.composed) == 4

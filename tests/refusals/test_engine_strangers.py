@@ -3,13 +3,12 @@
 import ast
 import json
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 
+from ssm_study.cli import main
 from ssm_study.refusal import BadRequest
 from ssm_study.results.allow_list import is_ours, refuse_foreign_targets
 from ssm_study.results.records import parse_record
@@ -113,26 +112,17 @@ def test_an_evil_configuration_is_refused_before_hydra_touches_it(tmp_path: Path
     assert not marker.exists()
 
 
-def test_an_evil_experiment_given_to_the_command_does_nothing(tmp_path: Path) -> None:
+def test_an_evil_experiment_given_to_the_command_does_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     marker = tmp_path / "marker"
     (tmp_path / "experiment").mkdir()
     touch = f"{{_target_: pathlib.Path.touch, self: {{_target_: pathlib.Path, _args_: ['{marker}']}}}}"
     evil = f"# @package _global_\nstudy: evil\nhydra:\n  callbacks:\n    evil: {touch}\n"
     (tmp_path / "experiment" / "evil.yaml").write_text(evil)
-    command = [
-        sys.executable,
-        "-m",
-        "ssm_study.cli",
-        "run",
-        "--config-dir",
-        str(tmp_path),
-        "experiment=evil",
-        f"results_dir={tmp_path / 'results'}",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
-    assert done.returncode == 2, done.stderr
-    assert "may not be instantiated" in done.stderr
-    assert "Traceback" not in done.stderr
+    words = ["--config-dir", str(tmp_path), "experiment=evil", f"results_dir={tmp_path / 'results'}"]
+    assert main(["run", *words]) == 2
+    assert "may not be instantiated" in capsys.readouterr().err
     assert not marker.exists()
 
 
@@ -186,6 +176,6 @@ def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
 
 
 def test_our_options_become_hydras() -> None:
-    assert translate(["-m", "seed=1,2", "--retry-failed"]) == ["-m", "seed=1,2", "retry_failed=true"]
+    assert translate(["seed=1,2", "-m", "--retry-failed"]) == ["--multirun", "seed=1,2", "retry_failed=true"]
     planned = translate(["-m", "seed=1,2", "hydra/launcher=slurm", "hydra.launcher.partition=debug", "--dry-run"])
-    assert planned == ["seed=1,2", "--multirun", "hydra/launcher=processes", "dry_run=true"]
+    assert planned == ["--multirun", "seed=1,2", "hydra/launcher=processes", "dry_run=true"]
