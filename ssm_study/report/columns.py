@@ -5,6 +5,7 @@ import pandas as pd
 WORDS: dict[str, str] = {
     "run": "Run",
     "status": "Status",
+    "verdict": "Outcome",
     "seed": "Seed",
     "order": "Model order",
     "hidden_width": "Hidden width",
@@ -25,6 +26,7 @@ WORDS: dict[str, str] = {
     "input_slope_upper": "Largest slope of S_u (–)",
     "output_slope_lower": "Smallest slope of S_y (–)",
     "output_slope_upper": "Largest slope of S_y (–)",
+    "slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)",
     "bound_method": "Slope bound",
     "hankel_largest": "Largest Hankel singular value",
     "hankel_smallest": "Smallest Hankel singular value",
@@ -49,6 +51,8 @@ WORDS: dict[str, str] = {
     "certified_bound_violations": "Violations of the certified bound",
     "mismatch_gain": "Model mismatch gain",
     "mismatch_margin": "Mismatch margin (–)",
+    "infeasible_reason": "Why it is infeasible",
+    "error_message": "Error",
 }
 
 

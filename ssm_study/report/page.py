@@ -16,7 +16,7 @@ def write_page(study_folder: Path) -> Path:
     The file carries data, style, scripts and the plotting library; its content policy forbids any request.
     """
     study = Study(folder=study_folder)
-    data = page_data(study) | {"panels": _panels(study)}
+    data = page_data(study) | _plots(study)
     parts = {
         "title": study.name,
         "style": asset("page.css"),
@@ -32,14 +32,15 @@ def write_page(study_folder: Path) -> Path:
     return path
 
 
-def _panels(study: Study) -> list[dict[str, Any]]:
+def _plots(study: Study) -> dict[str, Any]:
     try:
-        from ssm_study.report.page_charts import panels
+        from ssm_study.report.page_charts import EXPLORER, panels, specification
     except ImportError as error:
         raise BadRequest(
             "report", "page", f"{error.name} is not installed", "pip install 'ssm-study[report]'"
         ) from error
-    return panels(best_ordered(study.table))
+    table = best_ordered(study.table)
+    return {"panels": panels(table), "explorer": specification(EXPLORER, table)}
 
 
 def _library() -> str:
@@ -48,5 +49,5 @@ def _library() -> str:
     import vl_convert
 
     version = ".".join(altair.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
-    bundle: str = vl_convert.javascript_bundle(None, vl_version=version)
+    bundle: str = vl_convert.javascript_bundle(vl_version=version)  # type: ignore[call-arg]  # the stub has no default
     return bundle.replace("</script", "<\\/script")

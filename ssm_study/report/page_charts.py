@@ -16,7 +16,6 @@ SHAPES = {
     verdict.INFEASIBLE.word: "cross",
     verdict.FAILED.word: "diamond",
 }
-WORDS_HERE = {"slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)"}
 HEIGHT = 250
 
 
@@ -25,6 +24,7 @@ class Panel:
     """One plot: what it asks, the two columns, where a rule stands, and whether an axis is logarithmic if it can be."""
 
     question: str
+    note: str = ""
     x: str
     y: str
     log_x: bool = False
@@ -38,12 +38,14 @@ PANELS = (
     Panel(question="Does a better fit mean a better loop?", x="fit_test_percent", y="stable_fraction"),
     Panel(
         question="What does a faster rate buy?",
+        note="Dashed: the plant left alone.",
         x="rate_controller",
         y="settling_time_mean_s",
         rule_y_column="settling_time_open_loop_s",
     ),
     Panel(
         question="Where does feasibility end?",
+        note="Black bars: the exact rate limit of each model; nothing above its own bar can be certified.",
         x="slope_ratio",
         y="rate_controller",
         log_x=True,
@@ -51,6 +53,7 @@ PANELS = (
     ),
     Panel(
         question="Does the mismatch margin foretell the plant?",
+        note="Dashed: margin one; to its right every start should settle.",
         x="mismatch_margin",
         y="stable_fraction",
         log_x=True,
@@ -60,22 +63,36 @@ PANELS = (
 )
 
 
+# The script fills these two fields with any columns. (Not x and y: Vega names a brush's own signals so.)
+EXPLORER = Panel(question="Any column against any other", x="across", y="up")
+
+
 def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
     """The plots this table has numbers for: question, columns used, and specification without data."""
     usable = [p for p in PANELS if (column(table, p.x).notna() & column(table, p.y).notna()).any()]
     return [
-        {"question": p.question, "fields": _fields(p), "x": p.x, "y": p.y, "spec": specification(p, table)}
+        {
+            "question": p.question,
+            "note": p.note,
+            "x": p.x,
+            "y": p.y,
+            "tick": p.tick_column,
+            "spec": specification(p, table),
+        }
         for p in usable
     ]
 
 
 def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
-    """Parameters the script drives: `mask` (which runs are shown) and `chosen` (the run looked at); it hears `brush`."""
+    """The script sets the parameters `mask` (runs shown) and `chosen` (run looked at), and hears `brush`.
+
+    It also fills the data sets `runs` and `ticks`.
+    """
     points = _points(panel, table)
     layers = [*_rules(panel, table), points]
     chart = alt.layer(*layers, data=alt.NamedData("runs")).properties(width="container", height=HEIGHT)
     chart = chart.properties(
-        description=f"{panel.question} {_title(panel.y)} against {_title(panel.x)}, one point per run"
+        description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, one point per run"
     )
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(stroke=None)
     chart = chart.configure_axis(
@@ -116,9 +133,11 @@ def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
         height = float(column(table, panel.rule_y_column).median())
         found.append(alt.Chart().mark_rule(strokeDash=[4, 3], color=style.GREY).encode(y=alt.datum(height)))
     if panel.tick_column:
-        tick = alt.Chart().mark_tick(orient="horizontal", color=style.INK, size=16, thickness=1.2)
+        tick = alt.Chart(alt.NamedData("ticks")).mark_tick(
+            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.5
+        )
         x, y = alt.X(f"{panel.x}:Q"), alt.Y(f"{panel.tick_column}:Q")
-        found.append(tick.encode(x=x, y=y, tooltip=[alt.Tooltip("run:N"), _tooltip(panel.tick_column)]))
+        found.append(tick.encode(x=x, y=y, tooltip=[_tooltip(panel.tick_column)]))
     return found
 
 
@@ -126,17 +145,9 @@ def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
     """Logarithmic only if all values allow it and they spread over more than a decade."""
     values = column(table, name).dropna()
     spread = log and bool((values > 0).all()) and float(values.max()) > 10 * float(values.min())
-    scale = alt.Scale(type="log") if spread else alt.Scale(zero=False, nice=True)
-    return kind(f"{name}:Q", title=_title(name), scale=scale)
+    scale = alt.Scale(type="log", padding=8) if spread else alt.Scale(zero=False, padding=8)
+    return kind(f"{name}:Q", title=words(name), scale=scale)
 
 
 def _tooltip(name: str) -> alt.Tooltip:
-    return alt.Tooltip(f"{name}:Q", title=_title(name), format=".4g")
-
-
-def _title(name: str) -> str:
-    return WORDS_HERE.get(name, words(name))
-
-
-def _fields(panel: Panel) -> list[str]:
-    return [name for name in (panel.x, panel.y, panel.tick_column) if name]
+    return alt.Tooltip(f"{name}:Q", title=words(name), format=".4g")

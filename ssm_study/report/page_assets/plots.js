@@ -1,6 +1,12 @@
 // The plots: drawn by Vega, told which runs are shown and chosen; a brush in one filters all.
 const COARSE = matchMedia("(pointer: coarse)").matches; // a finger scrolls: there a drag must not brush
 const VIEWS = [];
+const STALE = new Set(); // plots that do not show the present choice yet
+const VISIBLE = new Set();
+const SEEN = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) VISIBLE[isIntersecting ? "add" : "delete"](Number(target.dataset.view));
+  refresh();
+}, { rootMargin: "100px" });
 const EMBED = { actions: { export: { svg: true, png: true }, source: false, compiled: false, editor: false }, renderer: "canvas",
   tooltip: { theme: "light" } };
 
@@ -20,31 +26,85 @@ function withoutBrush(spec) {
   return copy;
 }
 
-async function drawPanel(panel, number) {
-  const chart = element("div", { class: "chart" });
-  document.getElementById("plots").append(element("figure", {}, element("figcaption", {}, panel.question), chart));
-  const spec = COARSE ? withoutBrush(panel.spec) : structuredClone(panel.spec);
-  const rows = rowsFor(panel.fields).filter((row) => row[panel.x] !== null && row[panel.x] !== undefined);
-  spec.datasets = { runs: rows };
-  const { view } = await vegaEmbed(chart, spec, EMBED);
+/** One plot; `columnOf` maps a field of the rows to the column it holds (the explorer's are just across and up). */
+async function embed(chart, spec, { rows, ticks = [] }, number, columnOf = (field) => field) {
+  const own = COARSE ? withoutBrush(spec) : structuredClone(spec);
+  own.datasets = { runs: rows, ticks };
+  const { view } = await vegaEmbed(chart, own, EMBED);
+  const menu = chart.querySelector("summary");
+  if (menu) menu.setAttribute("aria-label", "Save this plot");
   if (!COARSE) {
     view.addSignalListener("brush", (_, value) => {
-      state.brushes[number] = value && Object.keys(value).length ? value : {};
+      const ranges = Object.entries(value || {}).filter(([, range]) => range.length === 2);
+      state.brushes[number] = Object.fromEntries(ranges.map(([field, range]) => [columnOf(field), range]));
       changed();
     });
   }
   view.addEventListener("click", (_, item) => { if (item && item.datum && item.datum.i !== undefined) choose(item.datum.i); });
   VIEWS[number] = view;
+  chart.dataset.view = number;
+  SEEN.observe(chart);
+}
+
+function drawPanel(panel, number) {
+  const chart = element("div", { class: "chart" }), note = element("span", { class: "note" }, panel.note);
+  document.getElementById("plots").append(element("figure", {}, element("figcaption", {}, panel.question, note), chart));
+  const known = (fields) => rowsFor(fields).filter((row) => fields.every((name) => typeof row[name] === "number"));
+  const ticks = panel.tick ? new Map(known([panel.x, panel.tick]).map((row) => [`${row[panel.x]} ${row[panel.tick]}`, row])) : new Map();
+  return embed(chart, panel.spec, { rows: known([panel.x, panel.y]), ticks: [...ticks.values()] }, number);
+}
+
+/** Any column against any other: the plot nobody thought of. */
+function drawExplorer() {
+  const number = DATA.panels.length, names = Object.keys(COLUMNS).filter(isNumeric);
+  if (names.length < 2) return Promise.resolve();
+  const start = { across: DATA.parameters.find(isNumeric) || names[0], up: names.includes("fit_test_percent") ? "fit_test_percent" : names[1] };
+  const chart = element("div", { class: "chart" });
+  const draw = () => {
+    if (VIEWS[number]) VIEWS[number].finalize();
+    delete state.brushes[number];
+    const spec = structuredClone(DATA.explorer), points = spec.layer[spec.layer.length - 1].encoding;
+    points.x.title = DATA.words[start.across];
+    points.y.title = DATA.words[start.up];
+    points.tooltip = points.tooltip.map((tip) => (start[tip.field] ? { ...tip, title: DATA.words[start[tip.field]] } : tip));
+    spec.description = `${DATA.words[start.up]} against ${DATA.words[start.across]}, one point per run`;
+    const rows = rowsFor([]).map((row) => ({ ...row, across: COLUMNS[start.across][row.i], up: COLUMNS[start.up][row.i] }));
+    const known = rows.filter((row) => typeof row.across === "number" && typeof row.up === "number");
+    return embed(chart, spec, { rows: known }, number, (field) => start[field]).then(() => changed(true));
+  };
+  const choice = (axis) => element("select", { "aria-label": `Column ${axis}`, "data-axis": axis,
+    onchange: (event) => { start[axis] = event.target.value; draw(); } },
+  ...names.map((name) => element("option", { value: name, selected: name === start[axis] }, DATA.words[name])));
+  document.getElementById("plots").append(element("figure", {}, element("figcaption", {}, choice("up"), " against ", choice("across")), chart));
+  return draw();
 }
 
 async function drawPlots() {
   if (COARSE) document.getElementById("plots-hint").textContent = "Tap a point to see its run; use the filters above to narrow the runs.";
-  await Promise.all(DATA.panels.map(drawPanel));
-  listeners.push((shown) => VIEWS.forEach((view) => view.signal("mask", shown).signal("chosen", state.chosen).runAsync()));
+  await Promise.all([...DATA.panels.map(drawPanel), drawExplorer()]);
+  listeners.push((shown) => {
+    state.shown = shown;
+    VIEWS.forEach((_, number) => STALE.add(number));
+    refresh();
+  });
+}
+
+let refreshing = false;
+
+/** Bring the plots in sight up to date, one at a time, so that a drag over thousands of runs never waits for all. */
+async function refresh() {
+  if (refreshing) return;
+  refreshing = true;
+  for (let next; (next = [...STALE].find((number) => VISIBLE.has(number))) !== undefined;) {
+    STALE.delete(next);
+    await VIEWS[next].signal("mask", state.shown).signal("chosen", state.chosen).runAsync();
+    await new Promise((done) => { setTimeout(done); });
+  }
+  refreshing = false;
 }
 
 /** Lift every brush: Vega keeps its selection in a data set of its own. */
 function clearBrushes() {
   state.brushes = {};
-  VIEWS.forEach((view) => { if (!COARSE) view.data("brush_store", []).signal("brush_x", []).signal("brush_y", []).runAsync(); });
+  if (!COARSE) VIEWS.forEach((view) => view.data("brush_store", []).signal("brush_x", []).signal("brush_y", []).runAsync());
 }

@@ -4,17 +4,25 @@ let openedFrom = null;
 function choose(i) {
   if (document.getElementById("run").hidden) openedFrom = document.activeElement;
   state.chosen = i;
-  document.getElementById("run").hidden = false;
+  dock(true);
   drawRun(i);
   changed(true);
   document.getElementById("run-title").focus({ preventScroll: true });
 }
 
 function closeRun() {
+  const back = openedFrom && openedFrom.isConnected ? openedFrom : document.querySelector(`tr[data-run="${state.chosen}"] button`);
   state.chosen = -1;
-  document.getElementById("run").hidden = true;
-  if (openedFrom && openedFrom.isConnected) openedFrom.focus({ preventScroll: true });
+  dock(false);
+  if (back) back.focus({ preventScroll: true });
   changed(true);
+}
+
+/** Beside the page where there is room, over its foot on a phone; the plots take what width is left. */
+function dock(open) {
+  document.getElementById("run").hidden = !open;
+  document.body.classList.toggle("with-run", open);
+  dispatchEvent(new Event("resize"));
 }
 
 function step(by) {

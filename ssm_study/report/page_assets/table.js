@@ -45,7 +45,7 @@ function drawRow(i, names) {
 }
 
 function drawTable(shown) {
-  const focused = document.activeElement && document.activeElement.dataset ? document.activeElement.dataset.column : null;
+  const place = focusedPlace();
   const rows = sorted([...shown.keys()].filter((i) => shown[i]));
   const pages = Math.max(1, Math.ceil(rows.length / PAGE));
   state.page = Math.min(state.page, pages - 1);
@@ -55,7 +55,15 @@ function drawTable(shown) {
   document.getElementById("body").replaceChildren(...rows.slice(state.page * PAGE, (state.page + 1) * PAGE).map((i) => drawRow(i, names)));
   drawPager(pages);
   document.getElementById("count").textContent = `${rows.length} of ${RUNS} runs shown`;
-  if (focused) document.querySelector(`[data-column="${focused}"]`).focus();
+  const again = place && document.querySelector(place);
+  if (again) again.focus({ preventScroll: true });
+}
+
+/** Where the keyboard is in the table, as a selector: drawing anew must not lose it. */
+function focusedPlace() {
+  const here = document.activeElement, row = here && here.closest("tr[data-run]");
+  if (row) return `tr[data-run="${row.dataset.run}"] button`;
+  return here && here.dataset.column ? `[data-column="${here.dataset.column}"]` : here && here.closest("#pager") ? `#${here.id}` : null;
 }
 
 function drawPager(pages) {
