@@ -5,6 +5,7 @@ from typing import Any
 from ssm_study.bounds.hankel import hankel_singular_values
 from ssm_study.bounds.scaffolds import jacobian_ball
 from ssm_study.data.coverage import input_coverage
+from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM
 from ssm_study.signals import DataSet, Trajectory, rmse
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
@@ -44,7 +45,10 @@ def linear_facts(model: SSM) -> Facts:
 
 def rmse_over(model: SSM, records: tuple[Trajectory, ...], start_up_samples: int) -> float:
     """Root mean square over all scored samples of all records, in the unit of the output."""
-    squares = [(len(r) - start_up_samples, rmse(r.y, model.simulate(r.u), start_up_samples) ** 2) for r in records]
+    squares = [
+        (len(r) - start_up_samples, rmse(r.y, free_run(model, r, start_up_samples), start_up_samples) ** 2)
+        for r in records
+    ]
     return float((sum(n * s for n, s in squares) / sum(n for n, _ in squares)) ** 0.5)
 
 

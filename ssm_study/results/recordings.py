@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.loop.rollout import Rollouts
+from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
@@ -27,7 +28,7 @@ def write_simulation(path: Path, model: SSM, records: tuple[Trajectory, ...], da
         signals = {
             "input": (data.inputs, record.u),
             "measured": (data.outputs, record.y),
-            "simulated": (data.outputs, model.simulate(record.u)),
+            "simulated": (data.outputs, free_run(model, record, data.start_up_samples)),
         }
         for name, (channels, values) in signals.items():
             groups.append(_group(f"{prefix}/{name}", record.time_s, channels, values))

@@ -18,6 +18,7 @@ from ssm_study.bounds.scaffolds import certified_balls
 from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.settling import settling_times_s
+from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.results.facts import design_facts, linear_facts, slope_facts
@@ -141,7 +142,7 @@ def _fits(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
     model = _read_model(run)
     for name, file in (("fit_validation_percent", "validation.mcap"), ("fit_test_percent", "test.mcap")):
         kept = read_simulation(run / file)
-        again = [model.simulate(r.u) for r in kept.records]
+        again = [free_run(model, r, kept.start_up_samples) for r in kept.records]
         pairs = zip(again, kept.simulated, strict=True)
         apart = max(float(np.abs(a - b).max() / np.abs(a).max()) for a, b in pairs)
         yield Finding(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import Simulator
 from ssm_study.signals import DataSet, Trajectory, fit_percent
 
@@ -12,7 +13,7 @@ from ssm_study.signals import DataSet, Trajectory, fit_percent
 class Identification:
     """An identified model, the fits its stored numbers reproduce, and how they were reached.
 
-    Fits are recomputed from `model` itself (float64, free run from rest), never taken from training. `curve` holds one
+    Fits are recomputed from `model` itself (float64, `free_run`), never taken from training. `curve` holds one
     row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why training stopped.
     """
 
@@ -26,6 +27,6 @@ class Identification:
 
 def mean_fit(model: Simulator, records: tuple[Trajectory, ...], data: DataSet) -> float:
     """Fit over all records taken as one, after each record's start-up samples, percent."""
-    simulated = [model.simulate(record.u)[data.start_up_samples :] for record in records]
+    simulated = [free_run(model, record, data.start_up_samples)[data.start_up_samples :] for record in records]
     measured = [record.y[data.start_up_samples :] for record in records]
     return fit_percent(np.concatenate(measured), np.concatenate(simulated))
