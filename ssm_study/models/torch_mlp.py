@@ -81,11 +81,17 @@ def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple
 def start_layer(
     inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
-    """Random directions, kinks through evenly ranked samples of the training input, so that each can be learned."""
+    """Random directions, kinks through evenly ranked samples of the training input, so that each can be learned.
+
+    With one input, neighbouring kinks bend in opposite directions: any region can then be made steeper or flatter.
+    """
+    strata = (np.arange(width) + rng.uniform(0.2, 0.8, size=width)) / width
+    if inputs.shape[1] == 1:
+        signs = np.where((np.arange(width) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+        return signs[:, None], signs * np.quantile(inputs[:, 0], strata)
     w = rng.normal(size=(width, inputs.shape[1]))
     w /= np.linalg.norm(w, axis=1, keepdims=True)
-    ranks = rng.permutation((np.arange(width) + 0.5) / width)
-    kinks = np.array([np.quantile(inputs @ row, rank) for row, rank in zip(w, ranks, strict=True)])
+    kinks = np.array([np.quantile(inputs @ row, rank) for row, rank in zip(w, rng.permutation(strata), strict=True)])
     return w, kinks
 
 

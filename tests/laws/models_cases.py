@@ -1,0 +1,53 @@
+"""A Wiener-Hammerstein system whose parts are known, as a data set: what the model class can represent exactly."""
+
+import numpy as np
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.systems import StateSpace
+
+SOFT_DEAD_ZONE = MonotoneScaffold(breakpoints=np.array([[-0.4, 0.4]]), slopes=np.array([[1.0, 0.2, 1.0]]))
+TWO_POLES = StateSpace(
+    a=np.array([[0.9, 0.1], [-0.1, 0.8]]), b=np.array([[1.0], [0.5]]), c=np.array([[0.3, 0.2]]), d=np.zeros((1, 1))
+)
+
+
+def true_system() -> SSM:
+    return SSM(
+        linear=TWO_POLES,
+        scaffold_in=SOFT_DEAD_ZONE,
+        scaffold_out=LinearScaffold.identity(1),
+        input_scale=np.ones(1),
+        output_scale=np.ones(1),
+        input_equilibrium=np.array([0.5]),
+        output_equilibrium=np.array([10.0]),
+        step_s=0.01,
+    )
+
+
+def held_levels(rng: np.random.Generator, samples: int, hold: int) -> np.ndarray:
+    return np.repeat(rng.uniform(-2, 2, size=-(-samples // hold)), hold)[:samples, None]
+
+
+def data_set(noise: float = 0.0, samples: int = 400, hold: int = 8, seed: int = 0, records: int = 3) -> DataSet:
+    rng, system = np.random.default_rng(seed), true_system()
+
+    def record(name: str) -> Trajectory:
+        u = held_levels(rng, samples, hold) + system.input_equilibrium
+        y = system.simulate(u)
+        return Trajectory(u=u, y=y + noise * rng.normal(size=y.shape), step_s=0.01, name=name)
+
+    training = tuple(record(f"training_{i}") for i in range(records))
+    return DataSet(
+        training=training,
+        validation=(record("validation"),),
+        test=(record("test"),),
+        inputs=(Channel(name="voltage", unit="V"),),
+        outputs=(Channel(name="speed", unit="rad/s"),),
+        input_equilibrium=system.input_equilibrium,
+        output_equilibrium=system.output_equilibrium,
+        input_scale=np.array([1.2]),
+        output_scale=np.array([3.0]),
+    )

@@ -1,0 +1,122 @@
+"""Training finds the system it can represent, repeats itself under a seed, and stores what reproduces its fit."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from models_cases import data_set, true_system
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold_specs import Linear, Mlp, Monotone, Residual, ScaffoldSpec
+from ssm_study.models.spec import SSMSpec
+from ssm_study.training.identification import mean_fit
+from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
+from ssm_study.training.training import Training
+
+LBFGS = Lbfgs(steps_per_epoch=10, history=20)
+
+
+def spec(scaffold_in: ScaffoldSpec | None = None, scaffold_out: ScaffoldSpec | None = None, **changes: Any) -> SSMSpec:
+    settings = {"order": 2, "hidden_width": 8, "slope_lower": 0.05, "slope_upper": 1.0, "feedthrough": False}
+    return SSMSpec(
+        scaffold_in=scaffold_in or Mlp(depth=1, train_slopes=True, certified=True),
+        scaffold_out=scaffold_out or Linear(),
+        **{**settings, **changes},
+    )
+
+
+def training(optimiser: OptimiserSpec = LBFGS, **changes: Any) -> Training:
+    settings = {"max_epochs": 25, "patience": 25, "min_gain_percent": 0.0, "validation_tolerance_percent": 0.0}
+    return Training(optimiser=optimiser, **{**settings, **changes})
+
+
+@pytest.mark.parametrize(
+    ("scaffold_in", "least"), [(Mlp(depth=1, train_slopes=True, certified=True), 99.0), (Monotone(), 99.0)]
+)
+def test_a_system_of_the_model_class_is_found(scaffold_in: ScaffoldSpec, least: float, tmp_path: Path) -> None:
+    data = data_set()
+    found = training().identify(spec(scaffold_in), data, seed=0, folder=tmp_path)
+    assert mean_fit(found.model, data.test, data) > least
+    poles = np.sort_complex(np.linalg.eigvals(found.model.linear.a))
+    np.testing.assert_allclose(poles, np.sort_complex(np.linalg.eigvals(true_system().linear.a)), atol=0.01)
+
+
+def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
+    """Negative control: without the scaffolding the dead zone is out of reach."""
+    data = data_set()
+    found = training().identify(spec(Linear()), data, seed=0, folder=tmp_path)
+    assert mean_fit(found.model, data.test, data) < 93.0
+
+
+@pytest.mark.parametrize(
+    "scaffold_out", [Monotone(), Residual(depth=1), Mlp(depth=2, train_slopes=True, certified=True)]
+)
+def test_a_nonlinear_output_map_trains(scaffold_out: ScaffoldSpec, tmp_path: Path) -> None:
+    data = data_set(samples=200)
+    found = training(max_epochs=30).identify(spec(scaffold_out=scaffold_out), data, seed=0, folder=tmp_path)
+    assert mean_fit(found.model, data.test, data) > 95.0
+
+
+@pytest.mark.parametrize("precision", [32, 64])
+def test_the_stored_model_reproduces_its_stored_fit(precision: int, tmp_path: Path) -> None:
+    data = data_set(noise=0.05)
+    found = training(precision=precision, max_epochs=8).identify(spec(), data, seed=0, folder=tmp_path)
+    again = SSM.from_json(json.loads(json.dumps(found.model.to_json())))
+    assert mean_fit(again, data.training, data) == found.fit_training_percent
+    assert mean_fit(again, data.validation, data) == found.fit_validation_percent
+    assert found.fit_training_percent > max(row["fit_training_percent"] for row in found.curve) - 0.01
+
+
+def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> None:
+    data = data_set(noise=0.05)
+    found = training(max_epochs=5).identify(spec(order=6), data, seed=0, folder=tmp_path)
+    net = spec(order=6).build(data, 0)
+    state = torch.load(tmp_path / "best.ckpt", weights_only=True)["state_dict"]
+    net.load_state_dict({k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")})
+    u = data.test[0].u
+    with torch.no_grad():
+        scaled = torch.from_numpy((u - data.input_equilibrium) / data.input_scale)[None]
+        convolved = net(scaled)[0].numpy() * data.output_scale + data.output_equilibrium
+    replayed = SSM.from_json(found.model.to_json()).simulate(u)
+    assert np.abs(replayed - convolved).max() <= 1e-9 * np.abs(convolved).max()
+
+
+@pytest.mark.parametrize("optimiser", [LBFGS, Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)])
+def test_equal_seeds_give_equal_models(optimiser: OptimiserSpec, tmp_path: Path) -> None:
+    data = data_set(noise=0.05)
+    one, two = (
+        training(optimiser, max_epochs=4).identify(spec(start="ring", real_modes=0), data, 3, tmp_path / name).model
+        for name in ("one", "two")
+    )
+    assert one.to_json() == two.to_json()
+    other = training(optimiser, max_epochs=4).identify(spec(start="ring", real_modes=0), data, 4, tmp_path / "other")
+    assert other.model.to_json() != one.to_json()
+
+
+def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
+    data = data_set()
+    short = dataclasses.replace(data.training[0], u=data.training[0].u[:150], y=data.training[0].y[:150])
+    data = dataclasses.replace(data, training=(short, *data.training[1:]), start_up_samples=20)
+    found = training().identify(spec(), data, seed=0, folder=tmp_path)
+    assert mean_fit(found.model, data.test, data) > 99.0
+    shown = max(row["fit_training_percent"] for row in found.curve)
+    assert found.fit_training_percent == pytest.approx(shown, abs=0.5)
+
+
+def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
+    """Records that start in motion: with estimated states the system is found, without them it is not."""
+    data = data_set(records=6)
+    moving = tuple(dataclasses.replace(r, u=r.u[60:140], y=r.y[60:140]) for r in data.training)
+    data = dataclasses.replace(data, training=moving)
+    fits = {
+        state: mean_fit(
+            training(initial_state=state).identify(spec(), data, 0, tmp_path / state).model, data.test, data
+        )
+        for state in ("zero", "estimated")
+    }
+    assert fits["estimated"] > 97.0
+    assert fits["zero"] < fits["estimated"] - 1.0

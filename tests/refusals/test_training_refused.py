@@ -1,0 +1,113 @@
+"""Bad requests to models and training are one sentence, before any epoch runs."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "laws"))
+from models_cases import data_set
+from test_training_identify import LBFGS, spec, training
+
+from ssm_study.models.scaffold_specs import Mlp, Residual
+from ssm_study.refusal import BadRequest
+from ssm_study.training.optimisers import Adam, Lbfgs
+from ssm_study.training.saving import load_state
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"order": 0}, "model.order = 0"),
+        ({"hidden_width": 0}, "model.hidden_width = 0"),
+        ({"slope_lower": 0.0}, "model.slope_lower = 0.0"),
+        ({"slope_lower": -0.1}, "model.slope_lower = -0.1"),
+        ({"slope_lower": 1.0}, "slope_upper"),
+        ({"slope_lower": 2.0}, "slope_upper"),
+        ({"slope_upper": float("inf")}, "slope_upper"),
+        ({"start": "guess"}, "model.start = guess"),
+        ({"start": "ring", "order": 5, "real_modes": 2}, "model.real_modes = 2"),
+        ({"start": "ring", "real_modes": 3}, "model.real_modes = 3"),
+        ({"start": "ring", "ring_radius": (0.9, 1.1)}, "model.ring_radius"),
+        ({"start": "ring", "ring_frequency": (1.0, 0.5)}, "model.ring_frequency"),
+    ],
+)
+def test_a_model_out_of_range_is_refused(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(BadRequest, match=named):
+        spec(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"max_epochs": 0}, "training.max_epochs = 0"),
+        ({"patience": 0}, "training.patience = 0"),
+        ({"min_gain_percent": -1.0}, "training.min_gain_percent"),
+        ({"precision": 16}, "training.precision = 16"),
+        ({"initial_state": "guess"}, "training.initial_state = guess"),
+    ],
+)
+def test_a_training_out_of_range_is_refused(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(BadRequest, match=named):
+        training(**changes)
+
+
+@pytest.mark.parametrize("rate", [0.0, -0.1, float("nan"), float("inf")])
+def test_a_learning_rate_out_of_range_is_refused(rate: float) -> None:
+    with pytest.raises(BadRequest, match="learning_rate"):
+        Adam(learning_rate=rate, steps_per_epoch=10, final_fraction=0.1)
+
+
+def test_other_settings_out_of_range_are_refused() -> None:
+    with pytest.raises(BadRequest, match="steps_per_epoch"):
+        Lbfgs(steps_per_epoch=0, history=20)
+    with pytest.raises(BadRequest, match="history"):
+        Lbfgs(steps_per_epoch=10, history=0)
+    with pytest.raises(BadRequest, match=r"scaffold\.depth"):
+        Mlp(depth=0, train_slopes=True, certified=True)
+    with pytest.raises(BadRequest, match=r"scaffold\.depth"):
+        Residual(depth=0)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="a GPU is present here")
+def test_a_device_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadRequest, match=r"training\.accelerator = gpu"):
+        training(accelerator="gpu").identify(spec(), data_set(), 0, tmp_path)
+
+
+def test_a_checkpoint_of_another_architecture_is_refused(tmp_path: Path) -> None:
+    data = data_set()
+    training(max_epochs=1).identify(spec(), data, 0, tmp_path)
+    other = training()._fit(spec(order=5).build(data, 0), data)
+    with pytest.raises(BadRequest, match="another architecture"):
+        load_state(tmp_path / "best.ckpt", other)
+
+
+def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
+    training(max_epochs=1, checkpoint_every_s=0.0).identify(spec(), data_set(), 0, tmp_path)
+    with pytest.raises(BadRequest, match="another model, optimiser or data set"):
+        training(LBFGS, max_epochs=1).identify(spec(hidden_width=9), data_set(), 0, tmp_path)
+
+
+def test_a_damaged_or_evil_checkpoint_is_refused(tmp_path: Path) -> None:
+    settings, data = training(max_epochs=1, checkpoint_every_s=0.0), data_set()
+    settings.identify(spec(), data, 0, tmp_path)
+    last = tmp_path / "last.ckpt"
+    last.write_bytes(last.read_bytes()[:1000])
+    with pytest.raises(BadRequest, match="unreadable"):
+        settings.identify(spec(), data, 0, tmp_path)
+    marker = tmp_path / "ran"
+    torch.save({"state": Evil(str(marker))}, last)
+    with pytest.raises(BadRequest, match="unreadable"):
+        settings.identify(spec(), data, 0, tmp_path)
+    assert not marker.exists()
+
+
+class Evil:
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Path.touch, (Path(self.path),))
