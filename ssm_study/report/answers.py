@@ -101,7 +101,7 @@ def _fit(table: pd.DataFrame) -> tuple[str, ...]:
     fit, share = column(table, "fit_test_percent"), column(table, "stable_fraction")
     known = certified & fit.notna() & share.notna()
     if known.sum() < 3 or fit[known].nunique() < 2 or share[known].nunique() < 2:
-        return (f"This study cannot tell: its {int(known.sum())} certified runs do not differ in both.",)
+        return (f"This study cannot tell: {int(known.sum())} certified runs, too alike in fit or in what settles.",)
     rank = float(np.corrcoef(fit[known].rank(), share[known].rank())[0, 1])
     return (
         f"Over its {int(known.sum())} certified runs, fit and share of starts settled have a rank correlation of "

@@ -142,7 +142,9 @@ def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
 
 
 def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
-    """Logarithmic only if all values allow it and they spread over more than a decade."""
+    """Logarithmic only if all values allow it and they spread over more than a decade; a share from 0 to 1."""
+    if name == "stable_fraction":
+        return kind(f"{name}:Q", title=words(name), scale=alt.Scale(domain=[-0.05, 1.05], nice=False))
     values = column(table, name).dropna()
     spread = log and bool((values > 0).all()) and float(values.max()) > 10 * float(values.min())
     scale = alt.Scale(type="log", padding=8) if spread else alt.Scale(zero=False, padding=8)

@@ -1,7 +1,6 @@
 """Where certificates exist: every run at its slope ratio and controller rate, with the exact frontier of each model.
 Below its model's bar a rate can be certified; above it none can, whatever the solver."""
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -51,9 +50,6 @@ def _frontier(axes: Axes, ratio: pd.Series, limit: pd.Series) -> None:
     models = pd.DataFrame({"ratio": ratio, "limit": limit}).dropna().drop_duplicates().sort_values("ratio")
     if models.empty:
         return
-    bar = axes.scatter(models.ratio, models.limit, marker="_", s=90, color=style.INK, lw=0.6, zorder=4)
+    bar = axes.scatter(models.ratio, models.limit, marker="_", s=90, color=style.INK, lw=0.8, zorder=4)
     bar.set_label("exact frontier")
-    top = max(axes.get_ylim()[1], 1.05 * float(models.limit.max()))
-    by_ratio = models.groupby("ratio").limit.max()
-    axes.fill_between(by_ratio.index, by_ratio, np.full(len(by_ratio), top), color="#F0F0F0", lw=0, zorder=0)
-    axes.set_ylim(0, top)
+    axes.set_ylim(0, max(axes.get_ylim()[1], 1.05 * float(models.limit.max())))
