@@ -141,9 +141,9 @@ def meant(problem: str, overrides: list[str]) -> str:
 
 def keys_of(config: DictConfig, prefix: str = "") -> Iterator[str]:
     """Every key of the configuration, dotted."""
-    for key in config:
-        yield f"{prefix}{key}"
-        if not OmegaConf.is_missing(config, str(key)) and isinstance(config[key], DictConfig):
+    for key in map(str, config):
+        yield prefix + key
+        if not OmegaConf.is_missing(config, key) and isinstance(config[key], DictConfig):
             yield from keys_of(config[key], f"{prefix}{key}.")
 
 
@@ -213,6 +213,10 @@ def _report(options: argparse.Namespace) -> int:
 
     for path in draw(options.only, options.study):
         print(path)
+    if options.only is None:
+        from ssm_study.report.page import write_page
+
+        print(write_page(options.study))
     return DONE
 
 
