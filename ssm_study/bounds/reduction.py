@@ -1,7 +1,7 @@
 """The configured step between identification and synthesis: balanced coordinates, fewer states."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar, runtime_checkable, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ssm_study.bounds.hankel import BALANCING_FLOOR, balance, hankel_singular_values
 from ssm_study.refusal import require

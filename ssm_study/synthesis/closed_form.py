@@ -1,11 +1,13 @@
 """The minimum-energy gain: a certified controller for every rate inside the frontier, without any iteration.
 
 `K = K0 / ((1 - delta^2) alpha)` with `delta = beta/alpha` and `K0 = -(I + Bh^T S Bh)^{-1} Bh^T S Ah` the minimum-energy
-gain of `(A/r, B/r)`, which mirrors the modes with `|lambda| > r` at the circle of radius r and leaves the others.
-Derivation: docs/theory.md.
+gain of `(A/r, B/r)`, which mirrors the modes with `|lambda| > r` at the circle of radius r and leaves the others; its
+metric is `P = (1/delta^2 - 1) W` with `sigma = 1`, `W = S^{-1}`. Derivation: docs/theory.md.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,66 +15,100 @@ import scipy.linalg
 from jaxtyping import Float
 
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import fast_part, frontier, minimum_energy
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.frontier import Frontier, frontier
+from ssm_study.synthesis.modes import Modes, energy_root, split_modes
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution, margin, theorem_matrix
 from ssm_study.systems import JacobianBall
 
-# The gain is built for a slightly harder problem (faster, wider ball), so that the asked one holds with room: half of
-# what the frontier leaves, in the logarithm.
-SHARE_OF_ROOM = 0.5
+# The slow modes enter the metric with a weight that is searched: from dominating to negligible beside the fast ones.
+SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)
+GOOD_SHARE = 0.3
+# No frontier above r = 0 (no radius, or all modes slow): the harder problem is at most this much faster.
+FASTEST = 0.5
+# Shares of the room (in log r) between the asked rate and the frontier at which the gain is built, in order of trial.
+SHARES = (0.5, 0.2, 0.8, 0.05, 0.95)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FastGain:
+    """The minimum-energy gain and its metric on the fast modes: `k (m, n)` in x, `p (k, k)` on `z_fast`, sigma = 1."""
+
+    k: Float[np.ndarray, "m n"]
+    p: Float[np.ndarray, "k k"]
 
 
 def minimum_energy_gain(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall, contraction: float
 ) -> Float[np.ndarray, "m n"]:
     """`K0 / ((1 - delta^2) alpha)` at `r = contraction`; zero where no mode is faster than asked."""
-    part = fast_part(a, b, contraction)
-    if part.order == 0:
-        return np.zeros((b.shape[1], len(a)))
-    ah, bh = part.a / contraction, part.b / contraction
-    s = np.linalg.inv(minimum_energy(ah, bh))
-    k0 = -np.linalg.solve(np.eye(b.shape[1]) + bh.T @ s @ bh, bh.T @ s @ ah)
-    return k0 @ part.basis.T / ((1 - ball.relative_radius**2) * ball.alpha)
+    return fast_gain(split_modes(a, b, contraction), ball, contraction, widen=False).k
 
 
-def harder(problem: Problem) -> tuple[float, float]:
-    """`(r', delta')` between the asked values and the frontier: the room is shared between rate and radius."""
-    limit = frontier(problem.a, problem.b, problem.ball).contraction_limit
-    r = problem.contraction
-    return float(r * (max(limit, 1e-3 * r) / r) ** SHARE_OF_ROOM), problem.ball.relative_radius
+def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True) -> FastGain:
+    """`widen` designs for a ball between the asked one and the widest that is possible at this r."""
+    m = modes.b_fast.shape[1]
+    if modes.fast == 0:
+        return FastGain(k=np.zeros((m, len(modes.left))), p=np.zeros((0, 0)))
+    ah, bh = modes.a_fast / contraction, modes.b_fast / contraction
+    root = energy_root(ah, bh)
+    b_balanced = scipy.linalg.solve_triangular(root, bh, lower=True)
+    energy = b_balanced.T @ b_balanced
+    k0_root = -np.linalg.solve(np.eye(m) + energy, b_balanced.T @ scipy.linalg.solve_triangular(root, ah, lower=True))
+    delta, widest = ball.relative_radius, 1 / np.sqrt(1 + np.linalg.eigvalsh(energy)[-1])
+    if widen:
+        delta = max(np.sqrt(delta * widest), widest / 2)
+    k = k0_root @ modes.left[: modes.fast] / ((1 - delta**2) * ball.alpha)
+    return FastGain(k=k, p=(1 / delta**2 - 1) * root @ root.T if delta > 0 else root @ root.T)
 
 
-def minimum_energy_solution(problem: Problem) -> Solution:
-    """The gain at the harder rate, and a metric for it from the bounded-real Riccati equation of the closed loop."""
-    faster, _ = harder(problem)
-    k = minimum_energy_gain(problem.a, problem.b, problem.ball, faster)
-    return certify_gain(problem, k, status="closed form")
+def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
+    """Gain and metric of the problem at a faster rate, `share` of the room to the frontier away (in log r).
 
-
-def certify_gain(problem: Problem, k: Float[np.ndarray, "m n"], status: str) -> Solution:
-    """A metric that certifies a given gain: `S = Ah_cl^T (S^{-1} - Bh Bh^T)^{-1} Ah_cl + beta^2 K^T K + eps Q`.
-
-    The bounded-real lemma for `beta K (zI - Ah_cl)^{-1} Bh`: solvable iff that norm is below one, which is what
-    Theorem 1 asks of K. The slack `eps Q` is searched from large to small. Raises `NoSolution` if none works.
+    At the faster rate and wider ball the fast part of the inequality is an equality; the room in between makes it
+    strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue with `|lambda| = r`, or where floats
+    run out.
     """
-    ah, bh = problem.a_hat, problem.b_hat
-    closed = ah + problem.ball.alpha * bh @ k
-    if np.abs(np.linalg.eigvals(closed)).max() >= 1:
-        raise NoSolution("the gain does not reach the rate at the centre of the ball")
-    cost = problem.ball.beta**2 * k.T @ k
-    slack = scipy.linalg.solve_discrete_lyapunov(closed.T, np.eye(len(ah)))
-    for eps in np.geomspace(1e-2, 1e-12, 11):
-        weight = cost + eps * np.eye(len(ah)) / max(np.linalg.norm(bh.T @ slack @ bh, 2), np.finfo(float).tiny)
-        try:
-            s = scipy.linalg.solve_discrete_are(closed, bh, weight, -np.eye(bh.shape[1]))
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        s = (s + s.T) / 2
-        if np.linalg.eigvalsh(bh.T @ s @ bh)[-1] < 1 and np.linalg.eigvalsh(s)[0] > 0:
-            inverse = np.linalg.inv(s)
-            p = (inverse + inverse.T) / 2
-            return Solution(p=p, y=p, k=k, sigma=1.0, status=status)
-    raise NoSolution("the bounded-real Riccati equation of the closed loop has no solution in floats")
+    ball, r = problem.ball, problem.contraction
+    limit = max(frontier(problem.a, problem.b, ball).contraction_limit, FASTEST * r)
+    faster = float(r * (limit / r) ** share)
+    modes = split_modes(problem.a, problem.b, faster)
+    fast = fast_gain(modes, ball, faster)
+    p = _with_slow_modes(problem, modes, fast)
+    return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=f"minimum energy at rate {1 - faster**2:.6g}")
+
+
+def _with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
+    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with half the best margin: a
+    smaller one would only spread the entries of P over more digits than floats have.
+
+    `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + D`, D normalising them.
+    """
+    if modes.fast == len(modes.left):
+        return _symmetric(modes.right @ fast.p @ modes.right.T)
+    slow = _slow_metric(modes, problem.contraction)
+    k, a, b = fast.k @ modes.right, modes.left @ problem.a @ modes.right, modes.left @ problem.b
+    candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
+    margins = [
+        margin(theorem_matrix(a, b, problem.ball, problem.rate, Solution(p=p, y=p, k=k, sigma=1.0, status="")))
+        for p in candidates
+    ]
+    if not max(margins) > 0:
+        raise NoSolution("no metric of this form holds in floats")
+    chosen = next(p for p, reached in zip(candidates, margins, strict=True) if reached >= max(margins) * GOOD_SHARE)
+    return _symmetric(modes.right @ chosen @ modes.right.T)
+
+
+def _slow_metric(modes: Modes, contraction: float) -> Float[np.ndarray, "s s"]:
+    """`P` with `P^{-1} - Ah^T P^{-1} Ah` = I, for the modes the input need not touch."""
+    ah = modes.a_slow / contraction
+    if not np.abs(np.linalg.eigvals(ah)).max() < 1:
+        raise NoSolution("a slow mode lies on the circle |lambda| = r")
+    s = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))
+    return _symmetric(np.linalg.inv(s))
+
+
+def _symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    return (matrix + matrix.T) / 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,3 +119,6 @@ class ClosedFormSynthesis(Synthesis):
 
     def solve(self, problem: Problem) -> Solution:
         return minimum_energy_solution(problem)
+
+    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:  # noqa: ARG002
+        return [partial(minimum_energy_solution, problem, share) for share in SHARES]

@@ -18,6 +18,8 @@ from ssm_study.systems import JacobianBall, StateSpace
 # A mode counts as out of the input's reach when its left eigenvector meets B at less than this share of ||B||:
 # eigenvectors of a well-conditioned matrix are accurate to about 1e-14.
 REACH_FLOOR = 1e-12
+# Eigenvalues closer than this share of the largest are treated as repeated (a defective pair splits by 1e-8).
+REPEATED = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,10 +92,14 @@ def ratio_limit(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contra
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
     """The largest `|lambda|` of a mode the input does not reach (Popov-Belevitch-Hautus, left eigenvectors); 0 if none.
 
-    Modes are tested one eigenvector at a time, so a repeated eigenvalue is judged by the eigenvectors NumPy returns.
+    A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]` decides.
     """
     values, left = np.linalg.eig(a.T)
     reach = np.linalg.norm(left.T @ b, axis=1) / max(np.linalg.norm(b, 2), np.finfo(float).tiny)
+    distances = np.abs(values[:, None] - values) + np.diag(np.full(len(values), np.inf))
+    for i in np.flatnonzero(distances.min(axis=1) < REPEATED * np.abs(values).max()):
+        pencil = np.hstack([a - values[i] * np.eye(len(a)), b])
+        reach[i] = np.linalg.svd(pencil, compute_uv=False)[-1] / np.linalg.norm(pencil, 2)
     return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
 
 

@@ -9,13 +9,16 @@ Derivation: docs/theory.md; cf. Petersen & Hollot 1986 (guaranteed cost), THEORY
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
+from ssm_study.synthesis.closed_form import SHARES, minimum_energy_solution
 from ssm_study.synthesis.design import Synthesis
+from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 
 # tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer matter.
@@ -41,7 +44,9 @@ class GuaranteedCost:
 
 def guaranteed_cost(problem: Problem) -> Solution:
     """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is admissible."""
-    best = _search(lambda tau: at_tau(problem, tau), _tau_min(problem))
+    tau_min = _tau_min(problem)
+    best = at_tau(problem, tau_min * TAU_SPAN[1]) if problem.ball.beta == 0 else None  # the cost only falls with tau
+    best = best or _search(lambda tau: at_tau(problem, tau), tau_min)
     inverse = np.linalg.inv(best.s_over_tau)
     p = (inverse + inverse.T) / 2  # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
     return Solution(p=p, y=p, k=best.k, sigma=1.0, status=f"tau {best.tau:.6g}")
@@ -111,3 +116,8 @@ class RiccatiSynthesis(Synthesis):
 
     def solve(self, problem: Problem) -> Solution:
         return guaranteed_cost(problem)
+
+    def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
+        """The weights first; where the frontier leaves them no room, the minimum-energy gain."""
+        weighted = super().attempts(problem, frontier)
+        return [*weighted, *(partial(minimum_energy_solution, problem, share) for share in SHARES)]

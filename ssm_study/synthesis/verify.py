@@ -15,10 +15,16 @@ from ssm_study.systems import JacobianBall, StateSpace
 FRONTIER_ROUNDING = 1e-8
 
 
-def broken_claims(content: dict[str, Any], linear: StateSpace, balls: tuple[JacobianBall, JacobianBall]) -> list[str]:
+def broken_claims(
+    content: dict[str, Any],
+    linear: StateSpace,
+    balls: tuple[JacobianBall, JacobianBall],
+    controlled: StateSpace | None = None,
+) -> list[str]:
     """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
 
-    `linear` is the model's linear part and `balls` the Jacobian balls of `S_u` and `S_y`, re-derived from `model.json`.
+    `linear` is the model's linear part and `balls` the Jacobian balls of `S_u` and `S_y`, re-derived from `model.json`;
+    `controlled` is what the state feedback acts on where that is not the model itself (integral action).
     A claim is: the digest of each part; `a, b` (`a, c`) are the model's; the ball contains the model's; `x = k y`
     (`v = u l`), correctly rounded; the linear matrix inequality, in rational arithmetic, agrees with `certified`; the
     rate limit; and for a part without a certificate, that the frontier excludes it if it says so.
@@ -27,11 +33,11 @@ def broken_claims(content: dict[str, Any], linear: StateSpace, balls: tuple[Jaco
         design = Design.from_json(content)
     except BadRequest as malformed:
         return [str(malformed)]
-    broken = _digests(content)
-    broken += _of_part("state_feedback", design.state_feedback, balls[0], controller_frontier(linear, balls[0]))
+    broken, controlled = _digests(content), controlled or linear
+    broken += _of_part("state_feedback", design.state_feedback, balls[0], controller_frontier(controlled, balls[0]))
     broken += _of_part("observer", design.observer, balls[1], observer_frontier(linear, balls[1]))
     if isinstance(design.state_feedback, StateFeedback):
-        broken += _of_feedback(design.state_feedback, linear)
+        broken += _of_feedback(design.state_feedback, controlled)
     if isinstance(design.observer, Observer):
         broken += _of_observer(design.observer, linear)
     return broken

@@ -1,0 +1,183 @@
+"""What synthesis must refuse, and tampering that verification must find."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis import exact
+from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.synthesis.frontier import frontier, ratio_limit, unreached_modulus
+from ssm_study.synthesis.lmi import LmiSynthesis
+from ssm_study.synthesis.problem import Problem
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.verify import broken_claims
+from ssm_study.systems import JacobianBall, StateSpace
+
+RATES = {"rate_controller": 0.3, "rate_observer": 0.3}
+BALLS = (JacobianBall.from_slopes(0.3, 1.0), JacobianBall.from_slopes(0.8, 1.2))
+
+
+def system(a: list[list[float]], b: list[float], c: list[float]) -> StateSpace:
+    columns = np.array(b)[:, None], np.array(c)[None, :]
+    return StateSpace(a=np.array(a), b=columns[0], c=columns[1], d=np.zeros((1, 1)))
+
+
+PLANT = system([[0.95, 0.1], [-0.1, 0.9]], [0.0, 1.0], [1.0, 0.5])
+
+
+class Model:
+    linear = PLANT
+
+
+@pytest.fixture(scope="module")
+def stored() -> dict:
+    return json.loads(json.dumps(RiccatiSynthesis(**RATES).design(Model(), *BALLS).to_json()))
+
+
+def test_an_untouched_certificate_has_no_broken_claim(stored: dict) -> None:
+    assert broken_claims(stored, PLANT, BALLS) == []
+
+
+MATRICES = [("state_feedback", name) for name in "abpyxk"] + [("observer", name) for name in "acquvl"]
+
+
+@given(st.sampled_from(MATRICES), st.integers(0, 99), st.sampled_from([1e-15, -1e-9, 1e-3, 2.0]))
+def test_any_tampering_with_any_matrix_is_found(stored: dict, where: tuple[str, str], entry: int, share: float) -> None:
+    content = copy.deepcopy(stored)
+    rows = content[where[0]][where[1]]
+    i, j = divmod(entry % (len(rows) * len(rows[0])), len(rows[0]))
+    rows[i][j] = rows[i][j] * (1 + share) if rows[i][j] else share
+    assert any(claim.startswith(where[0]) for claim in broken_claims(content, PLANT, BALLS))
+
+
+@pytest.mark.parametrize("name", ["alpha", "beta", "rate", "sigma", "rate_limit"])
+def test_any_tampering_with_a_number_is_found(stored: dict, name: str) -> None:
+    content = copy.deepcopy(stored)
+    content["state_feedback"][name] *= 1 + 1e-6
+    assert broken_claims(content, PLANT, BALLS)
+
+
+def test_a_forged_digest_does_not_help_where_the_inequality_fails(stored: dict) -> None:
+    from ssm_study.synthesis.certificate import digest
+
+    content = copy.deepcopy(stored)
+    content["state_feedback"]["rate"] = 0.9
+    content["state_feedback"]["digest"] = digest(content["state_feedback"])
+    assert any("in exact arithmetic the inequality fails" in claim for claim in broken_claims(content, PLANT, BALLS))
+
+
+def test_one_unit_in_the_last_place_decides() -> None:
+    """`P = [[1, p], [p, 1]]` with p one ulp below one is positive definite; at one it is not."""
+    below = np.nextafter(1.0, 0.0)
+    assert exact.is_positive_definite(exact.rational(np.array([[1.0, below], [below, 1.0]])))
+    assert not exact.is_positive_definite(exact.rational(np.array([[1.0, 1.0], [1.0, 1.0]])))
+    assert not exact.is_positive_definite(exact.rational(np.array([[1.0, below], [1.0, 1.0]])))  # not symmetric
+
+
+def test_a_scalar_certificate_at_the_last_representable_sigma() -> None:
+    """`a = 0, b = 1, beta = 0`: the inequality is `(1-rho) p > sigma`; equality is refused, one ulp less is not."""
+    one = np.ones((1, 1))
+    for sigma, verdict in ((0.5, False), (np.nextafter(0.5, 0.0), True)):
+        lmi = exact.theorem_one(0 * one, one, 1.0, 0.0, 0.5, one, one, 0 * one, float(sigma))
+        assert exact.is_positive_definite(lmi) is verdict
+
+
+def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
+    wider = (JacobianBall.from_slopes(0.29, 1.0), BALLS[1])
+    assert any("alpha, beta" in claim for claim in broken_claims(stored, PLANT, wider))
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda c: c.pop("observer"), "observer"),
+        (lambda c: c["observer"].pop("q"), "q"),
+        (lambda c: c["observer"].update(q=[[1.0, "x"], [0.0, 1.0]]), "q"),
+        (lambda c: c["observer"].update(q=[[1.0], [0.0, 1.0]]), "q"),
+        (lambda c: c["observer"].update(eta=float("nan")), "eta"),
+        (lambda c: c["observer"].update(extra=1.0), "extra"),
+    ],
+)
+def test_a_malformed_certificate_is_one_sentence(stored: dict, change, field: str) -> None:
+    content = copy.deepcopy(stored)
+    change(content)
+    with pytest.raises(BadRequest, match=field):
+        Design.from_json(content)
+    assert len(broken_claims(content, PLANT, BALLS)) == 1
+
+
+@pytest.mark.parametrize("name", ["rate_controller", "rate_observer"])
+@pytest.mark.parametrize("rate", [0.0, 1.0, -0.1, float("nan")])
+def test_a_rate_outside_the_unit_interval(name: str, rate: float) -> None:
+    with pytest.raises(BadRequest, match=name):
+        RiccatiSynthesis(**(RATES | {name: rate}))
+
+
+@pytest.mark.parametrize("name", ["state_weight", "input_weight", "state_noise", "output_noise"])
+def test_weights_must_be_positive(name: str) -> None:
+    with pytest.raises(BadRequest, match=name):
+        RiccatiSynthesis(**RATES, **{name: 0.0})
+
+
+@pytest.mark.parametrize(("name", "value"), [("objective", "fastest"), ("solver", "MOSEK")])
+def test_unknown_choices_of_the_lmi(name: str, value: str) -> None:
+    with pytest.raises(BadRequest, match=name):
+        LmiSynthesis(**RATES, **{name: value})
+
+
+def test_slopes_that_include_zero_are_refused_with_the_open_loops_rate() -> None:
+    part = RiccatiSynthesis(**RATES).state_feedback(PLANT, JacobianBall.from_slopes(-0.1, 1.0))
+    assert isinstance(part, Infeasible)
+    assert part.proved
+    assert part.rate_limit == pytest.approx(1 - PLANT.spectral_radius**2)
+    assert "include zero" in part.reason
+    with pytest.raises(BadRequest, match="slopes"):
+        Problem(
+            a=PLANT.a,
+            b=PLANT.b,
+            ball=JacobianBall.from_slopes(0.0, 1.0),
+            rate=0.1,
+            state_weight=np.eye(2),
+            input_weight=1.0,
+        )
+
+
+def test_an_uncontrollable_unstable_mode_is_refused_by_its_modulus() -> None:
+    plant = system([[1.2, 0.0], [0.3, 0.5]], [0.0, 1.0], [1.0, 1.0])
+    part = RiccatiSynthesis(**RATES).state_feedback(plant, BALLS[0])
+    assert isinstance(part, Infeasible)
+    assert part.rate_limit == pytest.approx(1 - 1.2**2)
+    assert "out of reach" in part.reason
+    assert ratio_limit(plant.a, plant.b, 0.9) == 0.0
+
+
+def test_an_unobservable_slow_mode_is_refused_by_its_modulus() -> None:
+    plant = system([[0.9, 0.0], [0.0, 0.5]], [1.0, 1.0], [0.0, 1.0])
+    part = RiccatiSynthesis(**RATES).observer(plant, BALLS[1])
+    assert isinstance(part, Infeasible)
+    assert part.rate_limit == pytest.approx(1 - 0.9**2)
+
+
+def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None:
+    plant = system([[0.9, 0.0], [0.0, 0.9]], [1.0, 2.0], [1.0, 1.0])
+    assert unreached_modulus(plant.a, plant.b) == pytest.approx(0.9)
+
+
+def test_matrices_that_are_not_finite() -> None:
+    with pytest.raises(BadRequest, match="a"):
+        frontier(np.array([[np.nan]]), np.ones((1, 1)), BALLS[0])
+
+
+def test_slopes_in_the_wrong_order() -> None:
+    with pytest.raises(BadRequest, match="slopes"):
+        JacobianBall.from_slopes(1.0, 0.5)
+
+
+def test_exact_arithmetic_takes_no_nan() -> None:
+    with pytest.raises((ValueError, OverflowError)):
+        exact.rational(np.array([[np.nan]]))
