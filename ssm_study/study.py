@@ -20,12 +20,14 @@ from ssm_study.bounds.scaffolds import certified_balls
 from ssm_study.data.tensors import dataset_from_tensors, dataset_to_tensors
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.table import Identified, write_rows
 from ssm_study.models.identified import SSM
+from ssm_study.models.spec import SSMSpec
 from ssm_study.plants.plant import Plant
 from ssm_study.report.figures import draw
 from ssm_study.report.outcome import print_outcome
 from ssm_study.results.durable import sha256_of_file
-from ssm_study.results.facts import Facts, data_facts, design_facts, model_facts
+from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, model_facts
 from ssm_study.results.gather import gather
 from ssm_study.results.keys import code_version
 from ssm_study.results.naming import register_resolver, run_name
@@ -69,7 +71,7 @@ def job(config: DictConfig) -> Outcome:
 
     def work(run: Run) -> Facts:
         design = line(specification, Store(specification.store), done=lambda stage: settle(run, stage))
-        return {"status": OK if feasible(design.value) else INFEASIBLE}
+        return {"status": OK if design is None or feasible(design.value) else INFEASIBLE}
 
     return execute(
         specification.folder,
@@ -114,12 +116,15 @@ def walk(config: DictConfig, stages: Stages) -> None:
     line(Specification.from_config(config), stages, done=_nothing)
 
 
-def line(specification: Specification, stages: Stages, done: Callable[[Kept[Any]], None]) -> Kept[Design]:
-    """The study, stage by stage; `done` is told of each as it stands."""
+def line(specification: Specification, stages: Stages, done: Callable[[Kept[Any]], None]) -> Kept[Design] | None:
+    """The study, stage by stage; `done` is told of each as it stands. A baseline is scored, and there it ends."""
     data = dataset_stage(specification, stages)
     done(data)
     model = model_stage(specification, stages, data)
     done(model)
+    if not isinstance(specification.model, SSMSpec):
+        done(score_stage(stages, data, model))
+        return None
     bounded = bounds_stage(specification, stages, data, model)
     done(bounded)
     design = synthesis_stage(specification, stages, data, bounded)
@@ -147,7 +152,7 @@ def dataset_stage(specification: Specification, stages: Stages) -> Kept[DataSet]
     return Kept(stages.stage("dataset", settings | {"files": files}, (), version, compute), read)
 
 
-def model_stage(specification: Specification, stages: Stages, data: Kept[DataSet]) -> Kept[SSM]:
+def model_stage(specification: Specification, stages: Stages, data: Kept[DataSet]) -> Kept[Any]:
     """Train; kept as explicit numbers."""
 
     def compute(folder: Path) -> None:
@@ -162,6 +167,21 @@ def model_stage(specification: Specification, stages: Stages, data: Kept[DataSet
     version = code_version(*NOUNS, "models", "training", "torch")
     result = stages.stage("model", settings, (data.key,), version, compute)
     return Kept(result, read_model, ("training_curve.json",))
+
+
+def score_stage(stages: Stages, data: Kept[DataSet], model: Kept[Any]) -> Kept[None]:
+    """How well a baseline simulates; nothing is claimed of it."""
+
+    def compute(folder: Path) -> None:
+        records = data.value
+        write_json(folder / "facts.json", fit_facts(model.value, records))
+        write_json(folder / "model.json", model.value.to_json())
+        write_simulation(folder / "validation.mcap", model.value, records.validation, records)
+        write_simulation(folder / "test.mcap", model.value, records.test, records)
+
+    version = code_version(*NOUNS, "data", "models", "results.recordings", "results.facts")
+    result = stages.stage("score", {}, (data.key, model.key), version, compute)
+    return Kept(result, _nothing, ("model.json", "validation.mcap", "test.mcap"))
 
 
 def bounds_stage(specification: Specification, stages: Stages, data: Kept[DataSet], model: Kept[SSM]) -> Kept[SSM]:
@@ -213,12 +233,18 @@ def loop_stage(
         if closed.on_model is not None:
             twin = stand_in(bounded.value, data.value)
             write_rollouts(folder / "closed_loop_model.mcap", closed.on_model, None, twin, metadata)
+        if specification.loop.comparison is not None:
+            known = Identified(
+                model=bounded.value, balls=certified_balls(bounded.value), validation=data.value.validation
+            )
+            rows = specification.loop.comparison.rows(plant, known, specification.loop, specification.loop_seed)
+            write_rows(folder / "comparison.csv", rows)
         write_json(folder / "facts.json", on | behaviour(closed) | certified(closed, design.value))
 
     settings = select(specification, "loop", "loop_seed", *(("plant",) if specification.plant else ()))
     version = code_version(*NOUNS, "plants", "models", "synthesis", "loop", "results.recordings")
     result = stages.stage("loop", settings, (data.key, bounded.key, design.key), version, compute)
-    return Kept(result, _nothing, ("closed_loop.mcap", "closed_loop_model.mcap"))
+    return Kept(result, _nothing, ("closed_loop.mcap", "closed_loop_model.mcap", "comparison.csv"))
 
 
 def stand_in(model: SSM, data: DataSet) -> Plant:
@@ -285,7 +311,7 @@ def select(specification: Specification, *names: str) -> Facts:
     return {name: specification.configuration[name] for name in names}
 
 
-def read_model(folder: Path) -> SSM:
+def read_model(folder: Path) -> Any:
     return SSM.from_json(read_json(folder / "model.json"))
 
 

@@ -1,6 +1,7 @@
 """The numbers one experiment is judged by: the columns of the study's table, each with its unit and definition."""
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import parts
@@ -19,29 +20,41 @@ def behaviour(loop: ClosedLoop) -> Columns:
     `settling_time_open_loop_s`: mean of the plant left alone, over its cases that settle.
     `overshoot_worst`: as a share of the initial distance. `input_peak_v`: largest `|u - u_eq|`.
     `control_energy`: mean over cases of `sum |u - u_eq|^2 step_s`. `integral_squared_error`: likewise of `y - r`.
+    `final_error_worst`: largest `|mean of y - r|` over the last tenth of the horizon (noise averages out).
+    `empirical_rate`: see `settling.empirical_rate`; None when several plants are pooled.
     `left_bound_count`, `left_bound_first_s`: cases stopped at the bound, and when the first was.
     """
-    run, band = loop.controlled, loop.settling_band
-    settled = [t for t in settling_times_s(run, band) if t is not None]
-    alone = [t for t in settling_times_s(loop.uncontrolled, band) if t is not None]
-    everyone = len(settled) == len(run.y)
-    effort, error = run.u - loop.input_equilibrium, run.y - run.reference
-    left = [t for t in run.left_at_s if t is not None]
+    return pooled([loop]) | {"empirical_rate": empirical_rate(loop.controlled, loop.settling_band)}
+
+
+def pooled(loops: list[ClosedLoop]) -> Columns:
+    """`behaviour` over the cases of several experiments of the same length, as if they were one."""
+    settled = [t for loop in loops for t in settling_times_s(loop.controlled, loop.settling_band) if t is not None]
+    alone = [t for loop in loops for t in settling_times_s(loop.uncontrolled, loop.settling_band) if t is not None]
+    left = [t for loop in loops for t in loop.controlled.left_at_s if t is not None]
+    cases = sum(len(loop.controlled.y) for loop in loops)
+    efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
+    errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
+    step_s = loops[0].controlled.step_s
     return {
-        "initial_conditions": len(run.y),
+        "initial_conditions": cases,
         "stable_count": len(settled),
-        "stable_fraction": len(settled) / len(run.y),
+        "stable_fraction": len(settled) / cases,
         "settling_time_mean_s": _mean(settled),
-        "settling_time_worst_s": max(settled) if everyone else None,
+        "settling_time_worst_s": max(settled) if len(settled) == cases else None,
         "settling_time_open_loop_s": _mean(alone),
-        "overshoot_worst": float(overshoots(run, band).max()),
-        "input_peak_v": float(np.abs(effort).max()),
-        "control_energy": float((effort**2).sum(axis=(1, 2)).mean() * run.step_s),
-        "integral_squared_error": float((error**2).sum(axis=(1, 2)).mean() * run.step_s),
-        "empirical_rate": empirical_rate(run, band),
+        "overshoot_worst": max(float(overshoots(loop.controlled, loop.settling_band).max()) for loop in loops),
+        "input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),
+        "control_energy": sum(float((effort**2).sum()) for effort in efforts) / cases * step_s,
+        "integral_squared_error": sum(float((error**2).sum()) for error in errors) / cases * step_s,
+        "final_error_worst": max(_final_error(error) for error in errors),
         "left_bound_count": len(left),
         "left_bound_first_s": min(left) if left else None,
     }
+
+
+def _final_error(error: Float[np.ndarray, "N T p"]) -> float:
+    return float(np.abs(error[:, -max(error.shape[1] // 10, 1) :].mean(axis=1)).max())
 
 
 def certified(loop: ClosedLoop, design: Design) -> Columns:

@@ -10,6 +10,7 @@ from ssm_study.loop.disturbance import Disturbance, NoDisturbance
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import Rollouts, close_loop, matched
+from ssm_study.loop.table import Table
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
@@ -39,19 +40,22 @@ class Loop:
     """`initial_conditions` outputs uniform in the plant's `initial_range`, each simulated for `horizon_s` seconds.
 
     `horizon_s` None is `SAMPLES` sampling periods of the plant. Measured outputs carry Gaussian noise of variance
-    `measurement_noise_variance` (unit of the output, squared; None is the plant's own). A case whose output strays more
-    than `bound_in_initial_ranges` times the initial range from the equilibrium, beyond what the reference asks, is
-    stopped and counts as unstable. Input limits (unit of the input) are known to the controller.
+    `measurement_noise_variance` (unit of the output, squared; None is the plant's own) times `noise_factor`. A case
+    whose output strays more than `bound_in_initial_ranges` times the initial range from the equilibrium, beyond what
+    the reference asks, is stopped and counts as unstable. Input limits (unit of the input) are known to the controller.
+    `comparison` is a table the run leaves beside its record, `comparison.csv`.
     """
 
     initial_conditions: int = 10
     horizon_s: float | None = None
     measurement_noise_variance: float | None = None
+    noise_factor: float = 1.0
     bound_in_initial_ranges: float = 20.0
     input_lower: float | None = None
     input_upper: float | None = None
     reference: Reference = field(default_factory=Rest)
     disturbance: Disturbance = field(default_factory=NoDisturbance)
+    comparison: Table | None = None
 
     def __post_init__(self) -> None:
         count, noise, far = self.initial_conditions, self.measurement_noise_variance, self.bound_in_initial_ranges
@@ -70,6 +74,8 @@ class Loop:
             "a variance is not negative",
             "use 0 for no noise",
         )
+        factor = self.noise_factor
+        require(factor >= 0, "loop.noise_factor", factor, "a variance is not negative", "use 0 for no noise")
         require(far > 1, "loop.bound_in_initial_ranges", far, "cases would start outside the bound", "use more than 1")
         low, high = self.input_lower, self.input_upper
         require(
@@ -92,9 +98,8 @@ class Loop:
         for controller in controllers.values():
             matched(plant, controller)
         rest = plant.equilibrium()
-        alone = Uncontrolled(plant=plant)
         y0, noise = self.draw(plant, seed)
-        uncontrolled = self.simulate(plant, alone, y0, noise)
+        uncontrolled = self.uncontrolled(plant, y0, noise)
         return {
             name: ClosedLoop(
                 controlled=self.simulate(plant, controller, y0, noise),
@@ -123,6 +128,10 @@ class Loop:
         )
         return quiet.simulate(twin, controller, y0, np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1])))
 
+    def uncontrolled(self, plant: Plant, y0: Float[np.ndarray, "N p"], noise: Float[np.ndarray, "N T p"]) -> Rollouts:
+        """The plant left alone from the same states, under the same disturbance."""
+        return self.simulate(plant, Uncontrolled(plant=plant), y0, noise)
+
     def samples(self, step_s: float) -> int:
         return SAMPLES if self.horizon_s is None else max(2, round(self.horizon_s / step_s))
 
@@ -133,7 +142,7 @@ class Loop:
         low, high = plant.initial_range
         y0 = plant.equilibrium().y + initial.uniform(low, high, size=(shape[0], shape[2]))
         given = self.measurement_noise_variance
-        variance = np.array(plant.noise_variance if given is None else (given,) * shape[2], dtype=float)
+        variance = self.noise_factor * np.array(plant.noise_variance if given is None else (given,) * shape[2])
         return y0, np.sqrt(variance) * noise.standard_normal(shape)
 
     def simulate(

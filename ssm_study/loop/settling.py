@@ -9,16 +9,24 @@ NEVER = -1
 """Settling sample of a case that never settles."""
 
 
-def settling_samples(rollouts: Rollouts, band: float) -> Int[np.ndarray, "N"]:
-    """The first sample from which `|y - reference| <= band` holds to the end of the horizon; `NEVER` if none.
+def last_step(reference: Float[np.ndarray, "T p"]) -> int:
+    """The sample at which a reference of steps takes its last value; 0 if it still moves in the second half."""
+    changes = np.flatnonzero(np.any(np.diff(reference, axis=0) != 0, axis=1))
+    last = int(changes[-1]) + 1 if len(changes) else 0
+    return last if last <= len(reference) // 2 else 0
 
-    `band` in the output's unit. A case that left the bound never settles, whatever it did before.
+
+def settling_samples(rollouts: Rollouts, band: float) -> Int[np.ndarray, "N"]:
+    """The samples after the last step of the reference from which `|y - reference| <= band` holds to the end.
+
+    `NEVER` if there is none. `band` in the output's unit. A case that left the bound never settles, whatever it did
+    before; a case that is within the band throughout settles in 0.
     """
     outside = (np.abs(rollouts.y - rollouts.reference) > band).any(axis=2)
     last_outside = outside.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
     first = np.where(outside.any(axis=1), last_outside + 1, 0)
     settled = rollouts.stayed & (first < outside.shape[1])
-    return np.where(settled, first, NEVER)
+    return np.where(settled, np.maximum(first - last_step(rollouts.reference), 0), NEVER)
 
 
 def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...]:
@@ -27,12 +35,12 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
 
 
 def overshoots(rollouts: Rollouts, band: float) -> Float[np.ndarray, "N"]:
-    """`max(0, excursion beyond the reference, on the far side from the start) / |y[0] - reference|`, worst channel.
+    """`max(0, excursion beyond the reference, on the far side from the start) / |y - reference| at the start`.
 
-    Only excursions beyond the band count: within it, the measurement noise that the controller passes on decides.
-    Zero for cases that start within the band of a constant reference.
+    The start is the last step of the reference; the worst channel counts. Only excursions beyond the band count: within
+    it, the measurement noise that the controller passes on decides. Zero for cases that start within the band.
     """
-    error = rollouts.y - rollouts.reference
+    error = (rollouts.y - rollouts.reference)[:, last_step(rollouts.reference) :]
     start = error[:, :1]
     far = np.maximum(-np.sign(start) * error, 0.0).max(axis=1)
     counts = (np.abs(start[:, 0]) > band) & (far > band)

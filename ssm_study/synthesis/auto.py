@@ -98,12 +98,13 @@ class Auto:
         input_ball: JacobianBall,
         output_ball: JacobianBall,
         validation: tuple[Trajectory, ...],
+        start_up_samples: int = 0,
     ) -> Design:
         """The chosen controller and observer, exactly verified; infeasible as the Riccati route reports it."""
         candidates = self.candidates(model, input_ball, output_ball)
         if candidates is None:
             return self._reported(self._slowest(model, input_ball, output_ball), "nothing on the grid is feasible")
-        gain = mismatch_gain(model, validation)
+        gain = mismatch_gain(model, validation, start_up_samples)
         peaks = peaks_on_grid(model.linear, candidates.ks, candidates.ls, input_ball, output_ball, GRID_ANGLES)
         for pair in self._in_order(model, candidates, 1 / np.maximum(gain * peaks, np.finfo(float).tiny)):
             design = candidates.specification(pair).design(model, input_ball, output_ball)

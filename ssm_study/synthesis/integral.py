@@ -4,8 +4,8 @@
 
 For a linear output map `S_y(v) = G v` the pair `(x, z)` is again a linear recurrence behind `S_u`, so Theorem 1, its
 exact frontier (the integrators are modes at 1) and its exact verification hold as they stand; `z` is known exactly, so
-the observer is unchanged. The internal model principle then removes constant errors: a constant disturbance leaves the loop
-contracting, so `z` converges, and it does so only where `y = r`. Announced as future work in [Z26] section V.
+the observer is unchanged. The internal model principle then removes constant errors: a constant disturbance leaves
+the loop contracting, so `z` converges, and it does so only where `y = r`. Announced as future work in [Z26] section V.
 """
 
 from dataclasses import dataclass
@@ -84,6 +84,7 @@ class IntegralSynthesis:
         input_ball: JacobianBall,
         output_ball: JacobianBall,
         validation: tuple[Trajectory, ...] = (),  # noqa: ARG002 - the same signature for every synthesis
+        start_up_samples: int = 0,  # noqa: ARG002
     ) -> Design:
         return Design(
             state_feedback=self.synthesis.state_feedback(with_integrators(model, self.integral_weight), input_ball),

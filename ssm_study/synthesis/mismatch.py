@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import require
 from ssm_study.signals import Trajectory
@@ -46,19 +47,25 @@ def mismatch(
     input_ball: JacobianBall,
     output_ball: JacobianBall,
     validation: tuple[Trajectory, ...],
+    start_up_samples: int = 0,
 ) -> Mismatch:
     """The margin of one controller and observer of this model."""
-    gain = mismatch_gain(model, validation)
+    gain = mismatch_gain(model, validation, start_up_samples)
     return Mismatch(gain=gain, peak=sensitivity_peak(model.linear, k, l, input_ball, output_ball))
 
 
-def mismatch_gain(model: SSM, validation: tuple[Trajectory, ...]) -> float:
+def mismatch_gain(model: SSM, validation: tuple[Trajectory, ...], start_up_samples: int = 0) -> float:
     """`g = ||e||_2 / ||u||_2` over all validation records, `e = y - y_model` in free run, both in scaled units.
 
+    With `start_up_samples` the initial state is estimated from them (`models.free_run`), and they do not count.
     Measurement noise in the record counts as mismatch. Raises `BadRequest` without a record that moves the input.
     """
-    error = sum(float((((r.y - model.simulate(r.u)) / model.output_scale) ** 2).sum()) for r in validation)
-    drive = sum(float((((r.u - model.input_equilibrium) / model.input_scale) ** 2).sum()) for r in validation)
+    error, drive = 0.0, 0.0
+    for record in validation:
+        missed = (record.y - free_run(model, record, start_up_samples)) / model.output_scale
+        moved = (record.u - model.input_equilibrium) / model.input_scale
+        error += float((missed[start_up_samples:] ** 2).sum())
+        drive += float((moved[start_up_samples:] ** 2).sum())
     require(
         drive > 0,
         "validation",

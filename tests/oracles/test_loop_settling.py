@@ -7,12 +7,14 @@ from ssm_study.loop.rollout import STAYED, Rollouts
 from ssm_study.loop.settling import empirical_rate, overshoots, settling_times_s
 
 
-def rollouts(*signals: list[float], reference: float = 0.0, left: tuple[int, ...] | None = None) -> Rollouts:
+def rollouts(
+    *signals: list[float], reference: float | list[float] = 0.0, left: tuple[int, ...] | None = None
+) -> Rollouts:
     y = np.array(signals, dtype=float)[:, :, None]
     still = np.zeros_like(y)
     return Rollouts(
         step_s=0.5,
-        reference=np.full(y.shape[1:], reference),
+        reference=np.broadcast_to(np.reshape(reference, (-1, 1)), y.shape[1:]).astype(float),
         u=still,
         y=y,
         measured=still,
@@ -31,6 +33,17 @@ def test_settled_is_entering_and_staying():
 def test_settled_is_measured_from_the_reference():
     assert settling_times_s(rollouts([0, 4, 5.1, 4.9], reference=5.0), 0.2) == (1.0,)
     assert settling_times_s(rollouts([0, 0.1, 0.1, 0.1], reference=5.0), 0.2) == (None,)
+
+
+def test_time_and_overshoot_count_from_the_last_step_of_the_reference():
+    run = rollouts([0, 0, 0, 4, 6, 5, 5, 5], reference=[0, 0, 5, 5, 5, 5, 5, 5])
+    assert settling_times_s(run, 0.2) == (1.5,)
+    np.testing.assert_allclose(overshoots(run, 0.2), [0.2])
+
+
+def test_a_reference_that_keeps_moving_counts_from_the_start():
+    run = rollouts([1, 1, 2, 3, 4, 5], reference=[0, 1, 2, 3, 4, 5])
+    assert settling_times_s(run, 0.2) == (0.5,)
 
 
 def test_a_case_that_left_the_bound_never_settles():

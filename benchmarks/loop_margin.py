@@ -1,0 +1,144 @@
+"""Does the mismatch margin predict the true plant? Certified designs of many models, one line per model.
+
+    python benchmarks/loop_margin.py run --plant dc_motor --order 4 8 12 --seed 0 1 2 --to margin_dc_motor.csv
+    python benchmarks/loop_margin.py pool margin_*.csv
+
+`run` identifies one model per (plant, order, seed), draws 150 certified designs and closes each on the plant ten times
+(`ssm_study.loop.design_grid`); models already in the file are skipped. `pool` prints ROC and confusion table.
+The same tables come from `ssm-study run -m experiment=fit_versus_stability`, with everything else a run records.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import hydra
+import pandas as pd
+from hydra import compose, initialize_config_dir
+
+from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.loop.design_grid import DesignGrid
+from ssm_study.loop.table import Identified
+from ssm_study.models.free_run import free_run
+from ssm_study.signals import fit_percent
+
+CONF = Path(__file__).resolve().parents[1] / "conf"
+GROUPS = ("plant", "excitation", "data", "model", "training", "reduction", "loop")
+
+
+def parts(plant: str, *overrides: str) -> dict:
+    """The objects of one configuration, without a run folder."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("study", [f"plant={plant}", "study=margin", *overrides])
+    return {name: hydra.utils.instantiate(config[name], _convert_="all") for name in GROUPS}
+
+
+def designs(plant: str, order: int, seed: int) -> pd.DataFrame:
+    """One model's table, with what was identified beside every row."""
+    started, part = time.perf_counter(), parts(plant, f"model.order={order}")
+    data = part["data"].build(part["plant"], part["excitation"], seed)
+    with TemporaryDirectory() as folder:
+        found = part["training"].identify(part["model"], data, seed, Path(folder), False)
+    model = part["reduction"].reduce(found.model)
+    test, validation = data.test[0], data.validation
+    known = Identified(model=model, balls=certified_balls(model), validation=validation)
+    rows = pd.DataFrame(DesignGrid().rows(part["plant"], known, part["loop"], seed))
+    fit = fit_percent(test.y, free_run(model, test, data.start_up_samples), data.start_up_samples)
+    about = {"plant": plant, "order": order, "seed": seed, "fit_test_percent": fit, "order_kept": model.order}
+    about |= {"slope_lower": known.balls[0].lower, "slope_upper": known.balls[0].upper}
+    about |= {"seconds": time.perf_counter() - started}
+    return rows.assign(**about)
+
+
+def outcome(table: pd.DataFrame) -> pd.Series:
+    """`settled`: all cases; `noisy`: all cases but for the noise; `slow`: still decaying; `lost`: none of these.
+
+    Lost designs left the bound or move as much in the last fifth of the horizon as in the middle one.
+    """
+    settled = table.stable_count == table.initial_conditions
+    noisy = table.stable_count_noise_free == table.initial_conditions
+    decaying = (table.left_bound_count == 0) & (table.final_spread < 0.9 * table.middle_spread)
+    kind = pd.Series("lost", index=table.index).mask(decaying, "slow").mask(noisy, "noisy")
+    return kind.mask(settled, "settled")
+
+
+def area_under_roc(score: pd.Series, good: pd.Series) -> float:
+    """The chance that a good design scores above a bad one (Mann and Whitney); NaN if one kind is missing."""
+    ranks, positives = score.rank(), int(good.sum())
+    negatives = len(good) - positives
+    if not positives or not negatives:
+        return float("nan")
+    return float((ranks[good].sum() - positives * (positives + 1) / 2) / (positives * negatives))
+
+
+def summary(table: pd.DataFrame) -> dict:
+    """One group of designs as one row: confusion at margin one, and the area under the ROC curve."""
+    kind, above = outcome(table), table.mismatch_margin > 1
+    settled = kind == "settled"
+    return {
+        "models": table[["plant", "order", "seed"]].drop_duplicates().shape[0],
+        "designs": len(table),
+        "roc_settled": area_under_roc(table.mismatch_margin, settled),
+        "roc_not_lost": area_under_roc(table.mismatch_margin, kind != "lost"),
+        **{f"above_one_{k}": int((above & (kind == k)).sum()) for k in ("settled", "noisy", "slow", "lost")},
+        **{f"below_one_{k}": int((~above & (kind == k)).sum()) for k in ("settled", "noisy", "slow", "lost")},
+    }
+
+
+def hindsight(model: pd.DataFrame) -> dict:
+    """What auto chose (design 0) beside the best certified design found on the true plant, in uncontrolled times."""
+    all_settle = model[model.stable_count == model.initial_conditions]
+    chosen = model[model.design == 0].iloc[0]
+    best = all_settle.settling_time_mean_s.min() / chosen.settling_time_open_loop_s
+    own = chosen.settling_time_mean_s / chosen.settling_time_open_loop_s
+    return {
+        "fit_test_percent": chosen.fit_test_percent,
+        "auto_margin": chosen.mismatch_margin,
+        "auto_stable_count": int(chosen.stable_count),
+        "auto_relative_time": own,
+        "hindsight_relative_time": best,
+        "hindsight_margin": all_settle.loc[all_settle.settling_time_mean_s.idxmin(), "mismatch_margin"]
+        if len(all_settle)
+        else None,
+    }
+
+
+def run(arguments: argparse.Namespace) -> None:
+    target = Path(arguments.to)
+    for order in arguments.order:
+        for seed in arguments.seed:
+            done = pd.read_csv(target) if target.exists() else pd.DataFrame(columns=["order", "seed"])
+            if ((done.order == order) & (done.seed == seed)).any():
+                continue
+            table = designs(arguments.plant, order, seed)
+            table.to_csv(target, mode="a", header=not target.exists(), index=False)
+            print(arguments.plant, order, seed, f"{table.seconds.iloc[0]:.1f} s", hindsight(table), flush=True)
+
+
+def pool(arguments: argparse.Namespace) -> None:
+    table = pd.concat([pd.read_csv(name) for name in arguments.files], ignore_index=True)
+    groups = {("all", "all"): table} | dict(table.groupby(["plant", "order"]).__iter__())
+    print(pd.DataFrame({key: summary(group) for key, group in groups.items()}).T.to_csv(float_format="%.4g"))
+    models = {key: hindsight(group) for key, group in table.groupby(["plant", "order", "seed"])}
+    print(pd.DataFrame(models).T.to_csv(float_format="%.4g"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("run")
+    one.add_argument("--plant", required=True)
+    one.add_argument("--order", type=int, nargs="+", default=[4, 8, 12])
+    one.add_argument("--seed", type=int, nargs="+", default=list(range(10)))
+    one.add_argument("--to", required=True)
+    one.set_defaults(act=run)
+    two = commands.add_parser("pool")
+    two.add_argument("files", nargs="+")
+    two.set_defaults(act=pool)
+    arguments = parser.parse_args()
+    arguments.act(arguments)
+
+
+if __name__ == "__main__":
+    main()
