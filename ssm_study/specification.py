@@ -15,7 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.data.excitation import Excitation
-from ssm_study.data.recorded import RecordedData
+from ssm_study.data.recorded import RecordedSource
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.spec import ModelSpec
@@ -38,7 +38,7 @@ class Specification:
 
     plant: Plant | None
     excitation: Excitation
-    data: SimulatedData | RecordedData
+    data: SimulatedData | RecordedSource
     model: ModelSpec
     training: Training
     reduction: Reduction

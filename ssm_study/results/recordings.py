@@ -12,7 +12,7 @@ from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.models.free_run import free_run
-from ssm_study.models.identified import SSM
+from ssm_study.models.identified import Simulator
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectory
@@ -20,7 +20,7 @@ from ssm_study.signals import Channel, DataSet, Trajectory
 NO_BOUND = 1e300  # a recorded bound is finite
 
 
-def write_simulation(path: Path, model: SSM, records: tuple[Trajectory, ...], data: DataSet) -> None:
+def write_simulation(path: Path, model: Simulator, records: tuple[Trajectory, ...], data: DataSet) -> None:
     """`/input`, `/measured` and `/simulated` (free run of the model), physical; several records under `/record_<i>`."""
     groups: list[SignalGroup] = []
     for i, record in enumerate(records):
