@@ -1,0 +1,8 @@
+"""`python experiments/run.py [overrides]`: the same entry as `ssm-study run`."""
+
+import sys
+
+from ssm_study.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main(["run", *sys.argv[1:]]))
