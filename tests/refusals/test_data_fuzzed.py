@@ -1,0 +1,128 @@
+"""Fuzzed files: whatever the bytes, a reader gives finite numbers of one length or one sentence; never a traceback."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from ssm_study.data.columns import Wanted, read_table
+from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.data.table import Table
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel
+
+COLUMNS = {"u": np.linspace(-1, 1, 40), "y": np.sin(np.arange(40.0))}
+WANTED = Wanted(names=("u", "y"), units=("", ""))
+
+
+def whole(suffix: str, folder: Path) -> bytes:
+    path = folder / f"whole{suffix}"
+    if suffix == ".csv":
+        pd.DataFrame(COLUMNS).to_csv(path, index=False)
+    elif suffix == ".parquet":
+        pd.DataFrame(COLUMNS).to_parquet(path)
+    elif suffix == ".mat":
+        savemat(path, COLUMNS)
+    else:
+        channels = tuple(Channel(name=name, unit="V") for name in COLUMNS)
+        values = np.stack(list(COLUMNS.values()), axis=1)
+        write_mcap(path, (SignalGroup(topic="/log", time_s=np.arange(40.0), channels=channels, values=values),), {})
+    return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[bytes, Path]]:
+    folder = tmp_path_factory.mktemp("fuzz")
+    cache: dict[str, bytes] = {}
+    return lambda suffix: (cache.setdefault(suffix, whole(suffix, folder)), folder / f"fuzzed{suffix}")
+
+
+def read_or_refuse(path: Path) -> None:
+    try:
+        table = read_table(path, WANTED)
+    except BadRequest as refusal:
+        sentence = str(refusal)
+    else:
+        check(table)
+        return
+    assert "\n" not in sentence
+
+
+def check(table: Table) -> None:
+    assert len(table.columns["u"]) == len(table.columns["y"])
+    assert all(np.isfinite(column).all() for column in table.columns.values())
+
+
+edits = st.lists(
+    st.tuples(st.sampled_from(["flip", "cut", "insert", "delete"]), st.floats(0, 1), st.binary(min_size=1, max_size=8)),
+    min_size=1,
+    max_size=4,
+)
+
+
+def edited(content: bytes, changes: list[tuple[str, float, bytes]]) -> bytes:
+    for kind, where, extra in changes:
+        at = int(where * max(len(content) - 1, 0))
+        if kind == "flip" and content:
+            content = content[:at] + bytes([content[at] ^ (1 << extra[0] % 8)]) + content[at + 1 :]
+        elif kind == "cut":
+            content = content[:at]
+        elif kind == "insert":
+            content = content[:at] + extra + content[at:]
+        else:
+            content = content[:at] + content[at + len(extra) :]
+    return content
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
+def test_the_sound_file_is_read(sound, suffix: str) -> None:  # type: ignore[no-untyped-def]
+    content, path = sound(suffix)
+    path.write_bytes(content)
+    np.testing.assert_array_equal(read_table(path, WANTED).columns["y"], COLUMNS["y"])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
+@given(changes=edits)
+def test_damaged_files(sound, suffix: str, changes: list[tuple[str, float, bytes]]) -> None:  # type: ignore[no-untyped-def]
+    content, path = sound(suffix)
+    path.write_bytes(edited(content, changes))
+    read_or_refuse(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
+@given(content=st.binary(max_size=400))
+def test_arbitrary_bytes(sound, suffix: str, content: bytes) -> None:  # type: ignore[no-untyped-def]
+    _, path = sound(suffix)
+    path.write_bytes(content)
+    read_or_refuse(path)
+
+
+@given(
+    cells=st.lists(
+        st.lists(st.one_of(st.floats(), st.text(max_size=6), st.integers()), min_size=1, max_size=4), max_size=12
+    )
+)
+def test_csv_of_arbitrary_cells(sound, cells: list[list[object]]) -> None:  # type: ignore[no-untyped-def]
+    _, path = sound(".csv")
+    text = io.StringIO()
+    pd.DataFrame(cells).to_csv(text, index=False, header=False)
+    path.write_text("u,y\n" + text.getvalue().replace("\0", ""), encoding="utf-8", errors="surrogatepass")
+    read_or_refuse(path)
+
+
+@given(changes=edits)
+def test_no_damaged_recording_gives_other_numbers(sound, changes: list[tuple[str, float, bytes]]) -> None:  # type: ignore[no-untyped-def]
+    content, path = sound(".mcap")
+    path.write_bytes(edited(content, changes))
+    try:
+        (group,), _ = read_mcap(path)
+    except BadRequest:
+        return
+    np.testing.assert_array_equal(group.values[:, 1], COLUMNS["y"])
