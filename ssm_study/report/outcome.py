@@ -25,7 +25,11 @@ MISSING = "–"
 def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None) -> None:
     """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`)."""
     console = console or Console()
-    console = console if console.is_terminal else Console(file=console.file, width=WIDTH, color_system=None)
+    console = (
+        console
+        if console.is_terminal
+        else Console(file=console.file, width=WIDTH, color_system=None, force_jupyter=False)
+    )
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)

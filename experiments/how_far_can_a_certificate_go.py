@@ -1,0 +1,117 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation: {extension: .py, format_name: percent}
+#   kernelspec: {display_name: Python 3, language: python, name: python3}
+# ---
+
+# %% [markdown]
+# # How far can a certificate go?
+#
+# Theorem 1 certifies a contraction rate $\rho$ if a linear matrix inequality has a solution. How large can $\rho$ be?
+# No solver is needed to know. With $r = \sqrt{1-\rho}$, one input, and slopes of $S_u$ in $[\mu, \nu]$,
+#
+# $$\text{feasible} \iff \frac{\nu-\mu}{\nu+\mu} < \prod_{|\lambda_i(A)| > r} \frac{r}{|\lambda_i(A)|}.$$
+#
+# This notebook draws that frontier, puts controllers on both sides of it, and tries to cheat the verification.
+
+# %%
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+from IPython.display import Image, display
+
+from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.cli import main
+from ssm_study.report import style
+from ssm_study.report.study_folder import Study
+from ssm_study.results.verify import verify
+from ssm_study.synthesis.certificate import Infeasible
+from ssm_study.synthesis.closed_form import ClosedFormSynthesis
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.systems import JacobianBall
+
+EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
+RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
+
+_ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress=false"])
+run = Study(folder=RESULTS / EXPERIMENT).best
+assert run is not None
+assert run.model is not None
+linear = run.model.linear
+
+# %% [markdown]
+# ## The frontier, and the solver-free verdict on both sides of it
+#
+# For each slope ratio $\mu/\nu$: the exact limit as a line; a controller asked 1 % below it, and one 1 % above. Below,
+# the closed-form gain is checked in exact rational arithmetic; above, the request is refused with the number that
+# decides.
+
+# %%
+ratios = np.geomspace(0.02, 0.95, 12)
+limits = np.array([controller_frontier(linear, JacobianBall.from_slopes(ratio, 1.0)).rate_limit for ratio in ratios])
+verdicts = []
+for ratio, limit in zip(ratios, limits, strict=True):
+    for share in (0.99, 1.01):
+        rate = limit * share
+        if not 0 < rate < 1:
+            continue
+        synthesis = ClosedFormSynthesis(rate_controller=rate, rate_observer=0.1)
+        part = synthesis.state_feedback(linear, JacobianBall.from_slopes(ratio, 1.0))
+        verdicts.append((ratio, rate, not isinstance(part, Infeasible) and part.certified))
+
+with style.paper():
+    figure = style.canvas(style.COLUMN_IN, 2.4)
+    axes = figure.add_subplot()
+    axes.semilogx(ratios, limits, color=style.INK, lw=0.8, label="exact frontier")
+    for certified, label, marker, colour in (
+        (True, "1 % below: certified", "o", style.BLUE),
+        (False, "1 % above: refused", "x", style.VERMILLION),
+    ):
+        points = np.array([(ratio, rate) for ratio, rate, verdict in verdicts if verdict is certified]).reshape(-1, 2)
+        axes.plot(*points.T, marker, color=colour, ls="", label=label)
+    style.above(axes, columns=2)
+    axes.set(xlabel="Slope ratio of S$_u$, smallest / largest (–)", ylabel="Controller rate, ρ (1/sample)")
+    png, _ = style.save(figure, RESULTS / EXPERIMENT / "figures", "both_sides_of_the_frontier")
+display(Image(filename=str(png)))
+
+print(f"{sum(v for *_, v in verdicts)} certified, {sum(not v for *_, v in verdicts)} refused")
+
+# %% [markdown]
+# ## What does a rate cost?
+#
+# The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate speaks of the *model*: a
+# gain in the thousands is certified just as well, and loses the plant.
+
+# %%
+ball, _ = certified_balls(run.model)
+limit = controller_frontier(linear, ball).rate_limit
+for share in (0.1, 0.5, 0.9, 0.99, 0.999):
+    part = ClosedFormSynthesis(rate_controller=limit * share, rate_observer=0.1).state_feedback(linear, ball)
+    if isinstance(part, Infeasible):
+        print(f"{share:6.1%} of the limit: {part.reason}")
+    else:
+        print(f"{share:6.1%} of the limit: |K| = {part.gain_norm:10.3g}, certified {part.certified}")
+
+# %% [markdown]
+# ## Trying to cheat
+#
+# Change one entry of the stored gain in the third digit and ask again. `verify` reads the files alone.
+
+# %%
+findings = verify(run.path)
+print(f"as stored: {sum(finding.holds for finding in findings)} of {len(findings)} claims hold")
+
+forged = RESULTS / "forged"
+shutil.rmtree(forged, ignore_errors=True)
+shutil.copytree(run.path, forged)
+certificate = json.loads((forged / "certificate.json").read_text())
+certificate["state_feedback"]["k"][0][0] *= 1.01
+(forged / "certificate.json").write_text(json.dumps(certificate))
+for finding in verify(forged):
+    if not finding.holds:
+        print(finding)
+shutil.rmtree(forged)

@@ -1,0 +1,85 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation: {extension: .py, format_name: percent}
+#   kernelspec: {display_name: Python 3, language: python, name: python3}
+# ---
+
+# %% [markdown]
+# # Reading a sweep
+#
+# One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks the table the
+# questions a study is made for: which run is best, where feasibility ends, what the margin foretells.
+
+# %%
+import os
+from pathlib import Path
+
+from IPython.display import Image, display
+
+from ssm_study.cli import main
+from ssm_study.report import answers, figures, verdict
+from ssm_study.report.page import write_page
+from ssm_study.report.study_folder import Study
+
+EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
+RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
+STUDY = "reading_a_sweep"
+
+SWEEP = [
+    "model.slope_lower=0.01,0.2",
+    "synthesis=riccati",
+    "synthesis.rate_controller=0.1,0.3,0.6",
+    "synthesis.rate_observer=0.2",
+]
+_ = main(
+    ["run", "-m", f"experiment={EXPERIMENT}", f"study={STUDY}", f"results_dir={RESULTS}", "progress=false", *SWEEP]
+)
+
+# %% [markdown]
+# Six runs, but only two trainings: a rate is asked of a model that exists already. The table has a row per run,
+# **failed and infeasible ones included**, and missing numbers are missing, never zero.
+
+# %%
+study = Study(folder=RESULTS / STUDY)
+table = verdict.best_first(study.table).assign(verdict=verdict.verdicts(study.table))
+seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit", "mismatch_margin", "stable_count"]
+table[["run", *seen, "settling_time_mean_s"]]
+
+# %% [markdown]
+# ## The questions, answered from the table
+
+# %%
+for answer in answers.answers(study.table):
+    print(answer.question, *answer.sentences, sep="\n  ", end="\n\n")
+
+# %% [markdown]
+# ## Where feasibility ends
+#
+# Each model has its own exact limit (the bar), which follows from the eigenvalues of $A$ and the ratio of its smallest
+# to its largest slope. A larger slope floor raises it. What lies above its bar is infeasible *whatever* the solver.
+
+# %%
+for name in ("feasibility_map", "rates", "fit_against_stability"):
+    png, _ = figures.draw([name], study.folder)
+    print(figures.caption(name))
+    display(Image(filename=str(png)))
+
+# %% [markdown]
+# ## Why is a run infeasible?
+#
+# The record says so, with the number that decides and what to change.
+
+# %%
+infeasible = table[table.verdict == verdict.INFEASIBLE.word]
+for _, row in infeasible.iterrows():
+    print(row.run, "-", row.get("infeasible_reason"))
+
+# %% [markdown]
+# ## The same, with a mouse
+#
+# One file that opens from disk: brush in one plot and the rest follows, click a point and see its run.
+
+# %%
+page = write_page(study.folder)
+print(f"open {page} ({page.stat().st_size / 1e6:.1f} MB) in a browser")
