@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+from ssm_study.bounds.absorb import absorbed
 from ssm_study.bounds.hankel import BALANCING_FLOOR, balance, hankel_singular_values
+from ssm_study.models.identified import SSM
 from ssm_study.refusal import require
 from ssm_study.systems import StateSpace
 
@@ -28,12 +30,14 @@ class Reduction:
 
     `truncate_to` keeps that many states (None: all). `drop_below` drops states whose Hankel singular value is below
     this share of the largest, whatever `truncate_to` says: they would make the coordinates ill-conditioned and ask
-    the controller to move modes it can hardly reach. `balanced=False` with `truncate_to=None` leaves the model alone.
+    the controller to move modes it can hardly reach. `absorb` first moves rotations and gains of
+    multi-channel scaffoldings into B and C (see `bounds.absorb`). `balanced=False` keeps the model's coordinates.
     """
 
     balanced: bool = True
     truncate_to: int | None = None
     drop_below: float = 1e-6
+    absorb: bool = True
 
     def __post_init__(self) -> None:
         order = self.truncate_to
@@ -55,6 +59,8 @@ class Reduction:
 
     def reduce(self, model: Model) -> Model:
         """The same model in balanced coordinates, with the kept states only."""
+        if self.absorb and isinstance(model, SSM):
+            model = absorbed(model)  # type: ignore[assignment]
         if not self.balanced:
             return model
         hankel = hankel_singular_values(model.linear)

@@ -5,6 +5,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ssm_study.bounds.lipsdp import lipsdp_bound
 from ssm_study.bounds.networks import interval_bound, spectral_norm_bound
 from ssm_study.bounds.piecewise import slope_interval
 from ssm_study.bounds.slopes import SlopeBound, ball_around_identity, bound_from_ball, bound_from_interval
@@ -17,14 +18,15 @@ from ssm_study.models.scaffold_residual import ResidualScaffold
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import JacobianBall
 
-METHODS = ("best", "exact", "interval", "spectral")
+METHODS = ("best", "exact", "interval", "lipsdp", "spectral")
 
 
 def jacobian_ball(scaffold: Scaffold, method: str = "best") -> SlopeBound:
     """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
 
     `best` is the exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings),
-    the construction for residual ones, and interval arithmetic otherwise. `spectral` is the paper's figure for
+    the construction for residual ones, and otherwise the narrower of LipSDP and interval
+    arithmetic. `spectral` is the paper's figure for
     comparison: without a ball, its lower end unsound. Raises `BadRequest` for a scaffolding
     that is not square, an unknown method, or one that does not apply.
     """
@@ -62,7 +64,18 @@ def _network(network: Network, method: str) -> SlopeBound:
     if method == "exact" or (method == "best" and network.inputs == 1):
         lower, upper = slope_interval(network)
         return bound_from_interval(lower, upper, "break_points", exact=True)
-    return interval_bound(network)
+    if method == "interval":
+        return interval_bound(network)
+    if method == "lipsdp":
+        return lipsdp_bound(network)
+    return min(interval_bound(network), lipsdp_bound(network), key=_width)
+
+
+def _width(bound: SlopeBound) -> tuple[float, float]:
+    """Balls that exclude zero by their relative radius, as the frontier sees them; the others by their radius."""
+    if bound.ball is None:
+        return float("inf"), float("inf")
+    return min(bound.ball.relative_radius, 1.0), bound.ball.beta
 
 
 @runtime_checkable

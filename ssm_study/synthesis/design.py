@@ -72,6 +72,7 @@ class Synthesis(ABC):
         input_ball: JacobianBall,
         output_ball: JacobianBall,
         validation: tuple[Trajectory, ...] = (),  # noqa: ARG002  for specifications that choose by a record
+        start_up_samples: int = 0,  # noqa: ARG002
     ) -> Design:
         """Both parts, independently: `input_ball` holds the Jacobians of S_u, `output_ball` those of S_y."""
         return Design(

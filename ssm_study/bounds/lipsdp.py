@@ -1,0 +1,111 @@
+"""The Jacobian ball of a network by semidefinite programming: LipSDP with the centre of the ball among the unknowns.
+
+Each neuron obeys `(d - lo q)(hi q - d) >= 0` between two inputs, with its own slopes `lo <= hi`; if for some diagonal
+`T >= 0` and a centre C
+
+    L^2 |v|^2 - |W d - C v|^2 - 2 sum_l (d_l - lo q_l)^T T_l (hi q_l - d_l) >= 0     for all v, d  (q_l = W_l d_{l-1})
+
+then `N(v) - C v` has Lipschitz constant L, so every Jacobian lies in the ball around C with radius L.
+Source: Fazlyab et al. 2019, eq. (10) (C = 0 there; here the inequality is linear in C as well, so C is optimised).
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from ssm_study.bounds.slopes import SlopeBound, bound_from_ball
+from ssm_study.models.network import Network
+from ssm_study.refusal import BadRequest
+from ssm_study.systems import JacobianBall
+
+# The solver's multipliers are taken as they are and the radius recomputed from them by a Schur complement in floats;
+# widened by this share, far above that computation's rounding.
+ROUNDING_SHARE = 1e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatrixBall:
+    """`|J(v) - centre|_2 <= radius` for every v; `centre (k, m)`."""
+
+    centre: Float[np.ndarray, "k m"]
+    radius: float
+
+
+def lipsdp_bound(network: Network) -> SlopeBound:
+    """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the solver fails."""
+    if network.inputs != network.outputs:
+        shape = (network.outputs, network.inputs)
+        raise BadRequest("scaffold", shape, "a ball around alpha I needs a square scaffolding", "use m outputs")
+    ball = lipsdp_ball(network, scalar_centre=True)
+    return bound_from_ball(JacobianBall(alpha=float(ball.centre[0, 0]), beta=ball.radius), method="lipsdp")
+
+
+def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
+    """The ball of least radius around any matrix, or around a multiple of the identity (`scalar_centre`)."""
+    hidden = [len(b) for b in network.biases]
+    multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
+    if scalar_centre:
+        alpha = cp.Variable()
+        centre = alpha * np.eye(network.inputs)
+    else:
+        centre = cp.Variable((network.outputs, network.inputs))
+    square = cp.Variable(nonneg=True)
+    form = _sectors(network, multipliers) + square * _select(network, 0).T @ _select(network, 0)
+    output = network.weights[-1] @ _select(network, len(hidden)) - centre @ _select(network, 0)
+    matrix = cp.bmat([[form, output.T], [output, np.eye(network.outputs)]])
+    problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            problem.solve(solver="CLARABEL")
+    except (cp.error.SolverError, ArithmeticError) as error:
+        raise BadRequest("bound_method", "lipsdp", f"the solver failed ({error})", "use interval") from error
+    if square.value is None:
+        raise BadRequest("bound_method", "lipsdp", f"the solver reports {problem.status}", "use interval")
+    found = np.asarray(centre.value, dtype=float).reshape(network.outputs, network.inputs)
+    return MatrixBall(
+        centre=found, radius=_radius(network, [np.asarray(t.value, dtype=float) for t in multipliers], found)
+    )
+
+
+def _radius(network: Network, multipliers: list[Float[np.ndarray, "h"]], centre: Float[np.ndarray, "k m"]) -> float:
+    """The least L for these multipliers and this centre: the Schur complement onto v of everything else."""
+    m, largest = network.inputs, max(float(t.max(initial=0.0)) for t in multipliers)
+    kept = [np.maximum(t, 0) + 1e-9 * largest for t in multipliers]  # strictly positive, so the block is invertible
+    form = _sectors(network, kept)
+    output = network.weights[-1] @ _select(network, len(kept)) - centre @ _select(network, 0)
+    form = form - output.T @ output
+    inner = (form[m:, m:] + form[m:, m:].T) / 2
+    try:
+        factor = scipy.linalg.cho_factor(inner)
+    except np.linalg.LinAlgError as error:
+        problem = "the multipliers found do not prove a bound"
+        raise BadRequest("bound_method", "lipsdp", problem, "use interval") from error
+    needed = form[:m, m:] @ scipy.linalg.cho_solve(factor, form[m:, :m]) - form[:m, :m]
+    return float(np.sqrt(max(np.linalg.eigvalsh((needed + needed.T) / 2)[-1], 0.0)) * (1 + ROUNDING_SHARE))
+
+
+def _select(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
+    """The matrix that picks `v` (layer 0) or `d_l` from the stacked `(v, d_1, ..., d_L)`."""
+    sizes = [network.inputs, *(len(b) for b in network.biases)]
+    start = sum(sizes[:layer])
+    return np.eye(sum(sizes))[start : start + sizes[layer]]
+
+
+def _sectors(network: Network, multipliers: Sequence[Any]) -> Any:
+    """`-2 sum_l (d - lo q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
+    total: Any = 0
+    for layer, t in enumerate(multipliers):
+        low = np.minimum(network.negative_slopes[layer], network.positive_slopes[layer])
+        high = np.maximum(network.negative_slopes[layer], network.positive_slopes[layer])
+        d, q = _select(network, layer + 1), network.weights[layer] @ _select(network, layer)
+        left, right = d - low[:, None] * q, high[:, None] * q - d
+        scaled = (cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)) @ right
+        total = total - (left.T @ scaled + scaled.T @ left)
+    return total

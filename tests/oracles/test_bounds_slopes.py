@@ -1,0 +1,254 @@
+"""Bounds on scaffoldings against sampling, against each other, and against the cases they must not be fooled by."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.bounds.absorb import absorbed
+from ssm_study.bounds.hankel import balance, hankel_singular_values, truncate
+from ssm_study.bounds.lipsdp import lipsdp_ball
+from ssm_study.bounds.piecewise import slope_interval
+from ssm_study.bounds.reduction import Reduction
+from ssm_study.bounds.scaffolds import certified_balls, jacobian_ball
+from ssm_study.bounds.slopes import enclosing_ball
+from ssm_study.bounds.worst_case import worst_jacobian
+from ssm_study.models.identified import SSM
+from ssm_study.models.network import Network
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.scaffold_mlp import MlpScaffold
+from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.models.scaffold_residual import ResidualScaffold
+from ssm_study.refusal import BadRequest
+from ssm_study.systems import StateSpace
+
+
+def network(seed: int, channels: int, widths: tuple[int, ...], low: float = 0.1) -> Network:
+    rng = np.random.default_rng(seed)
+    sizes = (channels, *widths, channels)
+    weights = tuple(rng.normal(size=(sizes[i + 1], sizes[i])) / np.sqrt(sizes[i]) for i in range(len(sizes) - 1))
+    return Network(
+        weights=weights,
+        biases=tuple(rng.normal(size=h) for h in widths),
+        negative_slopes=tuple(np.full(h, low) for h in widths),
+        positive_slopes=tuple(np.ones(h) for h in widths),
+    )
+
+
+WIDTHS = st.sampled_from([(1,), (7,), (5, 4), (3, 4, 3)])
+
+
+@given(st.integers(0, 10**6), WIDTHS)
+def test_the_exact_interval_is_what_a_fine_walk_finds(seed: int, widths: tuple[int, ...]) -> None:
+    net = network(seed, 1, widths)
+    lower, upper = slope_interval(net)
+    v = np.linspace(-8, 8, 40_001)
+    slopes = np.diff(net(v[:, None])[:, 0]) / np.diff(v)
+    assert slopes.min() >= float(lower) - 1e-9
+    assert slopes.max() <= float(upper) + 1e-9
+    outside = [net.jacobian(np.array([x]))[0, 0] for x in (-1e6, 1e6)]
+    widest = max(*outside, slopes.max()) - min(*outside, slopes.min())
+    assert widest >= 0.5 * float(upper - lower)  # a piece narrower than the walk's step may hide, not half the range
+
+
+def test_both_ends_of_the_exact_interval_are_attained() -> None:
+    """Break points at -1 and 1; slopes 0.1 + 1, 2, 1 + 0.1 from left to right, by hand."""
+    net = Network(
+        weights=(np.array([[1.0], [-1.0]]), np.array([[1.0, -1.0]])),
+        biases=(np.array([1.0, 1.0]),),
+        negative_slopes=(np.array([0.25, 0.25]),),
+        positive_slopes=(np.array([1.0, 1.0]),),
+    )
+    assert slope_interval(net) == (Fraction(5, 4), Fraction(2))
+    bound = jacobian_ball(MlpScaffold(network=net))
+    assert (bound.lower, bound.upper, bound.exact, bound.sound) == (1.25, 2.0, True, True)
+
+
+def test_the_papers_lower_bound_is_unsound() -> None:
+    """`W1 = [1, 1]^T, W2 = [1, -1]`: the zero map, whose "smallest slope" the norm product puts at 0.02."""
+    net = Network(
+        weights=(np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]])),
+        biases=(np.zeros(2),),
+        negative_slopes=(np.full(2, 0.01),),
+        positive_slopes=(np.ones(2),),
+    )
+    paper = jacobian_ball(MlpScaffold(network=net), method="spectral")
+    assert paper.lower == pytest.approx(0.02)
+    assert not paper.sound_lower
+    assert paper.ball is None
+    assert jacobian_ball(MlpScaffold(network=net)).upper == 0.0  # the truth
+
+
+@given(st.integers(0, 10**6), WIDTHS)
+def test_the_spectral_figure_is_sound_from_above(seed: int, widths: tuple[int, ...]) -> None:
+    scaffold = MlpScaffold(network=network(seed, 1, widths))
+    assert jacobian_ball(scaffold).upper <= jacobian_ball(scaffold, method="spectral").upper * (1 + 1e-12)
+
+
+@given(
+    st.integers(0, 10**6), st.integers(1, 3), st.sampled_from([(6,), (4, 3)]), st.sampled_from(["interval", "lipsdp"])
+)
+def test_sampled_jacobians_lie_in_the_ball(seed: int, channels: int, widths: tuple[int, ...], method: str) -> None:
+    scaffold = MlpScaffold(network=network(seed, channels, widths))
+    bound = jacobian_ball(scaffold, method=method)
+    assert bound.ball is not None
+    worst = worst_jacobian(scaffold, bound.ball, seed=seed, starts=1)
+    assert worst.distance <= bound.ball.beta * (1 + 1e-9)
+    if channels == 1:  # every sound ball holds the exact interval
+        exact = jacobian_ball(scaffold)
+        assert bound.ball.lower <= exact.lower + 1e-9
+        assert exact.upper - 1e-9 <= bound.ball.upper
+
+
+def test_lipsdp_is_tighter_than_the_norm_product_and_the_search_comes_close() -> None:
+    scaffold = MlpScaffold(network=network(3, 2, (8,)))
+    ball = jacobian_ball(scaffold, method="lipsdp").ball
+    assert ball is not None
+    assert ball.upper < jacobian_ball(scaffold, method="spectral").upper
+    assert 0.5 < worst_jacobian(scaffold, ball, starts=12).tightness(ball) <= 1
+
+
+@given(st.floats(-3, 3), st.floats(0, 2))
+def test_the_enclosing_ball_holds_both_ends_exactly(lower: float, width: float) -> None:
+    upper = lower + width
+    ball = enclosing_ball(Fraction(lower), Fraction(upper))
+    assert Fraction(ball.alpha) - Fraction(ball.beta) <= Fraction(lower)
+    assert Fraction(upper) <= Fraction(ball.alpha) + Fraction(ball.beta)
+
+
+def test_a_decreasing_map_keeps_its_sign() -> None:
+    falling = MonotoneScaffold(breakpoints=np.array([[0.0]]), slopes=np.array([[-1.0, -0.25]]))
+    bound = jacobian_ball(falling)
+    assert (bound.lower, bound.upper) == (-1.0, -0.25)
+    assert bound.ball is not None
+    assert bound.ball.alpha < 0
+
+
+def test_a_residual_scaffolding_fills_the_ball_it_was_built_with() -> None:
+    inner = network(0, 2, (5,))
+    scale = 1 / lipsdp_ball(inner, scalar_centre=True).radius
+    shrunk = replace(inner, weights=(inner.weights[0], inner.weights[1] * min(scale, 0.05)))
+    scaffold = ResidualScaffold(alpha=0.6, beta=0.4, network=shrunk, multipliers=(np.ones(5),))
+    bound = jacobian_ball(scaffold)
+    assert bound.ball is not None
+    assert (bound.ball.alpha, bound.ball.beta) == (0.6, 0.4)
+    assert worst_jacobian(scaffold, bound.ball, starts=2).tightness(bound.ball) <= 1
+
+
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def two_channel(inner, outer=None) -> SSM:
+    rng = np.random.default_rng(0)
+    linear = StateSpace(
+        a=np.diag([0.9, -0.5, 0.3]), b=rng.normal(size=(3, 2)), c=rng.normal(size=(2, 3)), d=rng.normal(size=(2, 2))
+    )
+    ones, zeros = np.ones(2), np.zeros(2)
+    return SSM(
+        linear=linear,
+        scaffold_in=inner,
+        scaffold_out=outer or LinearScaffold.identity(2),
+        input_scale=ones,
+        output_scale=ones,
+        input_equilibrium=zeros,
+        output_equilibrium=zeros,
+        step_s=0.1,
+    )
+
+
+def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
+    """`N(v)` close to `centre v`: leaky slopes between 0.8 and 1 around an almost linear network."""
+    rng = np.random.default_rng(seed)
+    first = np.vstack([np.eye(2), 0.2 * rng.normal(size=(2, 2))])
+    last = np.hstack([centre / 0.9, 0.1 * rng.normal(size=(2, 2))])
+    slopes = (np.full(4, 0.8),), (np.ones(4),)
+    return MlpScaffold(
+        network=Network(
+            weights=(first, last), biases=(rng.normal(size=4),), negative_slopes=slopes[0], positive_slopes=slopes[1]
+        )
+    )
+
+
+SIGNS = MonotoneScaffold(breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array([[1.0, 0.5], [-1.0, -2.0]]))
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [LinearScaffold(gain=TURN), near_linear(1, TURN), near_linear(2, np.diag([1.0, -1.0])), SIGNS],
+    ids=["rotation", "rotating network", "mirroring network", "one falling channel"],
+)
+@pytest.mark.parametrize("side", ["in", "out"])
+def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
+    """Singular values alone would pass these as they are; the ball around alpha I refuses them until absorbed."""
+    model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
+    index = 0 if side == "in" else 1
+    assert certified_balls(model)[index].relative_radius >= 1
+    turned = absorbed(model)
+    assert certified_balls(turned)[index].relative_radius < 0.6
+    u = np.random.default_rng(1).normal(size=(200, 2))
+    np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
+
+
+def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
+    folding = MonotoneScaffold(breakpoints=np.zeros((2, 1)), slopes=np.array([[-1.0, 1.0], [1.0, 1.0]]))
+    assert certified_balls(absorbed(two_channel(folding)))[0].relative_radius >= 1
+
+
+def test_a_scaffolding_that_is_not_square_is_refused() -> None:
+    with pytest.raises(BadRequest, match="square"):
+        jacobian_ball(LinearScaffold(gain=np.ones((2, 1))))
+
+
+def test_an_unknown_method_is_refused() -> None:
+    with pytest.raises(BadRequest, match="bound_method"):
+        jacobian_ball(LinearScaffold.identity(1), method="norms")
+
+
+@given(st.integers(0, 10**6), st.integers(2, 8))
+def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(order, order))
+    a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
+    linear = StateSpace(a=a, b=rng.normal(size=(order, 1)), c=rng.normal(size=(1, order)), d=np.zeros((1, 1)))
+    hankel = hankel_singular_values(linear)
+    if hankel[-1] < 1e-6 * hankel[0]:
+        return
+    balanced = balance(linear)
+    np.testing.assert_allclose(balanced.t_inverse @ balanced.t, np.eye(order), atol=1e-6)
+    np.testing.assert_allclose(hankel_singular_values(balanced.linear), hankel, rtol=1e-5)
+    reduced = truncate(linear, order - 1)
+    z = np.exp(1j * np.linspace(0, np.pi, 200))
+    gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
+    assert max(gaps) <= 2 * hankel[-1] * (1 + 1e-6) + 1e-9
+
+
+def response(linear: StateSpace, z: complex) -> complex:
+    return (linear.c @ np.linalg.solve(z * np.eye(linear.order) - linear.a, linear.b) + linear.d)[0, 0]
+
+
+def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
+    unstable = StateSpace(a=np.array([[1.1]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    with pytest.raises(BadRequest, match="spectral_radius"):
+        balance(unstable)
+    dead = StateSpace(a=np.diag([0.9, 0.5]), b=np.array([[1.0], [1e-12]]), c=np.ones((1, 2)), d=np.zeros((1, 1)))
+    with pytest.raises(BadRequest, match="truncate_to"):
+        balance(dead)
+
+    class Model:
+        def __init__(self, linear: StateSpace) -> None:
+            self.linear = linear
+
+        def with_linear(self, linear: StateSpace) -> "Model":
+            return Model(linear)
+
+    assert Reduction().reduce(Model(dead)).linear.order == 1
+    assert Reduction(balanced=False).reduce(Model(dead)).linear.order == 2
+
+
+@pytest.mark.parametrize("bad", [{"truncate_to": 0}, {"drop_below": 0.0}, {"balanced": False, "truncate_to": 2}])
+def test_reduction_refuses(bad: dict) -> None:
+    with pytest.raises(BadRequest, match="reduction"):
+        Reduction(**bad)
