@@ -1,6 +1,5 @@
-"""Closed loop from every initial condition (left; on the true plant, or on the identified model where there is none), the
-same starts left alone (middle), the input the controller asked for (right). The shaded band is what counts as settled.
-"""
+"""Closed loop from every initial condition (left), the same starts left alone (middle), and the input the controller
+asked for (right): on the true plant, or on the identified model where there is none. The band counts as settled."""
 
 import matplotlib as mpl
 import numpy as np

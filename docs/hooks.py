@@ -1,0 +1,86 @@
+"""What MkDocs does not do by itself: navigation by chapter, the reference, formulas without a network, findings."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+from ssm_study.report.answers import answers
+from ssm_study.report.verdict import counts
+
+ROOT = Path(__file__).resolve().parents[1]
+CHAPTERS = {
+    "Start": ["index.md", "tutorial.md"],
+    "How to": [
+        "howto_data.md",
+        "howto_plant.md",
+        "howto_theorem.md",
+        "howto_figure.md",
+        "howto_cluster.md",
+        "howto_export.md",
+    ],
+    "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "engine.md"],
+    "Results": ["findings.md"],
+}
+ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop", "results", "report")
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Chapters in reading order; a page nobody sorted yet comes under its own heading rather than nowhere."""
+    present = {path.name for path in (ROOT / "docs").glob("*.md")}
+    nav: list[Any] = [{title: [page for page in pages if page in present]} for title, pages in CHAPTERS.items()]
+    unsorted = sorted(present - {page for pages in CHAPTERS.values() for page in pages})
+    nav += [{"More": unsorted}] if unsorted else []
+    nav.append({"Reference": [{room: f"reference/{room}.md"} for room in ("shared", *ROOMS)]})
+    config.nav = nav
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """One reference page per room, with every module in it: a new file is in the reference without being listed."""
+    pages = {"shared": [ROOT / "ssm_study" / f"{name}.py" for name in ("signals", "systems", "refusal")]}
+    for room in ROOMS:
+        pages[room] = sorted(path for path in (ROOT / "ssm_study" / room).rglob("*.py") if path.name != "__init__.py")
+    for room, modules in pages.items():
+        files.append(File.generated(config, f"reference/{room}.md", content=_reference(room, modules)))
+    return files
+
+
+def _reference(room: str, modules: list[Path]) -> str:
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in modules]
+    return f"# {room}\n\n" + "\n".join(
+        f"## `{name}`\n\n::: {name}\n    options: {{show_root_heading: false}}\n" for name in names
+    )
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """`<!-- answers STUDY -->` becomes what the committed table of that study says."""
+    return re.sub(r"<!-- answers (\w+) -->", lambda match: _answers(match[1]), markdown)
+
+
+def _answers(study: str) -> str:
+    path = ROOT / "results" / "reference" / study / "runs.parquet"
+    if not path.is_file():
+        return f"!!! note\n    No table of `{study}` is committed. Make your own with the command above.\n"
+    table = pd.read_parquet(path)
+    lines = [f"*{counts(table)}.*", ""]
+    for answer in answers(table):
+        lines += [f"**{answer.question}** {' '.join(answer.sentences)}", ""]
+    return "\n".join(lines)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """LaTeX to MathML, which browsers draw themselves: no script, no font, no network."""
+    html = re.sub(r'<span class="arithmatex">\\\((.*?)\\\)</span>', lambda m: _mathml(m[1], "inline"), html, flags=re.S)
+    return re.sub(
+        r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', lambda m: _mathml(m[1], "block"), html, flags=re.S
+    )
+
+
+def _mathml(latex: str, display: str) -> str:
+    plain = latex.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&")
+    return str(convert(plain, display=display))
