@@ -125,7 +125,7 @@ class DesignGrid(Table):
     ) -> list[Row]:
         gain = mismatch_gain(known.model, known.validation)
         peaks = [sensitivity_peak(known.model.linear, k, l, *known.balls) for k, l in zip(ks, ls, strict=True)]  # noqa: E741
-        areas = relative_areas(known.model, ks, ls, np.repeat(np.arange(len(ks))[:, None], 2, axis=1))
+        areas = relative_areas(known.model, ks, ls, _each(len(ks)), known.validation)
         return [
             {
                 "gain_norm": float(np.linalg.norm(k, 2)),
@@ -170,6 +170,10 @@ class DesignGrid(Table):
             }
             for i, (row, out) in enumerate(zip(settled, left, strict=True))
         ]
+
+
+def _each(designs: int) -> Int[np.ndarray, "D 2"]:
+    return np.repeat(np.arange(designs)[:, None], 2, axis=1)
 
 
 def _spread(run: Rollouts, first: int, each: int, fifth: int) -> float:

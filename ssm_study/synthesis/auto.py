@@ -1,7 +1,8 @@
 """Rates and weights chosen from the model and its validation record alone: the fastest certified design that holds.
 
 Among guaranteed-cost designs on a grid of rates and weights, take the one with the smallest response area on the model
-whose mismatch margin exceeds one. Nothing of the closed-loop test enters. Source: THEORY sections 4 and 5.
+(`synthesis.area`) whose mismatch margin exceeds one. Nothing of the closed-loop test enters.
+Source: THEORY sections 4 and 5.
 """
 
 from collections.abc import Iterator, Sequence
@@ -106,7 +107,8 @@ class Auto:
             return self._reported(self._slowest(model, input_ball, output_ball), "nothing on the grid is feasible")
         gain = mismatch_gain(model, validation, start_up_samples)
         peaks = peaks_on_grid(model.linear, candidates.ks, candidates.ls, input_ball, output_ball, GRID_ANGLES)
-        for pair in self._in_order(model, candidates, 1 / np.maximum(gain * peaks, np.finfo(float).tiny)):
+        margins = 1 / np.maximum(gain * peaks, np.finfo(float).tiny)
+        for pair in self._in_order(model, candidates, margins, validation):
             design = candidates.specification(pair).design(model, input_ball, output_ball)
             if design.certified and self._margin(model, design, gain, input_ball, output_ball) > self.margin:
                 return self._reported(design, "fastest with margin above the bound")
@@ -166,13 +168,17 @@ class Auto:
         return RiccatiSynthesis(state_weight=self.state_weight, state_noise=self.state_noise, **asked)
 
     def _in_order(
-        self, model: SSM, candidates: Candidates, margins: Float[np.ndarray, "C O"]
+        self,
+        model: SSM,
+        candidates: Candidates,
+        margins: Float[np.ndarray, "C O"],
+        validation: tuple[Trajectory, ...],
     ) -> Iterator[Int[np.ndarray, "2"]]:
         """Pairs whose margin on the grid exceeds the bound, fastest on the model first."""
         pairs = np.argwhere(margins > self.margin)
         if not len(pairs):
             return
-        areas = relative_areas(model, candidates.ks, candidates.ls, pairs)
+        areas = relative_areas(model, candidates.ks, candidates.ls, pairs, validation)
         yield from pairs[np.argsort(areas, kind="stable")[:ATTEMPTS]]
 
     def _margin(

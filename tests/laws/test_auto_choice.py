@@ -44,12 +44,14 @@ def test_the_choice_is_certified_and_holds_the_margin(chosen):
 def test_no_candidate_with_margin_above_one_is_faster_on_the_model(chosen):
     candidates = SMALL.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
-    areas = relative_areas(motor_model(), candidates.ks, candidates.ls, pairs)
+    areas = relative_areas(motor_model(), candidates.ks, candidates.ls, pairs, (motor_record(),))
     margins = [
         mismatch(motor_model(), candidates.ks[i], candidates.ls[j], INPUT_BALL, OUTPUT_BALL, (motor_record(),)).margin
         for i, j in pairs
     ]
-    own = relative_areas(motor_model(), chosen.state_feedback.k[None], chosen.observer.l[None], np.zeros((1, 2), int))
+    own = relative_areas(
+        motor_model(), chosen.state_feedback.k[None], chosen.observer.l[None], np.zeros((1, 2), int), (motor_record(),)
+    )
     assert own[0] == pytest.approx(areas[np.array(margins) > 1.0].min(), rel=1e-9)
 
 
@@ -68,7 +70,8 @@ def test_more_mismatch_makes_it_slower(chosen):
     careful = SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (worse,))
     zero = np.zeros((1, 2), int)
     areas = [
-        relative_areas(motor_model(), d.state_feedback.k[None], d.observer.l[None], zero)[0] for d in (chosen, careful)
+        relative_areas(motor_model(), d.state_feedback.k[None], d.observer.l[None], zero, (record,))[0]
+        for d in (chosen, careful)
     ]
     assert areas[1] > areas[0]
 
