@@ -10,6 +10,7 @@ from ssm_study.models.torch_mlp import TorchFreeMlp, TorchMlp
 from ssm_study.models.torch_monotone import TorchMonotone
 from ssm_study.models.torch_residual import TorchResidual
 from ssm_study.models.torch_scaffold import TorchIdentity, TorchScaffold
+from ssm_study.models.torch_scalar_mlp import TorchScalarMlp
 from ssm_study.refusal import require
 
 
@@ -41,8 +42,9 @@ class Linear(ScaffoldSpec):
 class Mlp(ScaffoldSpec):
     """The paper's perceptron: `depth` hidden layers of leaky ReLU, slopes fixed at the sector's ends or trained in it.
 
-    `certified` keeps the weight products positive, so that the sector holds by construction; without it the weights are
-    free, as in [Z26], and the exact slopes may be negative.
+    `certified` keeps every Jacobian in the sector by construction; without it the weights are free, as in [Z26], and
+    the exact slopes may be negative. One certified channel always has leaky slopes at the ends: there the slopes of the
+    whole map are trained, and `train_slopes` makes no difference.
     """
 
     depth: int
@@ -53,6 +55,8 @@ class Mlp(ScaffoldSpec):
         require(self.depth >= 1, "scaffold.depth", self.depth, "a perceptron has a hidden layer", "use 1 (the paper's)")
 
     def build(self, frame: Frame, rng: np.random.Generator) -> TorchScaffold:
+        if self.certified and frame.samples.shape[1] == 1:
+            return TorchScalarMlp(frame.samples, frame.width, self.depth, frame.slopes)
         kind = TorchMlp if self.certified else TorchFreeMlp
         return kind(frame.samples, frame.width, self.depth, frame.slopes, self.train_slopes, rng)
 

@@ -1,4 +1,4 @@
-"""The paper's perceptron, with its slopes certified by construction; and the same without that, for comparison."""
+"""The paper's perceptron for several channels, certified by construction; and with free weights, for comparison."""
 
 from itertools import pairwise
 
@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from ssm_study.models.network import Network
 from ssm_study.models.scaffold_mlp import MlpScaffold
+from ssm_study.models.torch_pieces import Pieces
 from ssm_study.models.torch_scaffold import Sector, TorchScaffold, leaky, numbers
 
 
@@ -16,8 +17,7 @@ class TorchMlp(TorchScaffold):
     """`S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l, upper_l]`.
 
     Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`, so for one hidden layer
-    all Jacobians lie in the ball of the sector `[lower, upper]`. For one input this is every perceptron whose weight
-    products `w2_i w1_i` are positive, scaled to sum to one. Deeper: `layer_sector` splits the sector so that the
+    all Jacobians lie in the ball of the sector `[lower, upper]`. Deeper: `layer_sector` splits the sector so that the
     composition stays inside. Written out it is a plain perceptron with L hidden layers.
     """
 
@@ -103,6 +103,22 @@ def orthonormal_columns(free: Float[Tensor, "h m"]) -> Float[Tensor, "h m"]:
     return torch.linalg.solve_triangular(root, free.T, upper=False).T
 
 
+def sorted_pieces(
+    first: Float[Tensor, "h"],
+    last: Float[Tensor, "h"],
+    bias: Float[Tensor, "h"],
+    low: Float[Tensor, "h"],
+    high: Float[Tensor, "h"],
+) -> Pieces:
+    """`sum_i last_i phi_i(first_i v + bias_i)` minus its value at zero, as affine pieces between sorted kinks."""
+    points, order = (-bias / first).sort()
+    beyond = torch.arange(len(order) + 1)[:, None] > order.argsort()[None, :]  # piece j lies right of kink i
+    active = torch.where(beyond == (first > 0), high, low)
+    offsets = active @ (last * bias)
+    home = torch.searchsorted(points.detach(), torch.zeros(1, dtype=points.dtype), right=True)
+    return points, active @ (last * first), offsets - offsets[home]
+
+
 class TorchFreeMlp(TorchScaffold):
     """`S(v) = N(v) - N(0)` with unconstrained weights, as [Z26] trains it: its slopes may well be negative."""
 
@@ -130,6 +146,11 @@ class TorchFreeMlp(TorchScaffold):
             low, high = sector()
             v = leaky(v @ w.T + b, low, high) - leaky(b, low, high)
         return v @ self.weights[-1].T
+
+    def pieces(self) -> Pieces | None:
+        if len(self.biases) > 1 or self.weights[0].shape[1] > 1:
+            return None
+        return sorted_pieces(self.weights[0][:, 0], self.weights[1][0], self.biases[0], *self.sectors[0]())
 
     def freeze(self) -> MlpScaffold:
         slopes = [sector() for sector in self.sectors]

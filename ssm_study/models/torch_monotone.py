@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.models.torch_pieces import Pieces, home_offsets, roughness
 from ssm_study.models.torch_scaffold import TorchScaffold, numbers
 
 
@@ -29,20 +30,18 @@ class TorchMonotone(TorchScaffold):
 
     def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
         points, slopes = self.explicit()
-        offsets = _offsets(points, slopes)
+        offsets = home_offsets(points, slopes)
         flat = v.flatten(0, -2).T.contiguous()
         piece = torch.searchsorted(points.detach(), flat, right=True)
         return (slopes.gather(1, piece) * flat + offsets.gather(1, piece)).T.reshape(v.shape)
 
+    def pieces(self) -> Pieces | None:
+        points, slopes = self.explicit()
+        return (points[0], slopes[0], home_offsets(points, slopes)[0]) if len(points) == 1 else None
+
+    def roughness(self) -> Float[Tensor, ""]:
+        return torch.stack([roughness(slopes) for slopes in self.explicit()[1]]).sum()
+
     def freeze(self) -> MonotoneScaffold:
         points, slopes = self.explicit()
         return MonotoneScaffold(breakpoints=numbers(points), slopes=numbers(slopes))
-
-
-def _offsets(points: Float[Tensor, "m h"], slopes: Float[Tensor, "m h1"]) -> Float[Tensor, "m h1"]:
-    """Intercepts of the pieces, zero for the one that holds v = 0: continuity gives the others one after the other."""
-    jumps = (slopes[:, :-1] - slopes[:, 1:]) * points
-    beyond = torch.where(points > 0, jumps, 0.0).cumsum(1)
-    before = torch.where(points <= 0, jumps, 0.0).flip(1).cumsum(1).flip(1)
-    zero = torch.zeros_like(jumps[:, :1])
-    return torch.cat([zero, beyond], 1) - torch.cat([before, zero], 1)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from ssm_study.models.scaffold import Scaffold
 from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.torch_pieces import Pieces
 
 
 class TorchScaffold(nn.Module, ABC):
@@ -19,6 +20,14 @@ class TorchScaffold(nn.Module, ABC):
 
     @abstractmethod
     def freeze(self) -> Scaffold: ...
+
+    def pieces(self) -> Pieces | None:
+        """The pieces of a one-channel piecewise-linear map; None for others."""
+        return None
+
+    def roughness(self) -> Float[Tensor, ""]:
+        """Total variation of the slopes, see `torch_pieces.roughness`; zero where slopes are not explicit."""
+        return torch.zeros((), dtype=torch.float64)
 
 
 class TorchIdentity(TorchScaffold):

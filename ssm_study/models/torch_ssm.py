@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -54,27 +53,3 @@ class TorchSSM(TorchModel):
             output_equilibrium=data.output_equilibrium.astype(np.float64),
             step_s=data.step_s,
         )
-
-
-class Levels(nn.Module):
-    """Held inputs repeat: `S_u` is evaluated once per distinct input vector and copied to where it occurs.
-
-    Multilevel excitation holds each level for many samples, so the cost of any scaffolding is divided by the mean hold.
-    """
-
-    values: Tensor
-    where: Tensor
-
-    def __init__(self, u: Float[Tensor, "e T m"]) -> None:
-        super().__init__()
-        values, where = torch.unique(u.flatten(0, 1), dim=0, return_inverse=True)
-        self.register_buffer("values", values)
-        self.register_buffer("where", where.view(u.shape[:2]))
-
-    @property
-    def worthwhile(self) -> bool:
-        """True when at most half of the samples are distinct."""
-        return 2 * len(self.values) <= self.where.numel()
-
-    def lift(self, scaffold: TorchScaffold) -> Float[Tensor, "e T m"]:
-        return scaffold(self.values)[self.where]

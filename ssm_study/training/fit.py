@@ -9,8 +9,10 @@ import torch
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 
+from ssm_study.models.torch_ssm import TorchSSM
 from ssm_study.training.objective import Records, fit_of_loss
 from ssm_study.training.optimisers import Adam, OptimiserSpec
+from ssm_study.training.penalties import Penalties
 
 
 class Fit(pl.LightningModule):
@@ -24,10 +26,12 @@ class Fit(pl.LightningModule):
         optimiser: OptimiserSpec,
         max_epochs: int,
         estimated_states: int = 0,
+        penalties: Penalties | None = None,
     ) -> None:
         super().__init__()
         self.model, self.training_records, self.validation_records = model, training, validation
         self.optimiser, self.max_epochs = optimiser, max_epochs
+        self.penalties = penalties or Penalties(roughness_weight=0.0, hankel_weight=0.0)
         states = torch.zeros(len(training.u), estimated_states, dtype=torch.float64)
         self.x0 = nn.Parameter(states) if estimated_states else None
         self.last_loss = math.inf
@@ -35,7 +39,13 @@ class Fit(pl.LightningModule):
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:  # noqa: ARG002 - the records are the batch
         loss = self.training_records.loss(self.training_records.simulate(self.model, self.x0))
         self.last_loss = float(loss.detach())
-        return loss
+        return loss + self._penalty()
+
+    def _penalty(self) -> Tensor:
+        """What is added to the squared error: see `Penalties`."""
+        if not isinstance(self.model, TorchSSM):
+            return torch.zeros(())
+        return self.penalties.of(self.model)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
         loss = float(self.validation_records.loss(self.validation_records.simulate(self.model)))

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ssm_study.models.torch_ssm import Levels, TorchSSM
+from ssm_study.models.torch_lift import Lift
+from ssm_study.models.torch_ssm import TorchSSM
 from ssm_study.signals import DataSet, Trajectory
 
 
@@ -22,7 +23,7 @@ class Records(nn.Module):
     y: Tensor
     weight: Tensor
 
-    def __init__(self, records: Sequence[Trajectory], data: DataSet) -> None:
+    def __init__(self, records: Sequence[Trajectory], data: DataSet, sorts: bool = True) -> None:
         super().__init__()
         longest = max(len(record) for record in records)
         u = [_padded((r.u - data.input_equilibrium) / data.input_scale, longest) for r in records]
@@ -33,15 +34,12 @@ class Records(nn.Module):
         spread = _spread(np.stack(y), scored)
         for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
             self.register_buffer(name, torch.from_numpy(values))
-        self.levels: Levels | None = None
-        levels = Levels(self.u)
-        if levels.worthwhile:
-            self.levels = levels
+        self.lift = Lift(self.u, sorts)
 
     def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
-        """Free run of the model over all records; held inputs pass `S_u` once per level where the model allows it."""
-        if self.levels is not None and isinstance(model, TorchSSM):
-            return model.respond(self.levels.lift(model.scaffold_in), x0)
+        """Free run of the model over all records."""
+        if isinstance(model, TorchSSM):
+            return model.respond(self.lift(model.scaffold_in), x0)
         return model(self.u) if x0 is None else model(self.u, x0)
 
     def loss(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:

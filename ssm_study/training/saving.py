@@ -35,9 +35,9 @@ class Saver(Callback):
         checkpoint["fingerprint"] = self.fingerprint
 
 
-def fingerprint(spec: object, optimiser: object, data: DataSet) -> str:
-    """What a checkpoint belongs to: model, optimiser and every training number."""
-    digest = hashlib.sha256(f"{spec!r} {optimiser!r}".encode())
+def fingerprint(spec: object, settings: object, data: DataSet) -> str:
+    """What a checkpoint belongs to: model, settings and every number of the records."""
+    digest = hashlib.sha256(f"{spec!r} {settings!r}".encode())
     for record in (*data.training, *data.validation):
         digest.update(np.ascontiguousarray(record.u).tobytes())
         digest.update(np.ascontiguousarray(record.y).tobytes())
@@ -50,7 +50,7 @@ def resumable(folder: Path, expected: str) -> Path | None:
     if not path.exists():
         return None
     found = read(path).get("fingerprint")
-    problem = "the checkpoint there is of another model, optimiser or data set"
+    problem = "the checkpoint there is of another model, training or data set"
     require(found == expected, "training folder", folder, problem, "choose an empty folder or remove last.ckpt")
     return path
 

@@ -3,7 +3,7 @@
 import logging
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -21,6 +21,7 @@ from ssm_study.training.fit import Fit, Keeper
 from ssm_study.training.identification import Identification, mean_fit
 from ssm_study.training.objective import Records
 from ssm_study.training.optimisers import OptimiserSpec, trainable
+from ssm_study.training.penalties import Penalties
 from ssm_study.training.progress import Curve, Line
 from ssm_study.training.saving import BEST, Saver, fingerprint, load_state, resumable, write_best
 
@@ -32,7 +33,8 @@ class Training:
     """Simulation error over full records, until validation gains less than `min_gain_percent` in `patience` epochs.
 
     `precision` 32 trains in float32 and polishes in float64; 64 trains in float64. `initial_state` "estimated" fits
-    one initial state per training record. `validation_tolerance_percent`: see `Keeper`. `accelerator` and `devices` go
+    one initial state per training record, "auto" does so where the data set has start-up
+    samples. `validation_tolerance_percent`: see `Keeper`; the weights: see `Penalties`. `accelerator` and `devices` go
     to Lightning.
     """
 
@@ -42,7 +44,9 @@ class Training:
     min_gain_percent: float
     validation_tolerance_percent: float
     precision: int = 64
-    initial_state: str = "zero"
+    initial_state: str = "auto"
+    roughness_weight: float = 0.0
+    hankel_weight: float = 0.0
     checkpoint_every_s: float = 10.0
     accelerator: str = "cpu"
     devices: int = 1
@@ -51,18 +55,19 @@ class Training:
         for name in ("max_epochs", "patience", "devices"):
             value = getattr(self, name)
             require(value >= 1, f"training.{name}", value, "must be at least one", "use a positive whole number")
-        for name in ("min_gain_percent", "validation_tolerance_percent", "checkpoint_every_s"):
+        weights = ("roughness_weight", "hankel_weight")
+        for name in ("min_gain_percent", "validation_tolerance_percent", "checkpoint_every_s", *weights):
             require(getattr(self, name) >= 0, f"training.{name}", getattr(self, name), "must not be negative", "use 0")
         require(self.precision in (32, 64), "training.precision", self.precision, "unknown", "use 32 or 64")
-        known = self.initial_state in ("zero", "estimated")
-        require(known, "training.initial_state", self.initial_state, "unknown", "use zero or estimated")
+        known = self.initial_state in ("auto", "zero", "estimated")
+        require(known, "training.initial_state", self.initial_state, "unknown", "use auto, zero or estimated")
 
     def identify(
         self, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool = False
     ) -> Identification:
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
         began = time.perf_counter()
-        belongs_to = fingerprint((spec, seed), self.optimiser, data)
+        belongs_to = fingerprint((spec, seed), replace(self, max_epochs=1, patience=1), data)
         net = spec.build(data, seed)
         fit = self._fit(net, data)
         fit.to(torch.float32 if self.precision == 32 else torch.float64)
@@ -84,9 +89,11 @@ class Training:
         )
 
     def _fit(self, model: TorchModel, data: DataSet) -> Fit:
-        states = model.states if self.initial_state == "estimated" else 0
+        moving = data.start_up_samples > 0 if self.initial_state == "auto" else self.initial_state == "estimated"
+        states = model.states if moving else 0
         records = Records(data.training, data), Records(data.validation, data)
-        return Fit(model, *records, self.optimiser, self.max_epochs, states)
+        penalties = Penalties(roughness_weight=self.roughness_weight, hankel_weight=self.hankel_weight)
+        return Fit(model, *records, self.optimiser, self.max_epochs, states, penalties)
 
     def _run(self, fit: Fit, folder: Path, belongs_to: str, progress: bool) -> tuple[Keeper, Curve]:
         resume_from = resumable(folder, belongs_to)
@@ -95,7 +102,9 @@ class Training:
             "fit_validation_percent", self.min_gain_percent, self.patience, mode="max", check_finite=False
         )
         callbacks = [keeper, curve, stopping, Saver(folder, belongs_to, self.checkpoint_every_s)]
-        trainer = self._trainer([*callbacks, *([Line(self.max_epochs)] if progress else [])], folder)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="lightning")  # advice on Slurm, of no use here
+            trainer = self._trainer([*callbacks, *([Line(self.max_epochs)] if progress else [])], folder)
         steps = self.optimiser.steps_per_epoch if not isinstance(fit.configure_optimizers(), torch.optim.LBFGS) else 1
         batches: DataLoader = DataLoader(range(steps), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
         one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type]

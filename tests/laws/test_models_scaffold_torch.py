@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.models.scaffold_specs import Frame, Linear, Mlp, Monotone, Residual, ScaffoldSpec
+from ssm_study.models.torch_lift import Lift
 from ssm_study.models.torch_mlp import layer_sector
 from ssm_study.models.torch_scaffold import TorchScaffold
 
@@ -119,3 +120,21 @@ def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ra
     if channels > 1 and depth > 1:  # the ball of products: centre a^L, radius a^L ((1 + d)^L - 1)
         assert centre**depth == pytest.approx((1 + ratio) / 2)
         assert centre**depth * ((1 + relative) ** depth - 1) == pytest.approx((1 - ratio) / 2)
+
+
+@pytest.mark.parametrize("name", SPECS)
+@pytest.mark.parametrize("distinct", [5, 10_000])
+def test_prepared_inputs_pass_as_they_are(name: str, distinct: int) -> None:
+    """Once per level, sorted into runs, or directly: the same values and the same gradients."""
+    scaffold = shaken(SPECS[name], 11, 1)
+    u = torch.from_numpy(np.random.default_rng(1).integers(-distinct, distinct, size=(3, 200, 1)) * (2.0 / distinct))
+    weight = torch.from_numpy(np.random.default_rng(2).normal(size=(3, 200, 1)))
+    gradients = []
+    for evaluate in (lambda: Lift(u)(scaffold), lambda: scaffold(u)):
+        scaffold.zero_grad()
+        values = evaluate()
+        if values.requires_grad:
+            (values * weight).sum().backward()
+        gradients.append([values.detach()] + [p.grad.clone() for p in scaffold.parameters() if p.grad is not None])
+    for prepared, plain in zip(*gradients, strict=True):
+        torch.testing.assert_close(prepared, plain, rtol=1e-9, atol=1e-9)

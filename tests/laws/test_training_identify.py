@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from models_cases import data_set, true_system
+from models_cases import data_set, held_levels, true_system
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffold_specs import Linear, Mlp, Monotone, Residual, ScaffoldSpec
 from ssm_study.models.spec import SSMSpec
+from ssm_study.signals import Trajectory
 from ssm_study.training.identification import mean_fit
 from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
 from ssm_study.training.training import Training
@@ -120,3 +123,36 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
     }
     assert fits["estimated"] > 97.0
     assert fits["zero"] < fits["estimated"] - 1.0
+
+
+def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
+    """`tanh` needs steep slopes in the middle and flat ones on both sides; an ill-placed sector would stop at 92 %."""
+    rng, lift = np.random.default_rng(0), np.tanh
+    data = data_set()
+
+    def bent(record: Trajectory) -> Trajectory:
+        u = held_levels(rng, len(record), 10)
+        y = lfilter([0.0, 0.1], [1.0, -0.9], lift(u), axis=0)
+        return dataclasses.replace(record, u=u, y=y)
+
+    parts = {part: tuple(bent(r) for r in getattr(data, part)) for part in ("training", "validation", "test")}
+    zero, one = np.zeros(1), np.ones(1)
+    data = dataclasses.replace(data, **parts, input_equilibrium=zero, output_equilibrium=zero, output_scale=0.5 * one)
+    settings = training(roughness_weight=1e-3)
+    found = settings.identify(spec(hidden_width=16), data, 0, tmp_path)
+    assert mean_fit(found.model, data.test, data) > 98.0
+
+
+def test_the_hankel_penalty_drives_redundant_states_out(tmp_path: Path) -> None:
+    data = data_set(noise=0.05)
+    ratios = {}
+    for weight in (0.0, 3e-3):
+        found = training(hankel_weight=weight).identify(spec(order=6), data, 0, tmp_path / str(weight))
+        assert isinstance(found.model, SSM)
+        linear = found.model.linear
+        reach = solve_discrete_lyapunov(linear.a, linear.b @ linear.b.T)
+        see = solve_discrete_lyapunov(linear.a.T, linear.c.T @ linear.c)
+        sigma = np.sqrt(np.sort(np.abs(np.linalg.eigvals(reach @ see)))[::-1])
+        ratios[weight] = sigma[3] / sigma[0]
+        assert mean_fit(found.model, data.test, data) > 94.0
+    assert ratios[3e-3] < 0.2 * ratios[0.0]

@@ -87,7 +87,7 @@ def test_a_checkpoint_of_another_architecture_is_refused(tmp_path: Path) -> None
 
 def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
     training(max_epochs=1, checkpoint_every_s=0.0).identify(spec(), data_set(), 0, tmp_path)
-    with pytest.raises(BadRequest, match="another model, optimiser or data set"):
+    with pytest.raises(BadRequest, match="another model, training or data set"):
         training(LBFGS, max_epochs=1).identify(spec(hidden_width=9), data_set(), 0, tmp_path)
 
 
