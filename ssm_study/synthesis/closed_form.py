@@ -17,24 +17,14 @@ from jaxtyping import Float
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier, frontier
 from ssm_study.synthesis.modes import Modes, energy_root, split_modes
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, margin, theorem_matrix
+from ssm_study.synthesis.problem import Problem, Solution
+from ssm_study.synthesis.slow_modes import FastGain, with_slow_modes
 from ssm_study.systems import JacobianBall
 
-# The slow modes enter the metric with a weight that is searched: from dominating to negligible beside the fast ones.
-SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)
-GOOD_SHARE = 0.3
 # No frontier above r = 0 (no radius, or all modes slow): the harder problem is at most this much faster.
 FASTEST = 0.5
 # Shares of the room (in log r) between the asked rate and the frontier at which the gain is built, in order of trial.
 SHARES = (0.5, 0.2, 0.8, 0.05, 0.95)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FastGain:
-    """The minimum-energy gain and its metric on the fast modes: `k (m, n)` in x, `p (k, k)` on `z_fast`, sigma = 1."""
-
-    k: Float[np.ndarray, "m n"]
-    p: Float[np.ndarray, "k k"]
 
 
 def minimum_energy_gain(
@@ -73,42 +63,8 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
     faster = float(r * (limit / r) ** share)
     modes = split_modes(problem.a, problem.b, faster)
     fast = fast_gain(modes, ball, faster)
-    p = _with_slow_modes(problem, modes, fast)
+    p = with_slow_modes(problem, modes, fast)
     return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=f"minimum energy at rate {1 - faster**2:.6g}")
-
-
-def _with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
-    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with half the best margin: a
-    smaller one would only spread the entries of P over more digits than floats have.
-
-    `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + D`, D normalising them.
-    """
-    if modes.fast == len(modes.left):
-        return _symmetric(modes.right @ fast.p @ modes.right.T)
-    slow = _slow_metric(modes, problem.contraction)
-    k, a, b = fast.k @ modes.right, modes.left @ problem.a @ modes.right, modes.left @ problem.b
-    candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
-    margins = [
-        margin(theorem_matrix(a, b, problem.ball, problem.rate, Solution(p=p, y=p, k=k, sigma=1.0, status="")))
-        for p in candidates
-    ]
-    if not max(margins) > 0:
-        raise NoSolution("no metric of this form holds in floats")
-    chosen = next(p for p, reached in zip(candidates, margins, strict=True) if reached >= max(margins) * GOOD_SHARE)
-    return _symmetric(modes.right @ chosen @ modes.right.T)
-
-
-def _slow_metric(modes: Modes, contraction: float) -> Float[np.ndarray, "s s"]:
-    """`P` with `P^{-1} - Ah^T P^{-1} Ah` = I, for the modes the input need not touch."""
-    ah = modes.a_slow / contraction
-    if not np.abs(np.linalg.eigvals(ah)).max() < 1:
-        raise NoSolution("a slow mode lies on the circle |lambda| = r")
-    s = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))
-    return _symmetric(np.linalg.inv(s))
-
-
-def _symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    return (matrix + matrix.T) / 2
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from ssm_study.refusal import require
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 
-OBJECTIVES = ("feasibility", "smallest_gain", "guaranteed_cost")
+OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")
 # SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact verdict decides.
 SOLVERS: dict[str, dict[str, float]] = {"CLARABEL": {}, "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0}}
 # The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its strictness by this.
@@ -108,6 +108,11 @@ class CompiledLmi:
         matrix = self._theorem([])
         return cp.Constant(0), [matrix >> np.eye(matrix.shape[0])]
 
+    def _largest_margin(self) -> tuple[cp.Expression, list[cp.Constraint]]:
+        """`max t` with the block matrix `>= t I` at fixed trace: the solution deepest inside."""
+        matrix, t = self._theorem([]), cp.Variable()
+        return -t, [matrix >> t * np.eye(matrix.shape[0]), cp.trace(matrix) == matrix.shape[0]]
+
     def _smallest_gain(self) -> tuple[cp.Expression, list[cp.Constraint]]:
         """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
         n, m = self.b.shape
@@ -146,7 +151,7 @@ def _compiled(
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """The paper's route. `objective`: feasibility, smallest_gain or guaranteed_cost; `solver`: CLARABEL or SCS."""
+    """The paper's route. `objective` is one of `OBJECTIVES`, `solver` CLARABEL or SCS."""
 
     objective: str = "guaranteed_cost"
     full: bool = False

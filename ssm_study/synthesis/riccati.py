@@ -13,19 +13,21 @@ from functools import partial
 from typing import ClassVar
 
 import numpy as np
-import scipy.linalg
+import scipy.optimize
 from jaxtyping import Float
 
 from ssm_study.synthesis.closed_form import SHARES, minimum_energy_solution
 from ssm_study.synthesis.design import Synthesis
+from ssm_study.synthesis.doubling import solve_riccati
 from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 
 # tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer matter.
 TAU_SPAN = (1e-3, 1e9)
-COARSE_STEPS = 13
-FINE_STEPS = 12
-GOLDEN = (np.sqrt(5) - 1) / 2
+COARSE_STEPS = 9
+# The cost is flat at its minimum: tau to one percent changes it by far less.
+LOG_TAU_TOLERANCE = 0.01
+FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search can compare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +62,10 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     if not kappa > 0:
         return None
     try:
-        m = bh.shape[1]
-        s = scipy.linalg.solve_discrete_are(ah, bh, problem.state_weight / tau, np.eye(m) / kappa)
-    except (np.linalg.LinAlgError, ValueError):
+        s = solve_riccati(ah, bh, problem.state_weight / tau, float(kappa))
+    except NoSolution:
         return None
-    s = (s + s.T) / 2
-    energy = bh.T @ s @ bh
+    m, energy = bh.shape[1], bh.T @ s @ bh
     if not np.linalg.eigvalsh(energy)[-1] < 1:
         return None
     k = -(ball.alpha / rt) * np.linalg.solve(np.eye(m) + kappa * energy, bh.T @ s @ ah)
@@ -78,34 +78,24 @@ def _tau_min(problem: Problem) -> float:
 
 
 def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> GuaranteedCost:
-    """Coarse logarithmic grid, then golden section between the neighbours of the best point."""
-    grid = np.geomspace(*TAU_SPAN, COARSE_STEPS)
-    points = [solve(tau_min * (1 + step)) for step in grid]
-    costs = [np.inf if point is None else point.cost for point in points]
-    index = int(np.argmin(costs))
-    best = points[index]
-    if best is None:
+    """Coarse logarithmic grid, then Brent's method between the neighbours of the best point."""
+    tried: list[GuaranteedCost | None] = []
+
+    def cost(log_step: float) -> float:
+        tried.append(solve(tau_min * (1 + np.exp(log_step))))
+        return _cost(tried[-1])
+
+    grid = np.log(np.geomspace(*TAU_SPAN, COARSE_STEPS))
+    index = int(np.argmin([cost(step) for step in grid]))
+    if tried[index] is None:
         raise NoSolution("no admissible tau")
-    low, high = np.log(grid[max(index - 1, 0)]), np.log(grid[min(index + 1, COARSE_STEPS - 1)])
-    return _golden(lambda step: solve(tau_min * (1 + np.exp(step))), float(low), float(high), best)
-
-
-def _golden(
-    solve: Callable[[float], GuaranteedCost | None], low: float, high: float, best: GuaranteedCost
-) -> GuaranteedCost:
-    for _ in range(FINE_STEPS):
-        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        found_left, found_right = solve(left), solve(right)
-        if _cost(found_left) < _cost(found_right):
-            high = right
-        else:
-            low = left
-        best = min((best, found_left, found_right), key=_cost)  # type: ignore[assignment]
-    return best
+    span = float(grid[max(index - 1, 0)]), float(grid[min(index + 1, COARSE_STEPS - 1)])
+    scipy.optimize.minimize_scalar(cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE})
+    return min((point for point in tried if point is not None), key=_cost)
 
 
 def _cost(point: GuaranteedCost | None) -> float:
-    return np.inf if point is None else point.cost
+    return FAR if point is None else point.cost
 
 
 @dataclass(frozen=True, kw_only=True)
