@@ -10,41 +10,84 @@ import pandas as pd
 
 from ssm_study.refusal import require
 from ssm_study.results.columns import BY_NAME, COLUMNS, Kind
-from ssm_study.results.durable import write_atomically
-from ssm_study.results.records import read_record
+from ssm_study.results.durable import sealed, sha256_of_file, unsealed, write_atomically, write_json_atomically
+from ssm_study.results.records import LOST, RECORD, RUNNING, read_record
 
-PARQUET, CSV = "runs.parquet", "runs.csv"
+PARQUET, CSV, MARKS = "runs.parquet", "runs.csv", ".gathered.json"
+Marks = dict[str, list[int]]
 
 
 def gather(study: Path) -> pd.DataFrame:
-    """Read every run of the study folder and (re)write its `runs.parquet` and `runs.csv`; returns the table.
+    """Bring `runs.parquet` and `runs.csv` of the study folder up to date with its runs; returns the table.
 
-    The CONTRACT's columns come first, typed; whatever else the records hold follows by name. Runs are sorted by name,
-    so that equal studies give equal tables.
+    The agreed columns come first, typed; whatever else the records hold follows by name. Runs are sorted by name, so
+    that equal studies give equal tables. Only records that have changed since the last time are read again.
     """
-    records = read_runs(study)
-    require(bool(records), "study", study, "there is no run in it", "give the folder that holds the run folders")
-    table = table_of(records)
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False)
-    write_atomically(study / PARQUET, buffer.getvalue())
-    write_atomically(study / CSV, table.to_csv(index=False).encode())
+    require(study.is_dir(), "study", study, "no such study folder", "give the folder that holds the run folders")
+    marks = marks_of(study)
+    require(bool(marks), "study", study, "there is no run in it", "give the folder that holds the run folders")
+    known = _gathered(study)
+    kept = {name: row for name, row in known.items() if row["mark"] == marks.get(name)}
+    if len(kept) == len(known) == len(marks):
+        return pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable")
+    records = (kept[name]["record"] if name in kept else _record(study, name) for name in sorted(marks))
+    table = table_of(record for record in records if record is not None)
+    _write(study, table, marks)
     return table
 
 
 def read_runs(study: Path) -> list[dict[str, Any]]:
     """One record per run folder, with `study` and `run` as the folders say; unreadable ones have `status = corrupt`."""
-    require(study.is_dir(), "study", study, "no such study folder", "give the folder that holds the run folders")
+    records = (_record(study, name) for name in sorted(marks_of(study)))
+    return [record for record in records if record is not None]
+
+
+def marks_of(study: Path) -> Marks:
+    """Modification time, size and inode of every record below the study folder, by the name of its run."""
+    marks: Marks = {}
     with os.scandir(study) as entries:
-        names = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
-    found = ((name, read_record(study / name)) for name in names)
-    return [record | {"study": study.resolve().name, "run": name} for name, record in found if record is not None]
+        names = [entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
+    for name in names:
+        try:
+            facts = (study / name / RECORD).stat()
+        except OSError:
+            continue
+        marks[name] = [facts.st_mtime_ns, facts.st_size, facts.st_ino]
+    return marks
+
+
+def _record(study: Path, name: str) -> dict[str, Any] | None:
+    record = read_record(study / name)
+    return None if record is None else record | {"study": study.resolve().name, "run": name}
+
+
+def _gathered(study: Path) -> dict[str, dict[str, Any]]:
+    """The rows of the last table and their marks, if its files are unharmed; runs under way are left out."""
+    try:
+        index = unsealed((study / MARKS).read_bytes())
+        if index is None or any(sha256_of_file(study / name) != index[name] for name in (PARQUET, CSV)):
+            return {}
+        rows = pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable").astype(object)
+    except OSError:
+        return {}
+    records = rows.where(rows.notna(), None).to_dict("records")
+    settled = [record for record in records if record["status"] not in (RUNNING, LOST)]
+    return {record["run"]: {"record": record, "mark": index["marks"].get(record["run"])} for record in settled}
+
+
+def _write(study: Path, table: pd.DataFrame, marks: Marks) -> None:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False)
+    write_atomically(study / PARQUET, buffer.getvalue())
+    write_atomically(study / CSV, table.to_csv(index=False).encode())
+    sums = {name: sha256_of_file(study / name) for name in (PARQUET, CSV)}
+    write_json_atomically(study / MARKS, sealed(sums | {"marks": marks}))
 
 
 def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """The records as a table of typed, nullable columns."""
+    """The records as a table of typed, nullable columns; of the further ones those that hold a value somewhere."""
     records = list(records)
-    names = {name: None for record in records for name in record}
+    names = {name for record in records for name, value in record.items() if value is not None}
     extra = sorted(name for name in names if name not in BY_NAME)
     columns = {column.name: _typed([r.get(column.name) for r in records], column.kind) for column in COLUMNS}
     columns |= {name: _typed(values, _kind_of(values)) for name in extra for values in [[r.get(name) for r in records]]}

@@ -22,8 +22,7 @@ from ssm_study.results.deaths import GRACE_S, conclude, kill_group, stop_hanging
 from ssm_study.results.jobs import run_in_this_process
 from ssm_study.results.plan import plan
 from ssm_study.results.progress import Progress
-from ssm_study.results.records import read_record
-from ssm_study.results.runs import Outcome, is_to_run, outcome_of
+from ssm_study.results.runs import Outcome, is_to_run, outcome_of, standing
 from ssm_study.results.store import Store
 from ssm_study.results.sweep import Job, Sweep, check_all, job_of, task_hook
 
@@ -68,7 +67,7 @@ class Processes:
         unique = list({job.folder: job for job in jobs}.values())
         retry = bool(OmegaConf.select(sweep.config, "retry_failed", default=False))
         for job in unique:
-            before = read_record(job.folder)
+            before = standing(job.folder)
             if not is_to_run(before, retry):
                 job.outcome = outcome_of(job.folder, before)
         check_all(sweep.task_function, [job for job in unique if job.outcome is None])

@@ -18,6 +18,7 @@ from ssm_study.results.sweep import Job, check_all, job_of
 OPTIONS = {"--dry-run": ("hydra/launcher=processes", "dry_run=true"), "--retry-failed": ("retry_failed=true",)}
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
 LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
+GRIDS = ("hydra_plugins.ssm_study_launcher.GridSweeper", "hydra._internal.core_plugins.basic_sweeper.BasicSweeper")
 JUST_ASKING = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
 
 
@@ -55,6 +56,8 @@ def check_sweep(config: DictConfig, task_function: TaskFunction) -> list[Job]:
 
     For `on_multirun_start`, where `config` is the sweep's own configuration.
     """
+    if config.hydra.sweeper._target_ not in GRIDS:
+        return []  # a search does not know its jobs beforehand; the launcher checks them as they come
     composer = Composer(GlobalHydra.instance().config_loader(), config)
     words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
     assert isinstance(words, list)

@@ -28,7 +28,7 @@ from ssm_study.results.records import (
     read_record,
     write_record,
 )
-from ssm_study.results.store import StageResult, seal_folder
+from ssm_study.results.store import StageResult, intact_manifest, seal_folder
 
 TRACEBACK = "traceback.txt"
 ATTEMPTS = "attempts"
@@ -102,7 +102,7 @@ def execute(
     with locked_or_none(folder / LOCK) as mine:
         if not mine:
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message="another process is at this run")
-        before = read_record_under_lock(folder)
+        before = standing(folder, mine=True)
         if not is_to_run(before, retry_failed):
             return outcome_of(folder, before)
         _set_aside(folder, before)
@@ -112,11 +112,16 @@ def execute(
         return _run(folder, _opening(folder, parameters, before), work)
 
 
-def read_record_under_lock(folder: Path) -> dict[str, Any] | None:
-    """As `read_record`, for the holder of the lock: a run that says `running` is nobody's but ours."""
+def standing(folder: Path, mine: bool = False) -> dict[str, Any] | None:
+    """The record, with `status = corrupt` also for a finished run one of whose artefacts is not as it was written.
+
+    `mine` is for the holder of the lock: a run that says `running` is then nobody's.
+    """
     record = read_record(folder)
-    if record is not None and record["status"] == RUNNING:
+    if record is not None and record["status"] == RUNNING and mine:
         record["status"] = LOST
+    if record is not None and record["status"] in FINISHED and intact_manifest(folder) is None:
+        record["status"] = CORRUPT
     return record
 
 

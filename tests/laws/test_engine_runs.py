@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from ssm_study.refusal import BadRequest
 from ssm_study.results import naming
 from ssm_study.results.records import RECORD, parse_record, read_record, write_record
-from ssm_study.results.runs import Run, execute, run_folder
+from ssm_study.results.runs import Run, execute, run_folder, standing
 from ssm_study.results.store import intact_manifest
 
 
@@ -151,12 +151,15 @@ def test_no_flipped_bit_in_a_record_is_silent(tmp_path: Path) -> None:
         assert parse_record(content[:length])["status"] == "corrupt"
 
 
-def test_a_corrupt_record_is_replaced_by_the_same_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [RECORD, "model.json", "manifest.json"])
+def test_a_damaged_run_is_done_again_by_the_same_command(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "study" / "run"
     execute(folder, {"seed": 1}, good)
-    (folder / RECORD).write_text('{"status": "ok"}')
-    assert (read_record(folder) or {})["status"] == "corrupt"
+    (folder / name).write_text('{"status": "ok"}')
+    assert (standing(folder) or {})["status"] == "corrupt"
     assert execute(folder, {"seed": 1}, good).did == "ran"
+    assert (folder / "attempts" / "1" / name).read_text() == '{"status": "ok"}'
+    assert execute(folder, {"seed": 1}, unreachable).did == "found"
 
 
 CONFIG = {

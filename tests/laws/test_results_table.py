@@ -229,3 +229,62 @@ def test_a_missing_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="there is no run in it"):
         gather(tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def change_something(study: Path, what: str) -> None:
+    """What may happen between two gatherings."""
+    if what == "new run":
+        (study / "f").mkdir()
+        write_record(study / "f", {"status": "ok", "run": "f", "seed": 7, "extra": 2.5, "newly": True})
+    if what == "changed run":
+        write_record(study / "c", {"status": "ok", "fit_test_percent": 1.0})
+    if what == "removed run":
+        (study / "b" / "record.json").unlink()
+    if what == "started run":
+        write_record(study / "d", {"status": "running"})
+    if what == "damaged table":
+        content = bytearray((study / "runs.parquet").read_bytes())
+        content[len(content) // 3] ^= 4
+        (study / "runs.parquet").write_bytes(content)
+    if what == "damaged index":
+        (study / ".gathered.json").write_text((study / ".gathered.json").read_text().replace("0", "1", 1))
+    if what == "table by hand":
+        (study / "runs.csv").write_text("run\nx\n")
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "nothing",
+        "new run",
+        "changed run",
+        "removed run",
+        "started run",
+        "damaged table",
+        "damaged index",
+        "table by hand",
+    ],
+)
+def test_gathering_step_by_step_equals_gathering_afresh(study: Path, what: str) -> None:
+    gather(study)
+    change_something(study, what)
+    step_by_step = gather(study)
+    files = {name: (study / name).read_bytes() for name in ("runs.parquet", "runs.csv")}
+    for name in (*files, ".gathered.json"):
+        (study / name).unlink()
+    pd.testing.assert_frame_equal(step_by_step, gather(study), check_dtype=False)
+    assert {name: (study / name).read_bytes() for name in files} == files
+
+
+def test_only_what_has_changed_is_read_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ssm_study.results import gather as module
+
+    read: list[str] = []
+    original = module.read_record
+    monkeypatch.setattr(module, "read_record", lambda folder: read.append(folder.name) or original(folder))
+    gather(study)
+    gather(study)
+    change_something(study, "changed run")
+    change_something(study, "new run")
+    gather(study)
+    assert read == ["a", "b", "c", "d", "e", "c", "f"]
