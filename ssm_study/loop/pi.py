@@ -69,7 +69,7 @@ def ultimate(model: SSM) -> Ultimate:
     sign = float(np.sign((c @ np.linalg.solve(np.eye(model.order) - model.linear.a, b))[0, 0]))
 
     def poles(gain: float) -> Complex[np.ndarray, "n"]:
-        return np.linalg.eigvals(model.linear.a - sign * gain * b @ c)
+        return np.linalg.eigvals(model.linear.a - sign * gain * b @ c).astype(complex)
 
     grid = np.geomspace(1e-3, 1e6, 2000)
     unstable = next((i for i, gain in enumerate(grid) if np.abs(poles(gain)).max() >= 1), None)

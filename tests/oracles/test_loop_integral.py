@@ -1,0 +1,147 @@
+"""Integral action: the same theorem and frontier on the augmented model, and no steady error on the true motor."""
+
+import numpy as np
+import pytest
+from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record, random_model
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.disturbance import StepDisturbance
+from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.reference import StepReference
+from ssm_study.loop.regulation import Loop
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.synthesis.exact import is_positive_definite, theorem_one
+from ssm_study.synthesis.frontier import ratio_limit
+from ssm_study.synthesis.hinf_norm import gains
+from ssm_study.synthesis.integral import IntegralSynthesis, controlled_system, with_integrators
+from ssm_study.synthesis.mismatch import mismatch, peaks_on_grid, sensitivity
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+
+LOADED = Loop(
+    horizon_s=4.0,
+    measurement_noise_variance=0.0,
+    reference=StepReference(before=0.0, after=8.0, at_s=0.0),
+    disturbance=StepDisturbance(size=0.01, at_s=1.5),
+)
+
+
+def inner(rate: float = 0.02) -> RiccatiSynthesis:
+    return RiccatiSynthesis(rate_controller=rate, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return IntegralSynthesis(synthesis=inner(), integral_weight=1e-3).design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+
+
+def test_the_augmented_pair_is_the_equations_written_out():
+    model = random_model(1, inputs=2, outputs=2)
+    system, rng = with_integrators(model), np.random.default_rng(0)
+    x, z, v = rng.standard_normal(4), rng.standard_normal(2), rng.standard_normal(2)
+    after = system.a @ np.concatenate([x, z]) + system.b @ v
+    np.testing.assert_allclose(after[:4], model.linear.a @ x + model.linear.b @ v)
+    np.testing.assert_allclose(after[4:], z + model.read_scaled(x, v))
+
+
+def test_the_certificate_is_the_theorem_on_the_augmented_pair(design):
+    part, system = design.state_feedback, controlled_system(motor_model(), design.state_feedback.k)
+    assert system.order == motor_model().order + 1
+    np.testing.assert_array_equal(part.a, system.a)
+    lmi = theorem_one(
+        system.a, system.b, INPUT_BALL.alpha, INPUT_BALL.beta, part.rate, part.p, part.y, part.k, part.sigma
+    )
+    assert part.certified
+    assert is_positive_definite(lmi)
+
+
+def test_an_integrator_costs_rate_as_the_frontier_says():
+    """The integrator is one more mode to move: the product over the modes faster than r gains a factor r / 1."""
+    model = motor_model()
+    r = 0.97
+    alone, with_it = ratio_limit(model.linear.a, model.linear.b, r), ratio_limit(*_pair(model), r)
+    assert with_it == pytest.approx(alone * r / 1.0, rel=1e-6)
+    limit = IntegralSynthesis(synthesis=inner()).design(model, INPUT_BALL, OUTPUT_BALL).state_feedback.rate_limit
+    beyond = IntegralSynthesis(synthesis=inner(limit * 1.001)).design(model, INPUT_BALL, OUTPUT_BALL).state_feedback
+    within = IntegralSynthesis(synthesis=inner(limit * 0.98)).design(model, INPUT_BALL, OUTPUT_BALL).state_feedback
+    assert isinstance(beyond, Infeasible)
+    assert beyond.proved
+    assert within.certified
+
+
+def _pair(model):
+    system = with_integrators(model)
+    return system.a, system.b
+
+
+def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
+    columns = behaviour(LOADED.run(motor(), motor_model(), design, seed=0))
+    assert columns["stable_count"] == 10
+    assert columns["final_error_worst"] < 1e-3
+
+
+def test_without_integral_action_the_load_leaves_an_error():
+    plain = inner().design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    columns = behaviour(LOADED.run(motor(), motor_model(), plain, seed=0))
+    assert columns["final_error_worst"] > 0.2
+
+
+def test_the_certified_bound_holds_with_integrators(design):
+    result = LOADED.run(motor(), motor_model(), design, seed=1)
+    assert certified(result, design)["certified_bound_violations"] == 0
+    assert result.on_model.estimate.shape[2] == motor_model().order + 1
+
+
+def test_limits_do_not_wind_the_integrator_up(design):
+    limited = Loop(
+        horizon_s=6.0,
+        measurement_noise_variance=0.0,
+        reference=StepReference(before=8.0, after=2.0, at_s=2.0),
+        input_lower=-2.0,
+        input_upper=1.7,
+    )
+    run = limited.run(motor(), motor_model(), design, seed=0).controlled
+    held = Loop(horizon_s=6.0, measurement_noise_variance=0.0, reference=limited.reference)
+    free = held.run(motor(), motor_model(), design, seed=0).controlled
+    z, z_free = run.estimate[..., -1], free.estimate[..., -1]
+    assert np.abs(z).max() < 2 * np.abs(z_free).max() + 1
+    assert run.u.max() == 1.7
+
+
+def test_the_margin_with_integrators_by_two_routes(design):
+    model, k, gain = motor_model(), design.state_feedback.k, design.observer.l
+    angles = np.geomspace(1e-3, np.pi, 200)
+    by_space = max(
+        gains(sensitivity(model.linear, k, gain, i, 1.0), angles).max()
+        for i in (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
+    )
+    by_factors = peaks_on_grid(model.linear, k[None], gain[None], INPUT_BALL, OUTPUT_BALL, angles)[0, 0]
+    assert by_factors == pytest.approx(by_space, rel=1e-9)
+
+
+def test_auto_chooses_with_integral_action():
+    auto = Auto(
+        stretch_shares=(0.3, 0.8),
+        observer_rates=(0.05, 0.3),
+        input_weights=(0.01, 0.1, 1.0, 10.0),
+        output_noises=(0.01, 0.1, 1.0),
+        integral_weights=(1e-4, 1e-3),
+    )
+    chosen = auto.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert chosen.certified
+    assert chosen.state_feedback.k.shape == (1, 3)
+    gains_of = chosen.state_feedback.k, chosen.observer.l
+    assert mismatch(motor_model(), *gains_of, INPUT_BALL, OUTPUT_BALL, (motor_record(),)).margin > 1.0
+    columns = behaviour(LOADED.run(motor(), motor_model(), chosen, seed=0))
+    assert columns["final_error_worst"] < 1e-2
+
+
+def test_more_outputs_than_inputs_are_refused():
+    with pytest.raises(BadRequest, match="an input is needed for every integrated output"):
+        with_integrators(random_model(0, inputs=1, outputs=2))
+
+
+def test_a_gain_of_the_wrong_width_is_refused():
+    with pytest.raises(BadRequest, match="k = "):
+        ObserverFeedback(model=motor_model(), k=np.zeros((1, 4)), l=np.zeros((2, 1)))

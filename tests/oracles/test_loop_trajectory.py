@@ -1,0 +1,141 @@
+"""Set points and trajectories: what is planned is a trajectory of the model, and the loop converges to it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_cases import motor, motor_design, motor_model, random_model
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
+from ssm_study.loop.regulation import Loop
+from ssm_study.loop.trajectory import equilibrium, feasible_trajectory, inverse, set_points
+from ssm_study.models.network import Network
+from ssm_study.models.scaffold_mlp import MlpScaffold
+from ssm_study.refusal import BadRequest
+
+
+@given(st.integers(0, 1000), st.floats(-50, 50))
+def test_scalar_inverse_undoes_the_map(seed, v):
+    scaffold = random_model(seed).scaffold_in
+    w = scaffold(np.array([[v]]))
+    np.testing.assert_allclose(inverse(scaffold, w), [[v]], rtol=1e-9, atol=1e-9)
+
+
+def test_inverse_of_a_map_with_several_channels():
+    rng = np.random.default_rng(0)
+    model = random_model(3, inputs=3, outputs=2)
+    v = rng.standard_normal((20, 3))
+    np.testing.assert_allclose(inverse(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8)
+
+
+def test_a_value_the_map_does_not_reach_is_refused():
+    flat = Network(
+        weights=(np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]])),
+        biases=(np.array([0.0, 1.0]),),
+        negative_slopes=(np.zeros(2),),
+        positive_slopes=(np.ones(2),),
+    )
+    with pytest.raises(BadRequest, match="does not reach"):
+        inverse(MlpScaffold(network=flat), np.array([[5.0]]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_equilibrium_is_one(seed):
+    model = random_model(seed, inputs=1 + seed // 2, outputs=1)
+    y = model.output_equilibrium + 0.7 * model.output_scale
+    x, u = equilibrium(model, y)
+    lifted = model.scaffold_in(u)
+    np.testing.assert_allclose(model.advance(x, lifted), x, atol=1e-9)
+    np.testing.assert_allclose(model.read(x, lifted), y, rtol=1e-9)
+
+
+def test_a_planned_trajectory_is_the_models_own_and_near():
+    model = motor_model()
+    time_s = np.arange(300) * 0.01
+    reference = (4 * np.sin(2 * np.pi * time_s))[:, None]
+    plan = feasible_trajectory(model, reference)
+    x, u = plan[:, :2], plan[:, 2:]
+    np.testing.assert_allclose(x[1:], model.advance(x[:-1], model.scaffold_in(u[:-1])), atol=1e-9)
+    y = model.read(x, model.scaffold_in(u))
+    assert np.abs(y - reference)[20:].max() < 0.4
+
+
+def test_no_other_trajectory_costs_less():
+    """The plan is the minimum of what it says it minimises: every small change of the inputs costs more."""
+    model = random_model(2, inputs=2, outputs=2)
+    rng = np.random.default_rng(0)
+    walk = np.cumsum(0.1 * rng.standard_normal((60, 2)), axis=0)
+    reference = model.output_equilibrium + np.concatenate([walk, np.tile(walk[-1], (300, 1))])  # ends at rest
+    plan = feasible_trajectory(model, reference)
+    v = model.scaffold_in(plan[:, model.order :])
+    target = (reference - model.output_equilibrium) / model.output_scale
+    to_output = model.linear.c @ np.linalg.solve(np.eye(model.order) - model.linear.a, model.linear.b)
+    before = np.linalg.solve(to_output, target[0])
+
+    def cost(inputs: np.ndarray) -> float:
+        y, _ = model.linear.simulate(inputs, plan[0, : model.order])
+        return float(((y - target) ** 2).sum() + 0.1 * (np.diff(np.vstack([before, inputs]), axis=0) ** 2).sum())
+
+    for _ in range(20):
+        step = np.zeros_like(v)
+        step[:60] = rng.standard_normal((60, 2))
+        slope = (cost(v + 1e-4 * step) - cost(v - 1e-4 * step)) / 2e-4
+        assert abs(slope) < 1e-6
+        assert cost(v + 0.05 * step) > cost(v)
+
+
+def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
+    model = motor_model()
+    plant = IdentifiedPlant(
+        model=model, input_channels=motor().inputs, output_channels=motor().outputs, initial_offset=4.0
+    )
+    loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=SineReference(amplitude=4.0, frequency_hz=1.0))
+    run = loop.run(plant, model, motor_design(), seed=0).controlled
+    plan = feasible_trajectory(model, run.reference)
+    target = model.read(plan[:, :2], model.scaffold_in(plan[:, 2:]))
+    assert np.abs(run.y - target)[:, 300:].max() < 1e-3
+    assert np.abs(run.y - target)[:, 0].max() > 1.0
+
+
+@pytest.mark.parametrize("speed", [-6.0, 8.0])
+def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
+    loop = Loop(
+        horizon_s=3.0, measurement_noise_variance=0.0, reference=StepReference(before=0.0, after=speed, at_s=0.5)
+    )
+    run = loop.run(motor(), motor_model(), motor_design(), seed=0).controlled
+    assert run.stayed.all()
+    assert np.abs(run.y[:, -1, 0] - speed).max() < 1.5
+
+
+def test_set_points_hold_each_value():
+    model = motor_model()
+    reference = np.repeat([[1.0], [-3.0], [1.0]], 5, axis=0)
+    points = set_points(model, reference)
+    for k in (0, 7, 14):
+        np.testing.assert_allclose(points[k], np.concatenate(equilibrium(model, reference[k])))
+
+
+def test_reference_signals(tmp_path):
+    time_s = np.array([0.0, 0.5, 1.0, 1.5])
+    np.testing.assert_allclose(StepReference(before=1.0, after=3.0, at_s=0.5).offset(time_s), [1, 3, 3, 3])
+    np.testing.assert_allclose(RampReference(slope_per_s=2.0, from_s=0.5, until_s=1.0).offset(time_s), [0, 0, 1, 1])
+    np.testing.assert_allclose(SineReference(amplitude=2.0, frequency_hz=0.5).offset(time_s), [0, 2, 0, -2], atol=1e-12)
+    path = tmp_path / "reference.csv"
+    path.write_text("# time, offset\n0.25,1\n\n0.75,3\n")
+    np.testing.assert_allclose(FileReference(path=str(path)).offset(time_s), [1, 2, 3, 3])
+
+
+def test_a_reference_without_equilibrium_is_refused():
+    model = random_model(0, inputs=1, outputs=2)
+    with pytest.raises(BadRequest, match="no constant input"):
+        equilibrium(model, model.output_equilibrium + np.array([1.0, -1.0]))
+
+
+def test_the_controller_plans_what_moves_and_holds_what_steps():
+    controller = ObserverFeedback.of(motor_model(), motor_design())
+    moving = np.linspace(0, 3, 100)[:, None]
+    assert not np.allclose(controller.targets(moving)[:, :3], set_points(motor_model(), moving))
+    stepping = np.repeat([[0.0], [3.0]], 50, axis=0)
+    np.testing.assert_array_equal(controller.targets(stepping)[:, :3], set_points(motor_model(), stepping))
