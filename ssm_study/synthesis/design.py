@@ -54,13 +54,13 @@ class Synthesis(ABC):
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
             rate = getattr(self, name)
-            require(0 < rate < 1, f"synthesis.{name}", rate, "a contraction rate lies in (0, 1)", "try 0.1")
+            require(bool(0 < rate < 1), f"synthesis.{name}", rate, "a contraction rate lies in (0, 1)", "try 0.1")
         for name in ("state_weight", "input_weight", "state_noise", "output_noise"):
             weight = getattr(self, name)
-            require(0 < weight < np.inf, f"synthesis.{name}", weight, "must be positive and finite", "try 1")
+            require(bool(0 < weight < np.inf), f"synthesis.{name}", weight, "must be positive and finite", "try 1")
         for name in ("output_weight", "input_noise"):
             weight = getattr(self, name)
-            require(0 <= weight < np.inf, f"synthesis.{name}", weight, "must not be negative", "try 1")
+            require(bool(0 <= weight < np.inf), f"synthesis.{name}", weight, "must not be negative", "try 1")
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:

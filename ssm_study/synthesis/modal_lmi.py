@@ -45,7 +45,8 @@ def solve_on_fast_modes(problem: Problem, share: float, limit: float, objective:
     )
     # Scaled by 1/r, the asked factor is one: a rate just above zero stands for it.
     found = lmi.solve(
-        replace(problem, a=balanced_a, b=balanced_b, rate=np.finfo(float).eps, state_weight=np.eye(modes.fast)), solver
+        replace(problem, a=balanced_a, b=balanced_b, rate=float(np.finfo(float).eps), state_weight=np.eye(modes.fast)),
+        solver,
     )
     k = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T").T @ modes.left[: modes.fast]
     fast = FastGain(k=k, p=root @ (found.p / found.sigma) @ root.T)

@@ -26,12 +26,12 @@ class Problem:
     input_weight: float
 
     def __post_init__(self) -> None:
-        require(0 < self.rate < 1, "rate", self.rate, "a contraction rate lies in (0, 1)", "try 0.1")
+        require(bool(0 < self.rate < 1), "rate", self.rate, "a contraction rate lies in (0, 1)", "try 0.1")
         finite = all(np.isfinite(m).all() for m in (self.a, self.b, self.state_weight))
         require(bool(finite), "a, b", "NaN or infinity", "the matrices are not finite", "identify the model again")
-        require(self.input_weight > 0, "input_weight", self.input_weight, "must be positive", "try 1")
+        require(bool(self.input_weight > 0), "input_weight", self.input_weight, "must be positive", "try 1")
         require(
-            abs(self.ball.alpha) > self.ball.beta,
+            bool(abs(self.ball.alpha) > self.ball.beta),
             "slopes",
             (self.ball.lower, self.ball.upper),
             "the ball holds zero, so no input is certain to act",

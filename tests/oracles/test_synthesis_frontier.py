@@ -1,0 +1,235 @@
+"""The frontier by two routes, and every method on both sides of it: models of all kinds, one and several inputs."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.synthesis.certificate import Infeasible, StateFeedback
+from ssm_study.synthesis.closed_form import ClosedFormSynthesis, minimum_energy_gain
+from ssm_study.synthesis.doubling import solve_riccati
+from ssm_study.synthesis.frontier import fast_part, frontier, minimum_energy, ratio_limit
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
+from ssm_study.synthesis.modal_gain import modal_energy, modal_gain
+from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
+from ssm_study.synthesis.paper_lmis import paper_lmis
+from ssm_study.synthesis.problem import NoSolution, Problem
+from ssm_study.synthesis.riccati import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.systems import JacobianBall, StateSpace
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from synthesis_instances import KINDS, Instance, random_instance, random_model
+
+SEEDS = st.integers(0, 10**6)
+
+
+def instance(seed: int, gap: float, orders: tuple[int, int] = (1, 8), inputs: int = 1, mixed: bool = True) -> Instance:
+    rng = np.random.default_rng(seed)
+    found = None
+    while found is None:
+        found = random_instance(rng, orders, gap, mixed, inputs)
+    return found
+
+
+def design(method: type, case: Instance, **options) -> StateFeedback | Infeasible:
+    return method(rate_controller=case.rate, rate_observer=0.5, **options).state_feedback(case.linear, case.ball)
+
+
+@given(SEEDS, st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis, ModalLmiSynthesis]), st.integers(1, 2))
+def test_one_percent_inside_every_method_certifies(seed: int, method: type, inputs: int) -> None:
+    part = design(method, instance(seed, 0.01, inputs=inputs), state_weight=1e-4)
+    assert part.certified, part
+    assert isinstance(part, StateFeedback)
+    assert part.margin > 0
+
+
+@given(SEEDS, st.integers(1, 2))
+def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(seed: int, inputs: int) -> None:
+    case = instance(seed, -0.01, (1, 6), inputs)
+    refused = design(RiccatiSynthesis, case)
+    assert isinstance(refused, Infeasible)
+    assert refused.proved
+    assert refused.rate > refused.rate_limit
+    opinion, _ = paper_lmis(case.linear, case.ball, JacobianBall(alpha=1.0, beta=0.0), case.rate, 0.5)
+    assert not opinion.certified
+
+
+@given(SEEDS)
+def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
+    """The verdict of the LMI, where it is one, against the closed form: ten percent inside and beyond."""
+    for gap in (0.1, -0.1):
+        case = instance(seed, gap, (1, 5))
+        opinion, _ = paper_lmis(case.linear, case.ball, JacobianBall(alpha=1.0, beta=0.0), case.rate, 0.5)
+        assert not (opinion.certified and gap < 0)
+        if gap > 0 and not opinion.certified:  # false "infeasible" happens; the closed form shows that it is false
+            assert design(ClosedFormSynthesis, case).certified
+
+
+@given(SEEDS, st.integers(1, 3), st.floats(0.3, 0.95))
+def test_the_ratio_limit_by_product_and_by_riccati(seed: int, inputs: int, contraction: float) -> None:
+    linear = random_model(np.random.default_rng(seed), 5, "marginal", mixed=True, inputs=inputs)
+    part = fast_part(linear.a, linear.b, contraction)
+    ah, bh = linear.a / contraction, linear.b / contraction
+    if part.order == 0 or np.abs(np.abs(np.linalg.eigvals(linear.a)) - contraction).min() < 0.02:
+        return
+    s = scipy.linalg.solve_discrete_are(ah, bh, 1e-13 * np.eye(5), np.eye(inputs))
+    expected = 1 / np.sqrt(1 + np.linalg.eigvalsh(bh.T @ s @ bh)[-1])
+    assert ratio_limit(linear.a, linear.b, contraction) == pytest.approx(expected, rel=1e-3)
+
+
+@given(SEEDS, st.sampled_from(list(KINDS)), st.integers(1, 3), st.floats(0.05, 0.95))
+def test_the_frontier_is_where_the_ratio_limit_crosses(seed: int, kind: str, inputs: int, ratio: float) -> None:
+    linear = random_model(np.random.default_rng(seed), 6, kind, mixed=True, inputs=inputs)
+    limit = frontier(linear.a, linear.b, JacobianBall(alpha=1.0, beta=ratio)).contraction_limit
+    assert ratio_limit(linear.a, linear.b, limit * (1 + 1e-6)) >= ratio * (1 - 1e-9)
+    assert ratio_limit(linear.a, linear.b, limit * (1 - 1e-6)) <= ratio * (1 + 1e-9)
+
+
+def test_two_decoupled_inputs_are_two_frontiers() -> None:
+    """Each input has its own mode: the limit is the worse of two scalar ones, `r = ratio |lambda|`."""
+    for ratio in (0.3, 0.7):
+        limit = frontier(np.diag([0.9, 0.5]), np.eye(2), JacobianBall(alpha=-2.0, beta=2 * ratio)).contraction_limit
+        assert limit == pytest.approx(ratio * 0.9, rel=1e-9)
+
+
+def test_the_scalar_frontier_by_hand() -> None:
+    """`x+ = 0.8 x + u`: contraction 0.4 is reachable iff the slopes lie within a factor (1 + 1/2)/(1 - 1/2) = 3."""
+    one = np.ones((1, 1))
+    assert frontier(0.8 * one, one, JacobianBall.from_slopes(1.0, 3.0)).contraction_limit == pytest.approx(0.4)
+    assert frontier(0.8 * one, one, JacobianBall.from_slopes(-3.0, -1.0)).contraction_limit == pytest.approx(0.4)
+
+
+@given(SEEDS)
+def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    linear, ball, r = random_model(rng, 6, "stable", mixed=True), JacobianBall.from_slopes(0.3, 1.0), 0.7
+    values, vectors = np.linalg.eig(linear.a.astype(complex))
+    apart = np.abs(values[:, None] - values) + np.eye(6)
+    if min(apart.min(), np.abs(np.abs(values) - r).min()) < 1e-2:
+        return
+    b = np.linalg.solve(vectors, linear.b.astype(complex))[:, 0]
+    k = modal_gain(values, b, ball, r) @ np.linalg.inv(vectors)
+    schur = minimum_energy_gain(linear.a, linear.b, ball, r)[0]
+    np.testing.assert_allclose(k.real, schur, rtol=1e-6, atol=1e-8 * np.abs(schur).max(initial=1e-9))
+    np.testing.assert_allclose(k.imag, 0, atol=1e-8 * np.abs(schur).max(initial=1e-9))
+    fast = np.abs(values) > r
+    w = modal_energy(values[fast], b[fast], r)
+    left = np.linalg.inv(vectors)[fast]
+    part = fast_part(linear.a, linear.b, r)
+    into = left @ np.linalg.pinv(part.basis.T)  # both are left invariant coordinates of the same space
+    expected = into @ minimum_energy(part.a / r, part.b / r) @ into.conj().T if part.order else w
+    np.testing.assert_allclose(w, expected, rtol=1e-5, atol=1e-8 * np.abs(w).max(initial=1e-9))
+
+
+def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
+    linear = random_model(np.random.default_rng(5), 6, "unstable", mixed=True)
+    gain = minimum_energy_gain(linear.a, linear.b, JacobianBall(alpha=2.0, beta=0.0), 0.8)
+    before, after = np.linalg.eigvals(linear.a), np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
+    mirrored = np.where(np.abs(before) > 0.8, 0.64 / np.maximum(np.abs(before), 1e-9), np.abs(before))
+    np.testing.assert_allclose(np.sort(np.abs(after)), np.sort(mirrored), rtol=1e-6)
+
+
+@given(SEEDS, st.integers(1, 12), st.floats(0.1, 100.0))
+def test_doubling_solves_what_scipy_solves(seed: int, order: int, kappa: float) -> None:
+    linear = random_model(np.random.default_rng(seed), order, "unstable", mixed=True)
+    q = linear.c.T @ linear.c + 0.1 * np.eye(order)
+    s = solve_riccati(linear.a, linear.b, q, kappa)
+    expected = scipy.linalg.solve_discrete_are(linear.a, linear.b, q, np.eye(1) / kappa)
+    np.testing.assert_allclose(s, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+
+
+def test_doubling_gives_up_on_a_mode_out_of_reach() -> None:
+    with pytest.raises(NoSolution):
+        solve_riccati(np.diag([2.0, 0.5]), np.array([[0.0], [1.0]]), np.eye(2), 1.0)
+
+
+def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem:
+    linear = random_model(np.random.default_rng(2), 4, "stable", mixed=True)
+    weight = linear.c.T @ linear.c + 1e-2 * np.eye(4)
+    ball = ball or JacobianBall.from_slopes(0.4, 1.0)
+    return Problem(a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.5)
+
+
+def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
+    """`x0^T S x0 >= sum r^-2k (x^T Q x + u^T R u)` for slopes that jump about in the ball as they like."""
+    problem = cost_problem()
+    solution = guaranteed_cost(problem)
+    tau = float(solution.status.split()[1])
+    s, rng = tau * np.linalg.inv(solution.p), np.random.default_rng(0)
+    for _ in range(20):
+        x = x0 = rng.normal(size=4)
+        cost, discount = 0.0, 1.0
+        for _ in range(300):
+            u = solution.k @ x
+            cost += discount * float(x @ problem.state_weight @ x + problem.input_weight * u @ u)
+            x = problem.a @ x + problem.b @ (rng.choice([0.4, 1.0]) * u)
+            discount /= problem.contraction**2
+        assert cost <= float(x0 @ s @ x0) * (1 + 1e-5)
+
+
+def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
+    problem = cost_problem()
+    best = np.inf
+    for tau in np.geomspace(1e-2, 1e6, 400):
+        point = at_tau(problem, tau)
+        best = min(best, np.inf if point is None else point.cost)
+    tau = float(guaranteed_cost(problem).status.split()[1])
+    found = at_tau(problem, tau)
+    assert found is not None
+    assert found.cost <= best * (1 + 1e-3)
+
+
+def test_no_admissible_tau_is_no_solution() -> None:
+    with pytest.raises(NoSolution):
+        guaranteed_cost(cost_problem(rate=0.9, ball=JacobianBall.from_slopes(0.01, 1.0)))
+
+
+OBJECTIVES = ["feasibility", "largest_margin", "smallest_gain", "guaranteed_cost"]
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize(
+    ("objective", "solver"), [(name, "CLARABEL") for name in OBJECTIVES] + [("feasibility", "SCS")]
+)
+def test_every_objective_form_and_solver_is_certified(objective: str, solver: str, full: bool) -> None:
+    case = instance(4, 0.5, (3, 3))
+    part = design(LmiSynthesis, case, objective=objective, full=full, solver=solver, state_weight=0.1)
+    assert part.certified, part
+
+
+def test_a_compiled_sweep_gives_what_fresh_problems_give() -> None:
+    problem = cost_problem()
+    shared = CompiledLmi(
+        a=problem.a, b=problem.b, objective="smallest_gain", full=False, state_weight=np.eye(4), input_weight=1.0
+    )
+    for rate in (0.05, 0.1, 0.2):
+        case = cost_problem(rate)
+        fresh = CompiledLmi(
+            a=problem.a, b=problem.b, objective="smallest_gain", full=False, state_weight=np.eye(4), input_weight=1.0
+        )
+        np.testing.assert_allclose(shared.solve(case).k, fresh.solve(case).k, rtol=1e-6, atol=1e-9)
+
+
+def test_smallest_gain_is_no_larger_than_the_others() -> None:
+    case = instance(7, 0.3, (4, 4))
+    smallest = design(LmiSynthesis, case, objective="smallest_gain")
+    other = design(ClosedFormSynthesis, case)
+    assert isinstance(smallest, StateFeedback)
+    assert isinstance(other, StateFeedback)
+    assert smallest.gain_norm <= other.gain_norm * (1 + 1e-3)
+
+
+def test_theorem_two_is_theorem_one_transposed() -> None:
+    linear = random_model(np.random.default_rng(3), 4, "stable", mixed=True)
+    dual = StateSpace(a=linear.a.T.copy(), b=linear.c.T.copy(), c=linear.b.T.copy(), d=np.zeros((1, 1)))
+    ball = JacobianBall.from_slopes(0.5, 1.0)
+    method = ClosedFormSynthesis(rate_controller=0.3, rate_observer=0.3)
+    observer, feedback = method.observer(linear, ball), method.state_feedback(dual, ball)
+    assert not isinstance(observer, Infeasible)
+    assert not isinstance(feedback, Infeasible)
+    np.testing.assert_array_equal(observer.l.T, feedback.k)
+    np.testing.assert_array_equal(observer.q, feedback.p)
