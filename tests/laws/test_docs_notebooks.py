@@ -1,0 +1,38 @@
+"""The notebooks run from top to bottom without a display or a network, on the smoke configuration."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = sorted(path for path in (ROOT / "experiments").glob("*.py") if "# %%" in path.read_text())
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("notebooks") / "results"  # shared: what one has trained the next one finds
+
+
+def test_there_are_four() -> None:
+    assert len(NOTEBOOKS) == 4
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_runs(path: Path, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
+    nbclient = pytest.importorskip("nbclient", reason="the extra `notebooks` is not installed")
+    monkeypatch.setenv("SSM_STUDY_EXPERIMENT", "smoke")
+    monkeypatch.setenv("SSM_STUDY_RESULTS", str(results))
+    notebook = jupytext.read(path)
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute(cwd=str(ROOT))
+    assert pictures(notebook) >= 1
+    assert "Traceback" not in text(notebook)
+
+
+def pictures(notebook: Any) -> int:
+    return sum("image/png" in output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", []))
+
+
+def text(notebook: Any) -> str:
+    return "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", []))
