@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.torch_lru import LRU
-from ssm_study.models.torch_recurrence import by_convolution
+from ssm_study.models.torch_recurrence import respond
 from ssm_study.models.torch_scaffold import TorchScaffold
 from ssm_study.signals import DataSet
 
@@ -40,7 +40,7 @@ class TorchSSM(TorchModel):
     def respond(self, ubar: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
         """The output for an input that has passed `S_u` already; `x0` ordered as in `to_state_space`."""
         modal = None if x0 is None else self.lru.initial_state(x0)
-        return self.scaffold_out(by_convolution(self.lru.modes(), ubar, modal))
+        return self.scaffold_out(respond(self.lru.modes(), ubar, modal))
 
     def freeze(self, data: DataSet) -> SSM:
         return SSM(

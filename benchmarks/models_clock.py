@@ -1,0 +1,30 @@
+"""Fair clocks for a shared machine: CPU seconds of this process, contenders interleaved, medians."""
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+
+import torch
+
+
+def interleaved(contenders: dict[str, Callable[[], object]], seconds: float = 4.0, least: int = 5) -> dict[str, float]:
+    """Median CPU milliseconds of each contender; they take turns, so that a disturbance hits all of them."""
+    torch.set_num_threads(1)
+    for run in contenders.values():
+        run()
+        run()
+    times: dict[str, list[float]] = {name: [] for name in contenders}
+    deadline = time.perf_counter() + seconds
+    while time.perf_counter() < deadline or min(len(t) for t in times.values()) < least:
+        for name, run in contenders.items():
+            began = time.process_time()
+            run()
+            times[name].append(1e3 * (time.process_time() - began))
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def machine() -> str:
+    """One line: threads, torch, cores and load, for the head of a table."""
+    load = os.getloadavg()[0]
+    return f"one thread, torch {torch.__version__}, {os.cpu_count()} cores, load {load:.1f}, CPU time of the process"
