@@ -27,6 +27,8 @@ TAU_SPAN = (1e-3, 1e9)
 COARSE_STEPS = 9
 # The cost is flat at its minimum: tau to one percent changes it by far less.
 LOG_TAU_TOLERANCE = 0.01
+# The weights at the asked rate and two faster ones; a request that needs more room is the closed form's.
+WEIGHTED_ATTEMPTS = 3
 FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search can compare
 
 
@@ -109,5 +111,5 @@ class RiccatiSynthesis(Synthesis):
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The weights first; where the frontier leaves them no room, the minimum-energy gain."""
-        weighted = super().attempts(problem, frontier)
+        weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         return [*weighted, *(partial(minimum_energy_solution, problem, share) for share in SHARES)]

@@ -1,0 +1,125 @@
+"""Share certified exactly, by method and distance from the frontier: `python benchmarks/synthesis_certified.py`.
+
+Writes `results/reference/certificates/certified.csv`, one row per (set, method, gap): how many of how many were
+certified, in how much time. A gap below zero lies beyond the frontier: nothing may be certified there. Options:
+`--count N` instances per gap, `--set random|mixed|trained`, `--methods a,b`; rows of other runs are kept.
+"""
+
+import argparse
+import csv
+import json
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+from synthesis_instances import Instance, random_instance
+
+from ssm_study.synthesis.closed_form import ClosedFormSynthesis
+from ssm_study.synthesis.design import Synthesis
+from ssm_study.synthesis.frontier import frontier
+from ssm_study.synthesis.lmi import LmiSynthesis
+from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
+from ssm_study.synthesis.paper_lmis import paper_lmis
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace
+
+FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "certificates"
+METHODS: dict[str, type[Synthesis]] = {
+    "closed_form": ClosedFormSynthesis,
+    "riccati": RiccatiSynthesis,
+    "modal_lmi": ModalLmiSynthesis,
+    "lmi": LmiSynthesis,
+}
+GAPS = (0.001, 0.0001, 0.01, 0.1, 0.5, -0.01)
+COLUMNS = ("set", "method", "gap", "instances", "certified", "share_percent", "seconds_median", "orders", "misses")
+
+
+def instances(kind: str, gap: float, count: int, orders: tuple[int, int]) -> list[Instance]:
+    if kind == "trained":
+        return trained(gap, count)
+    rng, found = np.random.default_rng(20261121), []
+    while len(found) < count:
+        case = random_instance(rng, orders, gap, mixed=kind == "mixed")
+        if case is not None:
+            found.append(case)
+    return found
+
+
+def trained(gap: float, count: int) -> list[Instance]:
+    """The identified models of `trained_models.json`, each with its own Jacobian ball."""
+    found = []
+    for model in json.loads((FOLDER / "trained_models.json").read_text())[:count]:
+        a, b, c = (np.array(model[name]) for name in ("a", "b", "c"))
+        linear = StateSpace(a=a, b=b, c=c, d=np.zeros((c.shape[0], b.shape[1])))
+        ball = JacobianBall(alpha=model["alpha"], beta=model["beta"])
+        wider = JacobianBall(alpha=ball.alpha, beta=ball.beta / (1 - gap))
+        if wider.relative_radius < 1:
+            contraction = frontier(linear.a, linear.b, wider).contraction_limit
+            found.append(Instance(linear=linear, ball=ball, rate=1 - contraction**2, kind=model["origin"]))
+    return found
+
+
+def certified(method: str, case: Instance) -> bool:
+    if method == "paper_lmi":
+        no_output = JacobianBall(alpha=1.0, beta=0.0)
+        return paper_lmis(case.linear, case.ball, no_output, case.rate, 0.5)[0].certified
+    options = {"objective": "feasibility"} if method == "lmi" else {}
+    specification = METHODS[method](rate_controller=case.rate, rate_observer=0.5, **options)
+    return specification.state_feedback(case.linear, case.ball).certified
+
+
+def row(kind: str, method: str, gap: float, cases: list[Instance]) -> dict[str, object]:
+    verdicts, seconds = [], []
+    for case in cases:
+        started = time.perf_counter()
+        verdicts.append(certified(method, case))
+        seconds.append(time.perf_counter() - started)
+    orders = [case.linear.order for case in cases]
+    missed = [f"n={case.linear.order} {case.kind}" for case, held in zip(cases, verdicts, strict=True) if not held]
+    return {
+        "set": kind,
+        "method": method,
+        "gap": gap,
+        "instances": len(cases),
+        "certified": sum(verdicts),
+        "share_percent": 100 * sum(verdicts) / len(cases),
+        "seconds_median": f"{np.median(seconds):.6f}",
+        "orders": f"{min(orders)}-{max(orders)}",
+        "misses": "; ".join(missed[:8]) if gap > 0 else "",
+    }
+
+
+def keep(new: dict[str, object]) -> None:
+    """Replace the row of the same set, method and gap."""
+    path = FOLDER / "certified.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = list(csv.DictReader(path.open())) if path.exists() else []
+    key = ("set", "method", "gap")
+    rows = [old for old in rows if tuple(old[k] for k in key) != tuple(str(new[k]) for k in key)]
+    rows.append({name: str(value) for name, value in new.items()})
+    rows.sort(key=lambda r: (r["set"], r["method"], -float(r["gap"])))
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--set", choices=("random", "mixed", "trained"), default="random")
+    parser.add_argument("--methods", default="closed_form,riccati")
+    parser.add_argument("--orders", type=int, nargs=2, default=(1, 32))
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    for gap in GAPS:
+        cases = instances(arguments.set, gap, arguments.count, tuple(arguments.orders))
+        for method in arguments.methods.split(","):
+            new = row(arguments.set, method, gap, cases)
+            keep(new)
+            print(*new.values(), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""What a certificate promises, measured: contraction in its metric, the separation bound, Gramians on the way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssm_study.bounds.gramians import controllability_gramian, observability_gramian
+from ssm_study.bounds.local import local_controllability, local_observability
+from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.loop.certified_bound import certified_bound, distances, violations
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
+from ssm_study.synthesis.closed_form import ClosedFormSynthesis
+from ssm_study.synthesis.frontier import rate_limit
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace
+
+SEEDS = st.integers(0, 10**6)
+
+
+def kinked(rng: np.random.Generator, channels: int, lower: float) -> MonotoneScaffold:
+    return MonotoneScaffold(
+        breakpoints=np.sort(rng.normal(size=(channels, 6)), axis=1), slopes=rng.uniform(lower, 1, size=(channels, 7))
+    )
+
+
+def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
+    """Order 4, feedthrough D, kinked scaffoldings on both sides, marginally stable."""
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(4, 4))
+    linear = StateSpace(
+        a=a / np.abs(np.linalg.eigvals(a)).max(),
+        b=rng.normal(size=(4, channels)),
+        c=rng.normal(size=(channels, 4)),
+        d=rng.normal(size=(channels, channels)),
+    )
+    ones, zeros = np.ones(channels), np.zeros(channels)
+    return SSM(
+        linear=linear,
+        scaffold_in=kinked(rng, channels, 0.3),
+        scaffold_out=kinked(rng, channels, output_floor),
+        input_scale=ones,
+        output_scale=ones,
+        input_equilibrium=zeros,
+        output_equilibrium=zeros,
+        step_s=0.1,
+    )
+
+
+def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
+    balls = certified_balls(model)
+    limits = rate_limit(model.linear, *balls)
+    design = method(rate_controller=0.5 * limits[0], rate_observer=0.5 * limits[1]).design(model, *balls)
+    assert design.certified, design
+    return design
+
+
+def closed_loop(
+    model: SSM, design: Design, seed: int, cases: int = 4, steps: int = 60
+) -> tuple[np.ndarray, np.ndarray]:
+    """States and estimates of the noise-free model under `u = K xh`, as [Z26] eq. (14) writes it."""
+    rng = np.random.default_rng(seed)
+    x, xh = rng.normal(size=(cases, 4)), rng.normal(size=(cases, 4))
+    states, estimates = [], []
+    for _ in range(steps):
+        states.append(x)
+        estimates.append(xh)
+        ubar = model.scaffold_in(xh @ design.state_feedback.k.T)
+        innovation = model.read_scaled(xh, ubar) - model.read_scaled(x, ubar)
+        x, xh = model.advance(x, ubar), model.advance(xh, ubar) + innovation @ design.observer.l.T
+    return np.stack(states, axis=1), np.stack(estimates, axis=1)
+
+
+@settings(max_examples=15)
+@given(SEEDS, st.integers(1, 2), st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis]))
+def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, method: type) -> None:
+    """Nonlinear S_y and D != 0 included; and the observer's error shrinks by its own rate."""
+    model = random_ssm(seed, channels)
+    design = certified_design(model, method)
+    x, xh = closed_loop(model, design, seed)
+    assert isinstance(design.state_feedback, StateFeedback)
+    assert isinstance(design.observer, Observer)
+    assert violations(x, xh, design.state_feedback, design.observer) == 0
+    _, error = distances(x, xh, design.state_feedback, design.observer)
+    assert (error[:, 1:] <= design.observer.contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]).all()
+
+
+def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
+    """Negative control: the same gains with claimed rates far beyond the certified ones."""
+    model = random_ssm(3)
+    design = certified_design(model)
+    x, xh = closed_loop(model, design, 3)
+    assert isinstance(design.state_feedback, StateFeedback)
+    assert isinstance(design.observer, Observer)
+    bold = replace(design.state_feedback, rate=0.95), replace(design.observer, rate=0.999)
+    assert violations(x, xh, *bold) > 0
+
+
+def test_the_bound_starts_at_the_initial_distance_and_is_not_vacuous() -> None:
+    model = random_ssm(5)
+    design = certified_design(model)
+    x, xh = closed_loop(model, design, 5, steps=200)
+    assert isinstance(design.state_feedback, StateFeedback)
+    assert isinstance(design.observer, Observer)
+    d, e = distances(x, xh, design.state_feedback, design.observer)
+    bound = certified_bound(d[:, 0], e[:, 0], 200, design.state_feedback, design.observer)
+    np.testing.assert_array_equal(bound[:, 0], d[:, 0])
+    assert (bound[:, -1] < 1e-3 * bound.max(axis=1)).all()
+
+
+def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.ndarray:
+    """`|A_J v| / |v|` in the metric, over random directions and slopes at both ends of the ball."""
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(metric).T
+    ratios = []
+    for _ in range(count):
+        v, slope = rng.normal(size=len(metric)), part.alpha + part.beta * rng.choice([-1, 1])
+        ratios.append(np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v))) / np.linalg.norm(root @ v))
+    return np.array(ratios)
+
+
+@settings(max_examples=15)
+@given(SEEDS)
+def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
+    part = certified_design(random_ssm(seed)).state_feedback
+    assert isinstance(part, StateFeedback)
+    assert steps_in(part.metric, part).max() <= part.contraction * (1 + 1e-7)
+
+
+def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
+    """The printed proof contracts `delta^T P delta`; for this certificate that grows. The LMI is the dual form."""
+    worst = max(steps_in(part.p, part).max() / part.contraction for part in _feedbacks())
+    assert worst > 1.05
+
+
+def test_the_rate_is_of_the_square_and_not_of_the_distance() -> None:
+    """[Z26]'s lemma reuses rho as the distance factor; the factor is `sqrt(1 - rho)`, larger than `1 - rho`."""
+    assert any(steps_in(part.metric, part).max() > 1.02 * (1 - part.rate) for part in _feedbacks())
+
+
+def _feedbacks() -> list[StateFeedback]:
+    parts = [certified_design(random_ssm(seed)).state_feedback for seed in range(6)]
+    return [part for part in parts if isinstance(part, StateFeedback)]
+
+
+def test_singular_values_are_not_enough() -> None:
+    """A falling S_u has singular values in [mu, nu] too; the certificate for the rising ball breaks on it."""
+    linear = StateSpace(a=np.array([[0.99]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    rising, falling = JacobianBall.from_slopes(0.5, 1.0), JacobianBall.from_slopes(-1.0, -0.5)
+    method = ClosedFormSynthesis(rate_controller=0.5, rate_observer=0.5)
+    up, down = method.state_feedback(linear, rising), method.state_feedback(linear, falling)
+    assert isinstance(up, StateFeedback)
+    assert isinstance(down, StateFeedback)
+    assert abs(0.99 - 0.75 * up.k[0, 0]) > 1  # the same gain on the falling map: unstable
+    np.testing.assert_allclose(down.k, -up.k, rtol=1e-12)  # the ball with sign gives the right gain
+    assert down.certified
+
+
+@given(SEEDS, st.integers(1, 2))
+def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channels: int) -> None:
+    """`mu^2 W' <= W <= nu^2 W'` for the variational dynamics along a random trajectory ([Z26] Propositions 1, 2)."""
+    model, rng, steps = random_ssm(seed, channels), np.random.default_rng(seed), 4
+    balls = certified_balls(model)
+    w, o = np.zeros((4, 4)), np.zeros((4, 4))
+    power = np.eye(4)
+    for _ in range(steps):
+        j_in = model.scaffold_in.jacobian(rng.normal(size=channels))
+        j_out = model.scaffold_out.jacobian(rng.normal(size=channels))
+        into, out = power @ model.linear.b @ j_in, j_out @ model.linear.c @ power
+        w, o, power = w + into @ into.T, o + out.T @ out, power @ model.linear.a
+    for gramian, linear, ball in (
+        (w, controllability_gramian(model.linear, steps), balls[0]),
+        (o, observability_gramian(model.linear, steps), balls[1]),
+    ):
+        slack = 1e-9 * np.abs(linear).max()
+        assert np.linalg.eigvalsh(gramian - ball.lower**2 * linear)[0] >= -slack
+        assert np.linalg.eigvalsh(ball.upper**2 * linear - gramian)[0] >= -slack
+    local = local_controllability(model.linear, balls[0])
+    assert local.holds
+    assert local.lower <= np.linalg.eigvalsh(w)[0] + 1e-9
+    assert np.linalg.eigvalsh(w)[-1] <= local.upper * (1 + 1e-9)
+    assert local_observability(model.linear, balls[1]).holds
+
+
+@pytest.mark.parametrize(("slopes", "b"), [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)])
+def test_local_controllability_is_not_claimed_without_authority(slopes: tuple[float, float], b: float) -> None:
+    linear = StateSpace(a=np.diag([0.9, 0.5]), b=np.array([[b], [1.0]]), c=np.ones((1, 2)), d=np.zeros((1, 1)))
+    local = local_controllability(linear, JacobianBall.from_slopes(*slopes))
+    assert not local.holds
+    assert local.lower == 0.0
