@@ -15,8 +15,8 @@ from ssm_study.signals import DataSet, Trajectory
 class RecordedExperiments(RecordedSource):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
-    `folder` null searches for the `benchmark` (`benchmark_folder`). `score` is "rmse" in the unit of the output, or
-    "position_mm" for what a velocity integrates to. The equilibrium is as in `RecordedData`.
+    `folder` null searches for the `benchmark` (`benchmark_folder`). `score` is "rmse" in the unit of the output,
+    "rmse_mm" of an output in m, or "position_mm" for what a velocity integrates to. Equilibrium: as in `RecordedData`.
     """
 
     benchmark: str

@@ -12,7 +12,7 @@ from scipy.io import loadmat
 from ssm_study.data.recording import Recording
 from ssm_study.data.scores import benchmark_rmse, position_rmse_mm
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import Trajectory
 
 pytestmark = pytest.mark.data
 
@@ -23,13 +23,7 @@ def built(benchmark_data: Path, monkeypatch: pytest.MonkeyPatch):  # type: ignor
     return lambda name, *overrides: from_yaml("data", name, *overrides).build(0)
 
 
-def official_training(data: DataSet) -> list[Trajectory]:
-    """Training and validation pieces are neighbours in time: together they are the official training records."""
-    pairs = zip(data.training, data.validation, strict=True)
-    return [Trajectory(u=np.concatenate([a.u, b.u]), y=np.concatenate([a.y, b.y]), step_s=a.step_s) for a, b in pairs]
-
-
-def arx(records: list[Trajectory], input_lags: range, constant: bool) -> np.ndarray:
+def arx(records: tuple[Trajectory, ...], input_lags: range, constant: bool) -> np.ndarray:
     """`y[k] = a1 y[k-1] + a2 y[k-2] + sum_j b_j u[k-j] (+ c)` by ordinary least squares."""
     rows = [regressors(r.u[:, 0], r.y[:, 0], k, input_lags, constant) for r in records for k in range(2, len(r))]
     targets = np.concatenate([r.y[2:, 0] for r in records])
@@ -51,7 +45,7 @@ def test_the_tanks_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-u
     """Champneys et al. 2024 publish 0.685 V for ARX; their lags are not stated, these are of second order."""
     data = built("cascaded_tanks")
     lags = range(3)
-    theta = arx(official_training(data), lags, constant=True)
+    theta = arx(data.training, lags, constant=True)
     y_hat = free_run(theta, data.test[0], data.start_up_samples, lags, constant=True)
     assert benchmark_rmse(data, (y_hat,))[0] == pytest.approx(0.685, abs=0.0015)
 
@@ -61,17 +55,17 @@ def test_the_drives_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-
     data = built("ced")
     lags = range(2)
     y_hat = tuple(
-        free_run(arx([train], lags, constant=False), test, data.start_up_samples, lags, constant=False)
-        for train, test in zip(official_training(data), data.test, strict=True)
+        free_run(arx((train,), lags, constant=False), test, data.start_up_samples, lags, constant=False)
+        for train, test in zip(data.training, data.test, strict=True)
     )
     np.testing.assert_allclose(benchmark_rmse(data, y_hat), [0.291, 0.331], atol=0.0025)
 
 
 def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
     tanks, drives, servo = built("cascaded_tanks"), built("ced"), built("emps")
-    assert [len(r) for r in official_training(tanks)] == [1024]
+    assert [len(r) for r in tanks.training] == [1024]
     assert [len(r) for r in tanks.test] == [1024]
-    assert [len(r) for r in official_training(drives)] == [400, 400]
+    assert [len(r) for r in drives.training] == [400, 400]
     assert [len(r) for r in drives.test] == [100, 100]
     assert servo.step_s == pytest.approx(0.01)
     assert len(servo.test[0]) == 24841 // 10 - 1
@@ -111,7 +105,7 @@ def test_scales_and_equilibria_of_records(built) -> None:  # type: ignore[no-unt
 
 
 def test_several_experiments_of_different_lengths(built) -> None:  # type: ignore[no-untyped-def]
-    assert [len(r) for r in built("ced", "training.0.last=250").training] == [250, 300]
+    assert [len(r) for r in built("ced", "training.0.last=250").training] == [250, 400]
 
 
 class TestWhereRecordsLie:
@@ -147,3 +141,12 @@ class TestWhereRecordsLie:
         monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", SimpleNamespace(CED=fails))
         with pytest.raises(BadRequest, match="no network"):
             from_yaml("data", "ced").build(0)
+
+
+def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-untyped-def]
+    """A position error of 1 mm everywhere, once as a position and once as the velocity that integrates to it."""
+    position, velocity = built("emps_position"), built("emps")
+    assert benchmark_rmse(position, (position.test[0].y + 1e-3,))[0] == pytest.approx(1.0)
+    kicked = velocity.test[0].y.copy()
+    kicked[velocity.start_up_samples] += 1e-3 / velocity.step_s
+    assert benchmark_rmse(velocity, (kicked,))[0] == pytest.approx(1.0)
