@@ -11,14 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.loop.trajectory import feasible_trajectory, set_points
+from ssm_study.loop.trajectory import feasible_trajectory
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
-
-MOST_SET_POINTS = 20
-"""A reference with at most this many values is a sequence of set points; any other is a trajectory to plan."""
 
 
 class Controller(ABC):
@@ -108,11 +105,11 @@ class ObserverFeedback(Controller):
     """`u = u_eq + s_u (u* + K (xh - x*)),  xh+ = A xh + B S_u(u) + L (yh - y) / s_y`  ([Z26] eq. 9 and Theorem 3).
 
     `K (m, n)` and `L (n, p)` act in the model's scaled units. `xh[k]` predicts from `y` up to sample k-1, so the input
-    of sample k does not wait for the measurement of sample k. A target row is `(x*, u*, r)`; `(x*, u*)` is a trajectory
-    of the model itself: around any such trajectory the certified loop contracts.
+    of sample k does not wait for the measurement of sample k. A target row is `(x*, u*, y*)`, a trajectory of the
+    model itself near the reference: around any such trajectory the certified loop contracts.
 
     With `K (m, n + p)` the law has integral action: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
-    `z+ = z + (y - r) / s_y`. So that it does not wind up, z is held while a limit keeps the input from what was asked.
+    `z+ = z + (y - y*) / s_y`. So that it does not wind up, z is held while a limit keeps the input from what was asked.
     """
 
     model: SSM
@@ -144,9 +141,9 @@ class ObserverFeedback(Controller):
         return np.zeros((cases, self.k.shape[1]))
 
     def targets(self, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
-        steps = len(np.unique(reference, axis=0)) <= MOST_SET_POINTS
-        followed = set_points(self.model, reference) if steps else feasible_trajectory(self.model, reference)
-        return np.concatenate([followed, reference], axis=1)
+        plan, n = feasible_trajectory(self.model, reference), self.model.order
+        planned = self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))
+        return np.concatenate([plan, planned], axis=1)
 
     def demanded(self, targets: Float[np.ndarray, "T t"]) -> Float[np.ndarray, "K m"]:
         scaled = targets[:, self.model.order :][:, : len(self.k)]

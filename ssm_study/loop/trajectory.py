@@ -16,7 +16,7 @@ from ssm_study.models.scaffold import Scaffold
 from ssm_study.refusal import require
 from ssm_study.systems import StateSpace
 
-SMOOTHNESS = 0.1
+SMOOTHNESS = 1.0
 """Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
 samples and not in one violent one."""
 INVERSION_TOLERANCE = 1e-10
@@ -37,12 +37,12 @@ def equilibrium(model: SSM, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarray
 def feasible_trajectory(model: SSM, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
     """The model's own trajectory nearest the reference, one row `(x*[k], u*[k])` per sample, in scaled units.
 
-    Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from rest at the first reference value; the
-    whole reference is known in advance, so the input moves before a step does. `reference` is in the output's unit.
+    Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium, where every
+    observer starts; the whole reference is known in advance, so the input moves before a step does. `reference` is in
+    the output's unit. A reference at rest gives zeros.
     """
     y_bar = inverse(model.scaffold_out, (reference - model.output_equilibrium) / model.output_scale)
-    lifted, x = _resting(model.linear, y_bar[0])
-    states, inputs = _track(model.linear, y_bar, x, lifted)
+    states, inputs = _track(model.linear, y_bar)
     return np.concatenate([states, inverse(model.scaffold_in, inputs)], axis=1)
 
 
@@ -69,7 +69,7 @@ def _resting(system: StateSpace, y: Float[np.ndarray, "p"]) -> tuple[Float[np.nd
 
 
 def _track(
-    system: StateSpace, target: Float[np.ndarray, "T p"], x: Float[np.ndarray, "n"], lifted: Float[np.ndarray, "k"]
+    system: StateSpace, target: Float[np.ndarray, "T p"]
 ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T k"]]:
     """Linear-quadratic preview tracking on `z = (x, v[k-1])` driven by `w = v[k] - v[k-1]`.
 
@@ -89,7 +89,7 @@ def _track(
     for i in reversed(range(len(target))):
         preview[i] = np.linalg.solve(curvature, d.T @ target[i] - g.T @ costate)
         costate = closed @ costate - seen @ target[i]
-    return _roll(f, g, k, preview, np.concatenate([x, lifted]), n)
+    return _roll(f, g, k, preview, n)
 
 
 def _roll(
@@ -97,9 +97,9 @@ def _roll(
     g: Float[np.ndarray, "z m"],
     k: Float[np.ndarray, "m z"],
     preview: Float[np.ndarray, "T m"],
-    z: Float[np.ndarray, "z"],
     n: int,
 ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T m"]]:
+    z = np.zeros(len(f))
     states, inputs = np.empty((len(preview), n)), np.empty((len(preview), len(z) - n))
     for i, extra in enumerate(preview):
         states[i] = z[:n]
@@ -114,7 +114,7 @@ def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray
     Raises `BadRequest` when the map does not reach `w`.
     """
     solve: Callable[[Scaffold, np.ndarray], np.ndarray] = _bisect if w.shape[1] == 1 else _newton
-    v = solve(scaffold, w)
+    v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, solve(scaffold, w))  # S(0) = 0 holds exactly
     worst = int(np.abs(scaffold(v) - w).max(axis=1).argmax())
     require(
         bool(np.abs(scaffold(v) - w).max() <= INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))),

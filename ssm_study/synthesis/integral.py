@@ -1,11 +1,12 @@
 """Integral action: the model with an integrator of the tracking error, under the same theorems.
 
-    x+ = A x + B S_u(u),    z+ = z + (y - r) / s_y = z + G (C x + D S_u(u)) - r / s_y,    u = u* + K_x (xh - x*) + K_z z
+    x+ = A x + B S_u(u),   z+ = z + (y - y*) / s_y = z + G (C x + D S_u(u)) - y* / s_y,   u = u* + K_x (xh - x*) + K_z z
 
 For a linear output map `S_y(v) = G v` the pair `(x, z)` is again a linear recurrence behind `S_u`, so Theorem 1, its
 exact frontier (the integrators are modes at 1) and its exact verification hold as they stand; `z` is known exactly, so
-the observer is unchanged. The internal model principle then removes constant errors: a constant disturbance leaves
-the loop contracting, so `z` converges, and it does so only where `y = r`. Announced as future work in [Z26] section V.
+the observer is unchanged. The internal model principle then removes constant errors: a constant disturbance leaves the
+loop contracting, so `z` converges, and it does so only where `y = y*`, the planned output. Announced as future work in
+[Z26] section V.
 """
 
 from dataclasses import dataclass

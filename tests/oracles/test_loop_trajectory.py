@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_cases import motor, motor_design, motor_model, random_model
 
-from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
 from ssm_study.loop.regulation import Loop
@@ -59,7 +58,7 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
     x, u = plan[:, :2], plan[:, 2:]
     np.testing.assert_allclose(x[1:], model.advance(x[:-1], model.scaffold_in(u[:-1])), atol=1e-9)
     y = model.read(x, model.scaffold_in(u))
-    assert np.abs(y - reference)[20:].max() < 0.4
+    assert np.abs(y - reference)[20:].max() < 1.0
 
 
 def test_no_other_trajectory_costs_less():
@@ -71,12 +70,10 @@ def test_no_other_trajectory_costs_less():
     plan = feasible_trajectory(model, reference)
     v = model.scaffold_in(plan[:, model.order :])
     target = (reference - model.output_equilibrium) / model.output_scale
-    to_output = model.linear.c @ np.linalg.solve(np.eye(model.order) - model.linear.a, model.linear.b)
-    before = np.linalg.solve(to_output, target[0])
 
     def cost(inputs: np.ndarray) -> float:
         y, _ = model.linear.simulate(inputs, plan[0, : model.order])
-        return float(((y - target) ** 2).sum() + 0.1 * (np.diff(np.vstack([before, inputs]), axis=0) ** 2).sum())
+        return float(((y - target) ** 2).sum() + (np.diff(inputs, axis=0, prepend=0) ** 2).sum())
 
     for _ in range(20):
         step = np.zeros_like(v)
@@ -133,9 +130,13 @@ def test_a_reference_without_equilibrium_is_refused():
         equilibrium(model, model.output_equilibrium + np.array([1.0, -1.0]))
 
 
-def test_the_controller_plans_what_moves_and_holds_what_steps():
-    controller = ObserverFeedback.of(motor_model(), motor_design())
-    moving = np.linspace(0, 3, 100)[:, None]
-    assert not np.allclose(controller.targets(moving)[:, :3], set_points(motor_model(), moving))
-    stepping = np.repeat([[0.0], [3.0]], 50, axis=0)
-    np.testing.assert_array_equal(controller.targets(stepping)[:, :3], set_points(motor_model(), stepping))
+def test_rest_is_planned_as_rest():
+    plan = feasible_trajectory(motor_model(), np.zeros((50, 1)))
+    assert not plan.any()
+
+
+def test_a_planned_step_ends_at_its_set_point():
+    model = motor_model()
+    plan = feasible_trajectory(model, np.repeat([[0.0], [5.0]], 300, axis=0))
+    np.testing.assert_allclose(plan[-1], np.concatenate(equilibrium(model, np.array([5.0]))), atol=1e-6)
+    np.testing.assert_allclose(plan[0], 0, atol=1e-3)
