@@ -105,8 +105,8 @@ def real_form(
 
 def _parts(values: Complex[Tensor, "n k"], reals: int, trained: bool) -> tuple[nn.Parameter, nn.Parameter]:
     """Real parts of all modes and imaginary parts of the pairs, as separate parameters."""
-    real = nn.Parameter(values.real.clone(), requires_grad=trained)
-    return real, nn.Parameter(values.imag[reals:].clone(), requires_grad=trained)
+    real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
+    return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
 
 
 def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex[Tensor, "n k"]:

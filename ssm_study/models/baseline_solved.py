@@ -1,0 +1,143 @@
+"""Baselines that libraries solve without gradient steps: N4SID (nfoursid) and polynomial NARX (SysIdentPy)."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.models.identified import SSM, Simulator
+from ssm_study.models.scaffold import array_from_json
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.spec import ModelSpec, scaled
+from ssm_study.models.torch_ssm import TorchModel
+from ssm_study.refusal import BadRequest, require
+from ssm_study.signals import DataSet
+from ssm_study.systems import StateSpace
+
+SLOWEST = 0.9999  # an unstable identified pole is scaled back to this radius, or a free run would overflow
+OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
+
+
+class SolvedSpec(ModelSpec):
+    """A model found without training; `solve` returns its explicit numbers."""
+
+    @abstractmethod
+    def solve(self, data: DataSet) -> Simulator: ...
+
+    def build(self, data: DataSet, seed: int) -> TorchModel:  # noqa: ARG002
+        raise TypeError("solved, not trained")
+
+
+@dataclass(frozen=True, kw_only=True)
+class N4SID(SolvedSpec):
+    """Linear state space by subspace identification with `block_rows` block rows; an SSM without nonlinearity."""
+
+    order: int
+    block_rows: int
+
+    def __post_init__(self) -> None:
+        require(self.order >= 1, "model.order", self.order, "a model has at least one state", "use 8 or so")
+        fits = self.block_rows > self.order
+        require(fits, "model.block_rows", self.block_rows, "must exceed the order", "use twice the order")
+
+    def solve(self, data: DataSet) -> SSM:
+        nfoursid, pandas = _library("nfoursid.nfoursid"), _library("pandas")
+        u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
+        names = [f"u{i}" for i in range(u.shape[1])], [f"y{i}" for i in range(y.shape[1])]
+        table = pandas.DataFrame(np.hstack([u, y]), columns=[*names[0], *names[1]])
+        method = nfoursid.NFourSID(
+            table, output_columns=names[1], input_columns=names[0], num_block_rows=self.block_rows
+        )
+        method.subspace_identification()
+        found, _ = method.system_identification(rank=self.order)
+        a, radius = found.a, float(np.abs(np.linalg.eigvals(found.a)).max())
+        linear = StateSpace(a=a * min(1.0, SLOWEST / radius), b=found.b, c=found.c, d=found.d)
+        return SSM(
+            linear=linear,
+            scaffold_in=LinearScaffold.identity(u.shape[1]),
+            scaffold_out=LinearScaffold.identity(y.shape[1]),
+            input_scale=data.input_scale,
+            output_scale=data.output_scale,
+            input_equilibrium=data.input_equilibrium,
+            output_equilibrium=data.output_equilibrium,
+            step_s=data.step_s,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polynomial(Simulator):
+    """`y[k] = sum_i theta_i prod_j factor_ij`; codes as in SysIdentPy: 1000 + l is `y[k-l]`, 2000 + l is `u[k-l]`."""
+
+    codes: Int[np.ndarray, "terms degree"]
+    theta: Float[np.ndarray, "terms"]
+    scales: dict[str, Float[np.ndarray, "1"]]
+
+    def simulate(self, u: Float[np.ndarray, "*batch T 1"]) -> Float[np.ndarray, "*batch T 1"]:
+        s, lags = self.scales, int((self.codes % 1000).max())
+        v = np.pad(((u - s["input_equilibrium"]) / s["input_scale"])[..., 0], [(0, 0)] * (u.ndim - 2) + [(lags, 0)])
+        y = np.zeros_like(v)
+        for k in range(lags, v.shape[-1]):
+            past = {0: np.ones(v.shape[:-1])}
+            past |= {1000 + i: y[..., k - i] for i in range(1, lags + 1)}
+            past |= {2000 + i: v[..., k - i] for i in range(1, lags + 1)}
+            terms = [np.prod([past[int(code)] for code in row], axis=0) for row in self.codes]
+            y[..., k] = np.clip(np.tensordot(self.theta, np.stack(terms), 1), -OVERFLOW, OVERFLOW)
+        return s["output_equilibrium"] + s["output_scale"] * y[..., lags:, None]
+
+    def to_json(self) -> dict[str, Any]:
+        scales = {name: value.tolist() for name, value in self.scales.items()}
+        return {"kind": "narx", "codes": self.codes.tolist(), "theta": self.theta.tolist(), **scales}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "Polynomial":
+        names = ("input_scale", "output_scale", "input_equilibrium", "output_equilibrium")
+        codes = array_from_json(data, "codes", 2).astype(np.int64)
+        scales = {name: array_from_json(data, name, 1) for name in names}
+        return cls(codes=codes, theta=array_from_json(data, "theta", 1), scales=scales)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NARX(SolvedSpec):
+    """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward regression (FROLS)."""
+
+    lags: int
+    degree: int
+    terms: int
+
+    def __post_init__(self) -> None:
+        for name in ("lags", "degree", "terms"):
+            value = getattr(self, name)
+            require(value >= 1, f"model.{name}", value, "must be at least one", "use a positive whole number")
+
+    def solve(self, data: DataSet) -> Polynomial:
+        channels = (len(data.input_scale), len(data.output_scale))
+        require(channels == (1, 1), "model", "NARX", "takes one input and one output", "choose another model")
+        frols, basis = _library("sysidentpy.model_structure_selection"), _library("sysidentpy.basis_function")
+        u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
+        method = frols.FROLS(
+            order_selection=False, n_terms=self.terms, ylag=self.lags, xlag=self.lags,
+            basis_function=basis.Polynomial(degree=self.degree),
+        )  # fmt: skip
+        method.fit(X=u, y=y)
+        names = ("input_scale", "output_scale", "input_equilibrium", "output_equilibrium")
+        codes, theta = np.asarray(method.final_model, dtype=np.int64), np.asarray(method.theta, dtype=float).ravel()
+        return Polynomial(codes=codes, theta=theta, scales={name: getattr(data, name) for name in names})
+
+
+INSTALL = {
+    "nfoursid": 'pip install "ssm-study[baselines]"',
+    "sysidentpy": "pip install --no-deps sysidentpy==0.9.0 (it asks for an older NumPy, and works with this one)",
+}
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        package = name.split(".")[0]
+        remedy = INSTALL.get(package, f"pip install {package}")
+        raise BadRequest("model", package, "this baseline needs a package that is not installed", remedy) from error

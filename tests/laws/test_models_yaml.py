@@ -1,0 +1,98 @@
+"""Every yaml of the groups model, scaffold and training trains a model that its own JSON replays."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from models_cases import data_set
+
+from ssm_study.models.baseline_solved import SolvedSpec
+from ssm_study.models.spec import ModelSpec
+from ssm_study.models.stored import model_from_json
+from ssm_study.refusal import BadRequest
+from ssm_study.training.training import Training
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+MODELS = sorted(path.stem for path in (CONF / "model").glob("*.yaml"))
+SCAFFOLDS = sorted(path.stem for path in (CONF / "scaffold").glob("*.yaml"))
+TRAININGS = sorted(path.stem for path in (CONF / "training").glob("*.yaml"))
+OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob("*.yaml"))
+
+
+PACKAGES = {"n4sid": "nfoursid", "narx": "sysidentpy"}  # the extra "baselines"
+
+
+def read(group: str, choice: str, *overrides: str) -> Any:
+    with initialize_config_dir(str(CONF), version_base=None):
+        tree = compose(overrides=[f"+{group}={choice}", *overrides])
+    return instantiate(tree[group], _convert_="all")
+
+
+def brief(**changes: Any) -> Training:
+    return read("training", "default", "training.max_epochs=2", *(f"{k}={v}" for k, v in changes.items()))
+
+
+@pytest.mark.parametrize("choice", MODELS)
+def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path) -> None:
+    if choice in PACKAGES:
+        pytest.importorskip(PACKAGES[choice])
+    data, spec = data_set(noise=0.02, samples=120, records=2), read("model", choice)
+    assert isinstance(spec, ModelSpec)
+    found = brief().identify(spec, data, seed=0, folder=tmp_path)
+    assert np.isfinite(found.fit_training_percent)
+    again = model_from_json(json.loads(json.dumps(found.model.to_json())))
+    np.testing.assert_allclose(again.simulate(data.test[0].u), found.model.simulate(data.test[0].u), rtol=1e-13)
+
+
+@pytest.mark.parametrize("choice", [c for c in MODELS if c not in ("n4sid", "narx")])
+def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
+    data, spec = data_set(samples=60, records=2), read("model", choice)
+    assert not isinstance(spec, SolvedSpec)
+    net = spec.build(data, 0)
+    u = data.test[0].u
+    with torch.no_grad():
+        scaled = net(torch.from_numpy((u - data.input_equilibrium) / data.input_scale)[None])[0].numpy()
+    expected = scaled * data.output_scale + data.output_equilibrium
+    np.testing.assert_allclose(net.freeze(data).simulate(u), expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("side", ["scaffold_in", "scaffold_out"])
+@pytest.mark.parametrize("choice", SCAFFOLDS)
+def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: Path) -> None:
+    spec = read("model", "ssm", f"scaffold@model.{side}={choice}", "model.hidden_width=6", "model.order=2")
+    data = data_set(samples=120, records=2)
+    found = brief().identify(spec, data, seed=0, folder=tmp_path)
+    assert found.fit_training_percent > 30
+
+
+@pytest.mark.parametrize("choice", TRAININGS)
+def test_every_training_yaml_trains(choice: str, tmp_path: Path) -> None:
+    training = read("training", choice, "training.max_epochs=3")
+    found = training.identify(read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path)
+    assert found.fit_training_percent > 30
+
+
+@pytest.mark.parametrize("choice", OPTIMISERS)
+def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> None:
+    training = read("training", "default", f"training/optimiser={choice}", "training.max_epochs=4")
+    found = training.identify(read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path)
+    assert found.curve[-1]["fit_training_percent"] > 60
+
+
+def test_an_unknown_stored_model_is_refused() -> None:
+    with pytest.raises(BadRequest, match="kind = transformer"):
+        model_from_json({"kind": "transformer"})
+
+
+def test_a_baseline_whose_package_is_missing_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> Any:
+        raise ImportError(name)
+
+    monkeypatch.setattr("ssm_study.models.baseline_solved.import_module", absent)
+    with pytest.raises(BadRequest, match="pip install"):
+        read("model", "narx").solve(data_set())
