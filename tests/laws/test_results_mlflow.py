@@ -1,0 +1,58 @@
+"""A study in MLflow: every finished run once, numbers as metrics, settings as parameters."""
+
+import builtins
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ssm_study.refusal import BadRequest
+from ssm_study.results.mlflow_export import export_mlflow
+from ssm_study.results.records import write_record
+
+RECORDS = (
+    {"run": "a", "status": "ok", "order": 8, "fit_test_percent": 91.5, "controller_certified": True},
+    {"run": "b", "status": "failed", "error_message": "the solver gave up"},
+    {"run": "c", "status": "running"},
+)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    for record in RECORDS:
+        folder = tmp_path / "study" / str(record["run"])
+        folder.mkdir(parents=True)
+        times = {"started_utc": "2026-11-21T01:00:00+00:00", "ended_utc": "2026-11-21T01:00:30+00:00"}
+        write_record(folder, record | times)
+    return tmp_path / "study"
+
+
+def test_every_finished_run_is_written_once(study: Path) -> None:
+    mlflow = pytest.importorskip("mlflow", reason="the extra `mlflow` is not installed")
+    assert [export_mlflow(study), export_mlflow(study)] == [2, 0]
+    client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{study / 'mlflow.db'}")
+    runs = {
+        run.info.run_name: run for run in client.search_runs([client.get_experiment_by_name("study").experiment_id])
+    }
+    assert set(runs) == {"a", "b"}
+    assert runs["a"].data.metrics["fit_test_percent"] == 91.5
+    assert runs["a"].data.params["order"] == "8"
+    assert "fit_test_percent" not in runs["b"].data.metrics
+    assert (runs["a"].info.status, runs["b"].info.status) == ("FINISHED", "FAILED")
+    assert runs["a"].info.end_time - runs["a"].info.start_time == 30_000
+    assert [file.path for file in client.list_artifacts(runs["a"].info.run_id)] == ["record.json"]
+    write_record(study / "c", {"run": "c", "status": "ok"})
+    assert export_mlflow(study) == 1
+
+
+def test_without_mlflow_it_says_what_to_install(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.split(".")[0] == "mlflow":
+            raise ImportError(name)
+        return real(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(BadRequest, match=r"pip install 'ssm-study\[mlflow\]'"):
+        export_mlflow(study)
