@@ -87,6 +87,13 @@ def _hang(_: Run) -> None:
     time.sleep(86399)
 
 
+def _wait(run: Run) -> None:
+    """Not done before someone says go; leaves a child behind."""
+    subprocess.Popen(["sleep", "86399"])
+    while not (run.path.parents[1] / "go").exists():
+        time.sleep(0.02)
+
+
 def _segfault(_: Run) -> None:
     ctypes.string_at(0)
 
@@ -111,6 +118,7 @@ BEHAVIOUR = {
     "segfault": _segfault,
     "memory": _exhaust,
     "hang": _hang,
+    "wait": _wait,
     "infeasible": _infeasible,
 }
 
