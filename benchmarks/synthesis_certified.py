@@ -2,7 +2,8 @@
 
 Writes `results/reference/certificates/certified.csv`, one row per (set, method, gap): how many of how many were
 certified, in how much time. A gap below zero lies beyond the frontier: nothing may be certified there. Options:
-`--count N` instances per gap, `--set random|mixed|trained`, `--methods a,b`; rows of other runs are kept.
+`--count N` per gap, `--gaps g ...`,
+`--orders low high`, `--set random|mixed|trained`, `--methods a,b`; rows of other runs are kept.
 """
 
 import argparse
@@ -110,10 +111,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--set", choices=("random", "mixed", "trained"), default="random")
     parser.add_argument("--methods", default="closed_form,riccati")
+    parser.add_argument("--gaps", type=float, nargs="+", default=GAPS)
     parser.add_argument("--orders", type=int, nargs=2, default=(1, 32))
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    for gap in GAPS:
+    for gap in arguments.gaps:
         cases = instances(arguments.set, gap, arguments.count, tuple(arguments.orders))
         for method in arguments.methods.split(","):
             new = row(arguments.set, method, gap, cases)

@@ -1,0 +1,154 @@
+"""Seconds per certificate by method and order, in pairs: `python benchmarks/synthesis_times.py`.
+
+Writes `results/reference/certificates/times.csv` (milliseconds, median of repetitions; the methods of one order are
+timed in turn, so the ratios hold on a noisy machine) and `sweep.csv` (twenty rates through one compiled inequality
+against twenty fresh ones).
+"""
+
+import csv
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg
+from synthesis_instances import random_model
+
+from ssm_study.synthesis import exact
+from ssm_study.synthesis.closed_form import minimum_energy_gain, minimum_energy_solution
+from ssm_study.synthesis.doubling import solve_riccati
+from ssm_study.synthesis.frontier import frontier
+from ssm_study.synthesis.lmi import CompiledLmi
+from ssm_study.synthesis.modal_gain import modal_gain
+from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
+from ssm_study.synthesis.problem import Problem
+from ssm_study.synthesis.riccati import at_tau, guaranteed_cost
+from ssm_study.systems import JacobianBall
+
+FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "certificates"
+ORDERS = (4, 8, 16, 32, 64, 128, 256, 512)
+LARGEST = {
+    "paper_lmi_full": 16,
+    "lmi_y_equals_p": 32,
+    "modal_lmi": 128,
+    "exact_verification": 64,
+    "riccati_search": 128,
+    "scipy_dare": 512,
+}
+REPETITIONS = {4: 15, 8: 15, 16: 9, 32: 5, 64: 3, 128: 3}
+
+
+def problem_of(order: int) -> Problem:
+    """A stable model, slopes in [0.3, 1], half way to the frontier."""
+    linear = random_model(np.random.default_rng(order), order, "stable")
+    ball = JacobianBall.from_slopes(0.3, 1.0)
+    rate = 0.5 * frontier(linear.a, linear.b, ball).rate_limit
+    weight = linear.c.T @ linear.c + 1e-3 * np.eye(order)
+    return Problem(a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.1)
+
+
+def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
+    n, ball = len(problem.a), problem.ball
+    values, vectors = np.linalg.eig(problem.a.astype(complex))
+    b = np.linalg.solve(vectors, problem.b.astype(complex))[:, 0]
+    lmis = {
+        full: CompiledLmi(
+            a=problem.a, b=problem.b, objective="feasibility", full=full, state_weight=np.eye(n), input_weight=1.0
+        )
+        for full in (True, False)
+    }
+    modal = ModalLmiSynthesis(rate_controller=problem.rate, rate_observer=0.5)
+    solution = minimum_energy_solution(problem)
+    certificate = (problem.a, problem.b, ball.alpha, ball.beta, problem.rate, solution.p, solution.y, solution.k, 1.0)
+    kappa = np.eye(1) / 4.0
+    return {
+        "paper_lmi_full": lambda: lmis[True].solve(problem),
+        "lmi_y_equals_p": lambda: lmis[False].solve(problem),
+        "modal_lmi": lambda: modal.solve(problem),
+        "closed_form_gain_from_modes": lambda: modal_gain(values, b, ball, problem.contraction),
+        "closed_form_gain_from_matrices": lambda: minimum_energy_gain(problem.a, problem.b, ball, problem.contraction),
+        "closed_form_with_metric": lambda: minimum_energy_solution(problem),
+        "riccati_at_one_tau": lambda: at_tau(problem, 10.0),
+        "riccati_search": lambda: guaranteed_cost(problem),
+        "doubling": lambda: solve_riccati(problem.a_hat, problem.b_hat, problem.state_weight, 4.0),
+        "scipy_dare": lambda: scipy.linalg.solve_discrete_are(
+            problem.a_hat, problem.b_hat, problem.state_weight, kappa
+        ),
+        "exact_verification": lambda: exact.is_positive_definite(exact.theorem_one(*certificate)),
+    }
+
+
+def timed(order: int) -> dict[str, object]:
+    samples: dict[str, list[float]] = {}
+    runnable = {
+        name: task for name, task in tasks(problem_of(order)).items() if order <= LARGEST.get(name, max(ORDERS))
+    }
+    for repetition in range(REPETITIONS.get(order, 1) + 1):
+        for name, task in runnable.items():
+            started = time.perf_counter()
+            task()
+            if repetition > 0 or order > 128:  # the first round compiles and warms up
+                samples.setdefault(name, []).append(1e3 * (time.perf_counter() - started))
+    return {"order": order} | {name: f"{np.median(values):.4f}" for name, values in samples.items()}
+
+
+def sweep(order: int = 8, rates: int = 20) -> dict[str, object]:
+    problem = problem_of(order)
+    asked = np.linspace(0.1, 0.9, rates) * frontier(problem.a, problem.b, problem.ball).rate_limit
+    cases = [
+        Problem(
+            a=problem.a, b=problem.b, ball=problem.ball, rate=float(r), state_weight=np.eye(order), input_weight=1.0
+        )
+        for r in asked
+    ]
+
+    def fresh() -> CompiledLmi:
+        return CompiledLmi(
+            a=problem.a,
+            b=problem.b,
+            objective="smallest_gain",
+            full=False,
+            state_weight=np.eye(order),
+            input_weight=1.0,
+        )
+
+    started = time.perf_counter()
+    for case in cases:
+        fresh().solve(case)
+    apart = time.perf_counter() - started
+    started = time.perf_counter()
+    shared = fresh()
+    for case in cases:
+        shared.solve(case)
+    together = time.perf_counter() - started
+    return {
+        "order": order,
+        "rates": rates,
+        "fresh_s": f"{apart:.3f}",
+        "compiled_s": f"{together:.3f}",
+        "ratio": f"{apart / together:.1f}",
+    }
+
+
+def write(name: str, rows: list[dict[str, object]]) -> None:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    with (FOLDER / name).open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def main() -> None:
+    warnings.simplefilter("ignore")
+    write("sweep.csv", [sweep(4), sweep(8)])
+    rows = []
+    for order in ORDERS:
+        rows.append(timed(order))
+        print(rows[-1], flush=True)
+        write("times.csv", rows)
+
+
+if __name__ == "__main__":
+    main()
