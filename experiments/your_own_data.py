@@ -36,14 +36,14 @@ STUDY = "your_own_data"
 # %%
 STEP_S = 0.1
 rng = np.random.default_rng(0)
-power_w = np.repeat(rng.uniform(-3, 3, 300), 8)
-temperature_k = np.zeros(len(power_w))
-for k in range(len(power_w) - 1):
-    temperature_k[k + 1] = 0.93 * temperature_k[k] + 0.4 * (power_w[k] + 0.5 * np.tanh(power_w[k]))
-temperature_k += 0.02 * rng.standard_normal(len(power_w))
+power = np.repeat(rng.uniform(-3, 3, 300), 8)
+temperature = np.zeros(len(power))
+for k in range(len(power) - 1):
+    temperature[k + 1] = 0.93 * temperature[k] + 0.4 * (power[k] + 0.5 * np.tanh(power[k]))
+temperature += 0.02 * rng.standard_normal(len(power))
 log = RESULTS / "heater.csv"
 RESULTS.mkdir(parents=True, exist_ok=True)
-pd.DataFrame({"power_w": power_w, "temperature_k": temperature_k}).to_csv(log, index=False)
+pd.DataFrame({"power": power, "temperature": temperature}).to_csv(log, index=False)
 
 # %% [markdown]
 # ## One command
@@ -57,8 +57,8 @@ request = [
     f"results_dir={RESULTS}",
     "data=recorded",
     f"data.path={log}",
-    "data.input=power_w",
-    "data.output=temperature_k",
+    "data.input=power",
+    "data.output=temperature",
     f"data.step_s={STEP_S}",
     "data.input_unit=W",
     "data.output_unit=K",

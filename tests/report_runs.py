@@ -21,11 +21,11 @@ KINDS = ("linear", "mlp", "monotone", "residual")
 ORDER = 4
 
 
-def random_run(folder: Path, *, kind: str, channels: int, seed: int) -> Path:
+def random_run(folder: Path, *, kind: str, channels: int, seed: int, integral: bool = False) -> Path:
     """A stable model with a gentle controller; the certificate's numbers are placeholders of the right shape."""
     rng = np.random.default_rng(seed)
     model = random_model(rng, kind, channels)
-    design = random_design(rng, model)
+    design = random_design(rng, model, integral)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.json").write_text(json.dumps(model.to_json()))
     design.save(folder / "certificate.json")
@@ -71,13 +71,19 @@ def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -
     )
 
 
-def random_design(rng: np.random.Generator, model: SSM) -> Design:
+def random_design(rng: np.random.Generator, model: SSM, integral: bool) -> Design:
     (n, m), p, linear = model.linear.b.shape, len(model.output_scale), model.linear
     shared = {"alpha": 0.5, "beta": 0.1, "rate": 0.2, "certified": True, "margin": 0.1, "condition": 1.0}
     shared |= {"rate_limit": 0.4, "method": "placeholder", "solver_status": "none", "seconds": 0.0}
-    k, l, eye = 0.1 * rng.standard_normal((m, n)), 0.05 * rng.standard_normal((n, p)), np.eye(n)  # noqa: E741
+    a, b = linear.a, linear.b
+    if integral:
+        gain = 0.7 * np.eye(p)
+        a = np.block([[a, np.zeros((n, p))], [gain @ linear.c, np.eye(p)]])
+        b = np.vstack([b, gain @ linear.d])
+    k, l = 0.1 * rng.standard_normal((m, len(a))), 0.05 * rng.standard_normal((n, p))  # noqa: E741
+    wide, eye = np.eye(len(a)), np.eye(n)
     return Design(
-        state_feedback=StateFeedback(a=linear.a, b=linear.b, p=eye, y=eye, x=k, sigma=1.0, k=k, **shared),
+        state_feedback=StateFeedback(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared),
         observer=Observer(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
     )
 
@@ -102,5 +108,8 @@ def write_recordings(run: Path, *, plant_alone: bool = True) -> Path:
         cases += [group(f"/case_{i}/input", volt, -decay)]
         cases += [group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))] if plant_alone else []
     write_mcap(run / "closed_loop.mcap", tuple(cases), {})
+    rows = [f"{name},{case},0.9,0.1,0.2,3.0" for name in ("pi", "auto") for case in ("nominal", "delay")]
+    head = "controller,situation,stable_fraction,settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
+    (run / "comparison.csv").write_text("\n".join([head, *rows]) + "\n")
     (run / "training_curve.json").write_text(json.dumps([{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)]))
     return run

@@ -17,7 +17,7 @@ _HEAD = """/* {about}
 #ifndef {guard}
 #define {guard}
 
-typedef struct {{ double xh[{n}]; }} {name}_state;
+typedef struct {{ double x[{n}]; }} {name}_state;
 """
 
 _TAIL = """
@@ -29,27 +29,38 @@ static inline void {name}_matvec(int rows, int columns, const double *a, const d
 static inline double {name}_leaky(double z, double low, double high) {{ return z >= 0.0 ? high * z : low * z; }}
 {maps}
 static inline void {name}_reset({name}_state *state) {{
-    for (int i = 0; i < {n}; ++i) state->xh[i] = 0.0;
+    for (int i = 0; i < {n}; ++i) state->x[i] = 0.0;
 }}
 
 static inline void {name}_input(const {name}_state *state, double u[{m}]) {{
     double v[{m}] = {{0.0}};
-    {name}_matvec({m}, {n}, {name}_k, state->xh, v);
+    {name}_matvec({m}, {n}, {name}_k, state->x, v);
     for (int i = 0; i < {m}; ++i) u[i] = {name}_input_equilibrium[i] + {name}_input_scale[i] * v[i];
 }}
 
 static inline void {name}_advance({name}_state *state, const double y[{p}], const double u[{m}]) {{
-    double v[{m}], lifted[{k}] = {{0.0}}, ybar[{q}] = {{0.0}}, error[{p}] = {{0.0}}, next[{n}] = {{0.0}};
+    double v[{m}], lifted[{k}] = {{0.0}}, ybar[{q}] = {{0.0}}, error[{p}] = {{0.0}}, measured[{p}], next[{n}] = {{0.0}};
+    double asked[{m}];
+    int as_asked = 1; /* integrators rest while a limit keeps the input from what was asked */
+    {name}_input(state, asked);
+    for (int i = 0; i < {m}; ++i) {{
+        double missed = u[i] - asked[i], allowed = 1e-12 + 1e-9 * (asked[i] < 0.0 ? -asked[i] : asked[i]);
+        if (missed > allowed || missed < -allowed) as_asked = 0;
+    }}
     for (int i = 0; i < {m}; ++i) v[i] = (u[i] - {name}_input_equilibrium[i]) / {name}_input_scale[i];
     {name}_s_in(v, lifted);
-    {name}_matvec({q}, {n}, {name}_c, state->xh, ybar);
+    {name}_matvec({q}, {n}, {name}_c, state->x, ybar);
     {name}_matvec({q}, {k}, {name}_d, lifted, ybar);
     {name}_s_out(ybar, error);
-    for (int i = 0; i < {p}; ++i) error[i] -= (y[i] - {name}_output_equilibrium[i]) / {name}_output_scale[i];
-    {name}_matvec({n}, {n}, {name}_a, state->xh, next);
+    for (int i = 0; i < {p}; ++i) {{
+        measured[i] = (y[i] - {name}_output_equilibrium[i]) / {name}_output_scale[i];
+        error[i] -= measured[i];
+    }}
+    {name}_matvec({n}, {n}, {name}_a, state->x, next);
     {name}_matvec({n}, {k}, {name}_b, lifted, next);
     {name}_matvec({n}, {p}, {name}_l, error, next);
-    for (int i = 0; i < {n}; ++i) state->xh[i] = next[i];
+    if (as_asked) {name}_matvec({n}, {p}, {name}_e, measured, next);
+    for (int i = 0; i < {n}; ++i) state->x[i] = next[i];
 }}
 
 static inline void {name}_step({name}_state *state, const double y[{p}], double u[{m}]) {{

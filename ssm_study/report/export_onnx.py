@@ -87,5 +87,11 @@ def _cell(c: PortableController) -> _Graph:
     predicted = g.map(c.s_out, g.total(g.times("state", c.c), g.times(lifted, c.d)))
     measured = g.apply("Div", g.apply("Sub", "y", g.constant(c.output_equilibrium)), g.constant(c.output_scale))
     innovation = g.apply("Sub", predicted, measured)
-    g.total(g.times("state", c.a), g.times(lifted, c.b), g.times(innovation, c.l), output="next_state")
+    g.total(
+        g.times("state", c.a),
+        g.times(lifted, c.b),
+        g.times(innovation, c.l),
+        g.times(measured, c.e),
+        output="next_state",
+    )
     return g

@@ -34,9 +34,10 @@ class PortableMap:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """`u = u_eq + s_u K xh;  xh+ = A xh + B S_u(v) + L (S_y(C xh + D S_u(v)) - (y - y_eq)/s_y),  v = (u - u_eq)/s_u`.
+    """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u - u_eq)/s_u`.
 
-    Physical `u (m,)`, `y (p,)`; `xh (n,)` is the model's scaled state. `xh` starts at zero: the equilibrium.
+    `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the equilibrium: the estimate
+    of the model's scaled state and, with integral action, the integrators `z+ = z + w` below it (`E` is zero without).
     """
 
     a: Float[np.ndarray, "n n"]
@@ -45,6 +46,7 @@ class PortableController:
     d: Float[np.ndarray, "q k"]
     k: Float[np.ndarray, "m n"]
     l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
+    e: Float[np.ndarray, "n p"]
     s_in: PortableMap
     s_out: PortableMap
     input_scale: Float[np.ndarray, "m"]
@@ -54,24 +56,12 @@ class PortableController:
     step_s: float
 
     def to_json(self) -> dict[str, Any]:
-        arrays = (
-            "a",
-            "b",
-            "c",
-            "d",
-            "k",
-            "l",
-            "input_scale",
-            "output_scale",
-            "input_equilibrium",
-            "output_equilibrium",
-        )
         maps = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
-        return {name: getattr(self, name).tolist() for name in arrays} | maps | {"step_s": self.step_s}
+        return {name: getattr(self, name).tolist() for name in ARRAYS} | maps | {"step_s": self.step_s}
 
 
 SCALES = ("input_scale", "output_scale", "input_equilibrium", "output_equilibrium")
-ARRAYS = ("a", "b", "c", "d", "k", "l", *SCALES)
+ARRAYS = ("a", "b", "c", "d", "k", "l", "e", *SCALES)
 
 
 def portable_map(scaffold: Scaffold) -> PortableMap:
@@ -115,16 +105,19 @@ def portable(model: SSM, design: Design) -> PortableController:
         raise BadRequest("certificate.state_feedback", "infeasible", feedback.reason.rstrip("."), "export another run")
     if isinstance(observer, Infeasible):
         raise BadRequest("certificate.observer", "infeasible", observer.reason.rstrip("."), "export another run")
-    fits = feedback.k.shape[1] == model.order == observer.l.shape[0]
+    n, p = model.order, len(model.output_scale)
+    fits = feedback.k.shape[1] in (n, n + p) and observer.l.shape[0] == n
     require(fits, "certificate", feedback.k.shape, f"the model has order {model.order}", "export the run as stored")
-    linear = model.linear
+    linear, added = model.linear, feedback.k.shape[1] - n
+    below = np.zeros((added, max(p, linear.b.shape[1])))
     return PortableController(
-        a=linear.a,
-        b=linear.b,
-        c=linear.c,
+        a=np.block([[linear.a, np.zeros((n, added))], [np.zeros((added, n)), np.eye(added)]]),
+        b=np.vstack([linear.b, below[:, : linear.b.shape[1]]]),
+        c=np.hstack([linear.c, np.zeros((len(linear.c), added))]),
         d=linear.d,
         k=feedback.k,
-        l=observer.l,
+        l=np.vstack([observer.l, below[:, :p]]),
+        e=np.vstack([np.zeros((n, p)), np.eye(p)[:added]]),
         s_in=portable_map(model.scaffold_in),
         s_out=portable_map(model.scaffold_out),
         **{name: getattr(model, name) for name in SCALES},

@@ -10,6 +10,7 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
 from ssm_study.models.identified import SSM
+from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest
 from ssm_study.report.columns import text
 from ssm_study.report.trajectories import (
@@ -43,8 +44,10 @@ class RunFolder:
 
     @cached_property
     def model(self) -> SSM | None:
+        """None for a baseline too: it is identified and scored, but nothing can be certified of it."""
         data = self._json("model.json")
-        return None if data is None else SSM.from_json(data)
+        found = None if data is None else model_from_json(data)
+        return found if isinstance(found, SSM) else None
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -103,6 +106,13 @@ class Study:
         if not path.is_file():
             raise BadRequest("study", self.folder, "it has no runs.parquet", "run `ssm-study gather` on it first")
         return pd.read_parquet(path)
+
+    @cached_property
+    def comparison(self) -> pd.DataFrame:
+        """The tables of controllers and situations that runs left beside their records, one below the other."""
+        names = [name for name in text(self.table, "run") if name and (self.folder / name / "comparison.csv").is_file()]
+        tables = [pd.read_csv(self.folder / name / "comparison.csv").assign(run=name) for name in names]
+        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     def run(self, name: str) -> RunFolder:
         return RunFolder(path=self.folder / name)

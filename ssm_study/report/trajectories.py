@@ -67,8 +67,8 @@ class Excitation:
 
 
 def read_validation(path: Path) -> Validation:
-    """Topics `/input`, `/measured`, `/simulated`."""
-    (topics,) = _by_case(path).values()
+    """Topics `/input`, `/measured`, `/simulated`; of several records (`/record_0/input`, ...) the first."""
+    _, topics = min(_by_case(path).items())
     u, y, simulated = (_topic(topics, name, path) for name in ("input", "measured", "simulated"))
     return Validation(
         time_s=y.time_s,

@@ -30,18 +30,19 @@ def figure(model: SSM, certificate: Mapping[str, Any]) -> Figure:
     feedback, observer = certificate.get("state_feedback") or {}, certificate.get("observer") or {}
     if "k" in feedback:
         metric = np.linalg.inv(np.array(feedback["p"]))  # the dual form: M = P^-1
-        _panel(
-            control, distances(controlled(model, np.array(feedback["k"])), metric), feedback["rate"], "State feedback"
-        )
+        a, b, k = (np.array(feedback[name]) for name in ("a", "b", "k"))
+        _panel(control, distances(controlled(model, a, b, k), metric), feedback["rate"], "State feedback")
     if "l" in observer:
         step = observed(model, np.array(observer["l"]))
         _panel(observe, distances(step, np.array(observer["q"])), observer["rate"], "Observer error")
     return fig
 
 
-def controlled(model: SSM, k: Float[np.ndarray, "m n"]) -> Step:
-    """`x+ = A x + B S_u(K x)` in scaled units."""
-    return lambda x: model.advance(x, model.scaffold_in(x @ k.T))
+def controlled(
+    model: SSM, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"], k: Float[np.ndarray, "m n"]
+) -> Step:
+    """`x+ = A x + B S_u(K x)` in scaled units, with the matrices that were certified (integrators among them)."""
+    return lambda x: x @ a.T + model.scaffold_in(x @ k.T) @ b.T
 
 
 def observed(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter

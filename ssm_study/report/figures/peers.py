@@ -1,5 +1,5 @@
-"""The ways to a controller beside each other: share of initial conditions settled, settling time relative to the plant
-left alone, and peak input, per synthesis method (one dot per run, bar at the median)."""
+"""The ways to a controller beside each other: share of starts settled, settling time relative to the plant left alone,
+and peak input (one dot per run, bar at the median). From the runs' own comparisons where they made one."""
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -12,11 +12,14 @@ from ssm_study.report.verdict import counts
 
 
 def draw(study: Study) -> Figure:
-    return figure(study.table)
+    compared = study.comparison
+    if "controller" not in compared:
+        return figure(study.table, text(study.table, "synthesis_method"))
+    nominal = compared[text(compared, "situation") == "nominal"]
+    return figure(nominal, text(nominal, "controller"))
 
 
-def figure(table: pd.DataFrame) -> Figure:
-    method = text(table, "synthesis_method")
+def figure(table: pd.DataFrame, method: pd.Series) -> Figure:
     ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
     panels = [
         (column(table, "stable_fraction"), words("stable_fraction"), (-0.05, 1.05)),
@@ -26,12 +29,12 @@ def figure(table: pd.DataFrame) -> Figure:
     known = method.ne("") & pd.concat([values for values, _, _ in panels], axis=1).notna().any(axis=1)
     if not known.any():
         return style.message(f"No run reached the closed loop.\n{counts(table)}", style.PAGE_IN)
-    methods = sorted(method[known].unique())
-    fig = style.canvas(style.PAGE_IN, 1.1 + 0.25 * len(methods))
+    methods = list(dict.fromkeys(method[known]))  # in the order of the table, which tells a story
+    fig = style.canvas(style.PAGE_IN, 0.9 + 0.2 * len(methods))
     for axes, (values, label, limits) in zip(fig.subplots(1, 3, sharey=True), panels, strict=True):
         _dots(axes, method, values, methods)
         axes.set(xlabel=label, xlim=limits, ylim=(len(methods) - 0.5, -0.5))
-        axes.set_yticks(range(len(methods)), methods)
+        axes.set_yticks(range(len(methods)), [name.replace("_", " ") for name in methods])
         axes.grid(axis="y", visible=False)
     return fig
 
