@@ -157,11 +157,12 @@ def _parser() -> argparse.ArgumentParser:
     gather = commands.add_parser("gather", help="(re)build runs.parquet and runs.csv of a study folder")
     show = commands.add_parser("show", help="print the study's table, best first; failures with reasons")
     verify = commands.add_parser("verify", help="re-derive every claim of a run from its files alone")
+    reproduce = commands.add_parser("reproduce", help="do a run again from its configuration and compare every number")
     export = commands.add_parser("export", help="the controller for use elsewhere: C, ONNX, python-control")
     report = commands.add_parser("report", help="figures and the report page of a study")
     for command in (gather, show, report):
         command.add_argument("study", type=Path, metavar="STUDY", help="the study folder, e.g. results/paper")
-    for command in (verify, export):
+    for command in (verify, reproduce, export):
         command.add_argument("run", type=Path, metavar="RUN", help="the run folder, e.g. results/paper/<run>")
     show.add_argument("--by", metavar="COLUMN", help="sort by this column, in its better direction")
     show.add_argument(
@@ -172,7 +173,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     export.add_argument("--to", type=Path, required=True, metavar="DIR", help="the folder to write into")
     report.add_argument("--only", action="append", metavar="NAME", help="draw only this figure (may be repeated)")
-    for command, action in ((gather, _gather), (show, _show), (verify, _verify), (export, _export), (report, _report)):
+    actions = {gather: _gather, show: _show, verify: _verify, reproduce: _reproduce, export: _export, report: _report}
+    for command, action in actions.items():
         command.set_defaults(command=action)
     return parser
 
@@ -198,6 +200,15 @@ def _verify(options: argparse.Namespace) -> int:
     for finding in findings:
         print(finding)
     return DONE if all(finding.holds for finding in findings) else SOME_FAILED
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from ssm_study import study
+    from ssm_study.results.reproduce import reproduce
+
+    again = reproduce(options.run, study.job)
+    print("\n".join(again.lines()))
+    return DONE if again.holds() else SOME_FAILED
 
 
 def _export(options: argparse.Namespace) -> int:

@@ -27,7 +27,7 @@ def benchmark_data() -> Path:
 
 @pytest.fixture(scope="session")
 def smoke_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers of a test session: read only."""
+    """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers: read only."""
     from filelock import FileLock
 
     from ssm_study.cli import main

@@ -28,6 +28,7 @@ from ssm_study.results.store import intact_manifest
 from ssm_study.signals import fit_percent
 from ssm_study.synthesis import exact
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.synthesis.integral import controlled_system
 from ssm_study.systems import JacobianBall
 
 FLOAT_AGREEMENT = 1e-9
@@ -114,10 +115,11 @@ def _decide(part: StateFeedback | Observer | Infeasible, model: SSM, ball: Jacob
         return False, "infeasible: no certificate is claimed"
     if not _covers(part, ball):
         return False, f"the ball [{part.alpha - part.beta}, {part.alpha + part.beta}] misses slopes of the scaffolding"
-    if not np.array_equal(part.a, model.linear.a):
+    linear = controlled_system(model, part.k) if isinstance(part, StateFeedback) else model.linear
+    if not np.array_equal(part.a, linear.a):
         return False, "a is not the model's"
     if isinstance(part, StateFeedback):
-        if not np.array_equal(part.b, model.linear.b):
+        if not np.array_equal(part.b, linear.b):
             return False, "b is not the model's"
         if not np.array_equal(part.x, exact.exact_product(part.k, part.y)):
             return False, "x is not k y"

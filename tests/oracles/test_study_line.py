@@ -1,4 +1,4 @@
-"""The line as a user runs it: one run, its files, its verification, its sweep; computed once, kept whole, never overwritten."""
+"""The line as a user runs it: one run, its files, its verification, a sweep; computed once, kept whole."""
 
 import json
 import shutil

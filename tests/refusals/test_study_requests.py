@@ -70,7 +70,7 @@ EXCITED = np.sign(np.sin(37.0 * TIME)) * (1 + np.cos(5 * TIME))
 ANSWER = np.cumsum(EXCITED) * 0.01
 MALFORMED = {
     "wrong columns": {"time": TIME, "voltage": EXCITED, "speed": ANSWER},
-    "NaN": {"time": TIME, "u": EXCITED, "y": np.where(TIME == TIME[77], np.nan, ANSWER)},
+    "NaN": {"time": TIME, "u": EXCITED, "y": np.where(TIME[77] == TIME, np.nan, ANSWER)},
     "non-uniform sampling": {"time": TIME + (TIME > 2) * 0.007, "u": EXCITED, "y": ANSWER},
     "constant input": {"time": TIME, "u": np.ones(400), "y": ANSWER},
 }
