@@ -6,12 +6,14 @@ from typing import Any
 
 import lightning.pytorch as pl
 import torch
+from jaxtyping import Float
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
+from torch.func import functional_call
 
 from ssm_study.models.torch_ssm import TorchSSM
 from ssm_study.training.objective import Records, fit_of_loss
-from ssm_study.training.optimisers import Adam, OptimiserSpec
+from ssm_study.training.optimisers import Adam, Levenberg, OptimiserSpec
 from ssm_study.training.penalties import Penalties
 
 
@@ -35,11 +37,28 @@ class Fit(pl.LightningModule):
         states = torch.zeros(len(training.u), estimated_states, dtype=torch.float64)
         self.x0 = nn.Parameter(states) if estimated_states else None
         self.last_loss = math.inf
+        self.automatic_optimization = not isinstance(optimiser, Levenberg)
 
-    def training_step(self, batch: Any, batch_idx: int) -> Tensor:  # noqa: ARG002 - the records are the batch
+    def training_step(self, batch: Any, batch_idx: int) -> Tensor | None:  # noqa: ARG002 - the records are the batch
+        if not self.automatic_optimization:
+            self._squares_step()
+            return None
         loss = self.training_records.loss(self.training_records.simulate(self.model, self.x0))
         self.last_loss = float(loss.detach())
         return loss + self._penalty()
+
+    def _squares_step(self) -> None:
+        """One step of an optimiser that works on the residuals themselves."""
+        wrapped: Any = self.optimizers()
+        wrapped.optimizer.residual = self.residual
+        self.last_loss = wrapped.step()
+
+    def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
+        """`sqrt(weight) (y_hat - y)` as a function of all trainable parameters, one after the other."""
+        named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
+        parts = flat.split([p.numel() for _, p in named])
+        values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
+        return functional_call(_Residual(self), {f"fit.{name}": value for name, value in values.items()}, ())
 
     def _penalty(self) -> Tensor:
         """What is added to the squared error: see `Penalties`."""
@@ -57,6 +76,19 @@ class Fit(pl.LightningModule):
         if isinstance(self.optimiser, Adam):
             return {"optimizer": optimiser, "lr_scheduler": self.optimiser.schedule(optimiser, self.max_epochs)}
         return optimiser
+
+
+class _Residual(nn.Module):
+    """The residuals as a module, so that `functional_call` can put other parameters in."""
+
+    def __init__(self, fit: Fit) -> None:
+        super().__init__()
+        self.fit = fit
+
+    def forward(self) -> Float[Tensor, "N"]:
+        records = self.fit.training_records
+        error = records.simulate(self.fit.model, self.fit.x0) - records.y
+        return (torch.sqrt(records.weight) * error).flatten()
 
 
 class Keeper(Callback):

@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from ssm_study.refusal import require
+from ssm_study.training.levenberg import LevenbergMarquardt
 
 
 class OptimiserSpec(ABC):
@@ -39,6 +40,25 @@ class Lbfgs(OptimiserSpec):
             tolerance_grad=0.0,
             tolerance_change=0.0,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Levenberg(OptimiserSpec):
+    """Levenberg-Marquardt; one epoch is `steps_per_epoch` steps. Penalties are left out: it sees the error alone."""
+
+    steps_per_epoch: int
+    damping: float
+    longest_step: float
+
+    def __post_init__(self) -> None:
+        _check_steps(self.steps_per_epoch)
+        for name in ("damping", "longest_step"):
+            value = getattr(self, name)
+            require(0 < value < math.inf, f"optimiser.{name}", value, "must be positive", "use 0.01 and 0.5")
+
+    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - no schedule
+        named = [(name, p) for name, p in model.named_parameters() if p.requires_grad]
+        return LevenbergMarquardt(named, self.damping, self.longest_step)
 
 
 @dataclass(frozen=True, kw_only=True)

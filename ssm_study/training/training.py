@@ -22,7 +22,7 @@ from ssm_study.training.checkpoint import DurableCheckpointIO
 from ssm_study.training.fit import Fit, Keeper
 from ssm_study.training.identification import Identification, mean_fit
 from ssm_study.training.objective import Records
-from ssm_study.training.optimisers import OptimiserSpec, trainable
+from ssm_study.training.optimisers import Levenberg, OptimiserSpec, trainable
 from ssm_study.training.penalties import Penalties
 from ssm_study.training.progress import Curve, Line
 from ssm_study.training.saving import BEST, Saver, fingerprint, load_state, resumable, write_best
@@ -87,7 +87,8 @@ class Training:
     def _fit(self, model: TorchModel, data: DataSet) -> Fit:
         moving = data.start_up_samples > 0 if self.initial_state == "auto" else self.initial_state == "estimated"
         states = model.states if moving else 0
-        records = Records(data.training, data), Records(data.validation, data)
+        sorts = not isinstance(self.optimiser, Levenberg)  # which differentiates forward
+        records = Records(data.training, data, sorts), Records(data.validation, data)
         penalties = Penalties(roughness_weight=self.roughness_weight, hankel_weight=self.hankel_weight)
         return Fit(model, *records, self.optimiser, self.max_epochs, states, penalties)
 
@@ -154,7 +155,7 @@ def polish(fit: Fit) -> None:
 
     def closure() -> float:
         optimiser.zero_grad()
-        loss = fit.training_step(None, 0)
+        loss = fit.training_records.loss(fit.training_records.simulate(fit.model, fit.x0)) + fit._penalty()
         loss.backward()
         return float(loss.detach())
 
