@@ -29,7 +29,7 @@ STUDY = "reading_a_sweep"
 SWEEP = [
     "model.slope_lower=0.01,0.2",
     "synthesis=riccati",
-    "synthesis.rate_controller=0.1,0.3,0.6",
+    "synthesis.rate_controller=0.1,0.6",
     "synthesis.rate_observer=0.2",
 ]
 _ = main(
@@ -37,7 +37,7 @@ _ = main(
 )
 
 # %% [markdown]
-# Six runs, but only two trainings: a rate is asked of a model that exists already. The table has a row per run,
+# Four runs, but only two trainings: a rate is asked of a model that exists already. The table has a row per run,
 # **failed and infeasible ones included**, and missing numbers are missing, never zero.
 
 # %%

@@ -92,7 +92,7 @@ def _feasibility(table: pd.DataFrame) -> tuple[str, ...]:
     ]
     missed = known & ~beyond & ~certified
     if missed.any():
-        sentences.append(f"{int(missed.sum())} requests inside it got no certificate: there the method fell short.")
+        sentences.append(f"Inside it, {int(missed.sum())} got no certificate: there the method fell short.")
     return tuple(sentences)
 
 

@@ -134,7 +134,7 @@ def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
         found.append(alt.Chart().mark_rule(strokeDash=[4, 3], color=style.GREY).encode(y=alt.datum(height)))
     if panel.tick_column:
         tick = alt.Chart(alt.NamedData("ticks")).mark_tick(
-            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.5
+            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8
         )
         x, y = alt.X(f"{panel.x}:Q"), alt.Y(f"{panel.tick_column}:Q")
         found.append(tick.encode(x=x, y=y, tooltip=[_tooltip(panel.tick_column)]))

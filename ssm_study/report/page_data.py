@@ -82,7 +82,13 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
     loop, record, band = run.closed_loop, run.validation, run.settling_band
     if loop is not None:
         shown = slice(0, int(np.searchsorted(loop.time_s, loop.rest_s(band))) + 1)
-        found["loop"] = {"step_s": loop.step_s, "band": band, "input": loop.input_label, "output": loop.output_label}
+        found["loop"] = {
+            "step_s": loop.step_s,
+            "band": band,
+            "goal": float(loop.reference[-1, 0]),
+            "input": loop.input_label,
+            "output": loop.output_label,
+        }
         found["loop"] |= {"y": packed(loop.y[:, shown, 0]), "u": packed(loop.u[:, shown, 0])}
         if loop.uncontrolled is not None:
             found["loop"]["alone"] = packed(loop.uncontrolled[:, shown, 0])

@@ -63,13 +63,13 @@ function lines(packed, step_s, kind) {
   return unpack(packed).flatMap((values, n) => values.map((value, k) => ({ t: k * step_s, value, case: n, kind })));
 }
 
-function chartOf(content, title, rows, { x = "Time (s)", y, kinds, band }) {
+function chartOf(content, title, rows, { y, kinds, band, goal = 0, held = false }) {
   const colour = kinds ? { field: "kind", type: "nominal", title: null, scale: { domain: kinds, range: ["#6b6b6b", "#0072b2"] }, legend: { orient: "top" } }
     : { field: "case", type: "ordinal", legend: null, scale: { scheme: "viridis" } };
-  const line = { mark: { type: "line", strokeWidth: 1.3, interpolate: "linear" }, encoding: {
-    x: { field: "t", type: "quantitative", title: x }, y: { field: "value", type: "quantitative", title: y }, color: colour,
+  const line = { mark: { type: "line", strokeWidth: 1.3, interpolate: held ? "step-after" : "linear" }, encoding: {
+    x: { field: "t", type: "quantitative", title: "Time (s)" }, y: { field: "value", type: "quantitative", title: y }, color: colour,
     detail: { field: "case" } } };
-  const layer = band ? [{ mark: { type: "rect", color: "#d9d9d9" }, encoding: { y: { datum: -band }, y2: { datum: band } } }, line] : [line];
+  const layer = band ? [{ mark: { type: "rect", color: "#d9d9d9" }, encoding: { y: { datum: goal - band }, y2: { datum: goal + band } } }, line] : [line];
   const chart = element("div", { class: "chart" });
   content.append(element("figure", {}, element("figcaption", {}, title), chart));
   const spec = { $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150, data: { values: rows }, layer,
@@ -80,9 +80,9 @@ function chartOf(content, title, rows, { x = "Time (s)", y, kinds, band }) {
 function drawTrajectories(content, found) {
   if (found.loop) {
     const { loop } = found;
-    chartOf(content, "Controlled", lines(loop.y, loop.step_s), { y: loop.output, band: loop.band });
-    if (loop.alone) chartOf(content, "Left alone from the same starts", lines(loop.alone, loop.step_s), { y: loop.output, band: loop.band });
-    chartOf(content, "Input of the controlled runs", lines(loop.u, loop.step_s), { y: loop.input });
+    chartOf(content, "Controlled", lines(loop.y, loop.step_s), { y: loop.output, band: loop.band, goal: loop.goal });
+    if (loop.alone) chartOf(content, "Left alone from the same starts", lines(loop.alone, loop.step_s), { y: loop.output, band: loop.band, goal: loop.goal });
+    chartOf(content, "Input of the controlled runs", lines(loop.u, loop.step_s), { y: loop.input, held: true });
   }
   if (found.validation) {
     const { validation } = found;
