@@ -12,9 +12,11 @@ from ssm_study.signals import DataSet
 
 SMALL = ("trajectories=3", "samples=200", "validation_samples=150", "test_samples=100")
 
+TINY = ("trajectories=2", "samples=60", "validation_samples=40", "test_samples=40")
 
-def built(seed: int = 0, plant: str = "dc_motor", excitation: str = "aprbs") -> DataSet:
-    return from_yaml("data", "simulated", *SMALL).build(
+
+def built(seed: int = 0, plant: str = "dc_motor", excitation: str = "aprbs", sizes: tuple[str, ...] = SMALL) -> DataSet:
+    return from_yaml("data", "simulated", *sizes).build(
         from_yaml("plant", plant), from_yaml("excitation", excitation), seed
     )
 
@@ -50,7 +52,7 @@ def test_scales_are_pure_gains_about_the_equilibrium() -> None:
 @pytest.mark.parametrize("plant", choices("plant"))
 @pytest.mark.parametrize("excitation", choices("excitation"))
 def test_every_plant_takes_every_excitation(plant: str, excitation: str) -> None:
-    data = built(plant=plant, excitation=excitation)
+    data = built(plant=plant, excitation=excitation, sizes=TINY)
     assert np.isfinite(data.output_scale).all()
     assert (data.output_scale > 0).all()
 

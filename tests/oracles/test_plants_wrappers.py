@@ -77,10 +77,10 @@ def test_noise_repeats_with_its_seed_even_while_the_motor_rests() -> None:
 
 def test_two_outputs_get_noise_of_their_own() -> None:
     tank = from_yaml("plant", "quadruple_tank")
-    y = NoisyOutput(plant=tank, seed=0).simulate(np.tile(tank.equilibrium().u, (1, 500, 1)))[1][0]
+    y = NoisyOutput(plant=tank, seed=0).simulate(np.tile(tank.equilibrium().u, (1, 300, 1)))[1][0]
     e = y - tank.equilibrium().y
-    np.testing.assert_allclose(e.var(axis=0), tank.noise_variance, rtol=6 * np.sqrt(2 / 500))
-    assert abs(np.corrcoef(e.T)[0, 1]) < 6 / np.sqrt(500)
+    np.testing.assert_allclose(e.var(axis=0), tank.noise_variance, rtol=6 * np.sqrt(2 / 300))
+    assert abs(np.corrcoef(e.T)[0, 1]) < 6 / np.sqrt(300)
 
 
 @pytest.mark.parametrize(
