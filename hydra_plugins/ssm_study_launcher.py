@@ -19,7 +19,9 @@ class ProcessesConf:
     n_jobs: int | None = None  # null: as many as the cores allow
     threads: int = 1  # per job; n_jobs * threads may not exceed the cores
     timeout_s: float | None = None  # a job that takes longer is stopped and recorded as failed; null: never
-    preload: list[str] = field(default_factory=lambda: ["torch", "lightning", "ssm_study.study"])
+    preload: list[str] = field(
+        default_factory=lambda: ["torch", "lightning", "ssm_study.study", "ssm_study.results.warm"]
+    )
 
 
 ConfigStore.instance().store(group="hydra/launcher", name="processes", node=ProcessesConf, provider="ssm-study")
