@@ -88,10 +88,10 @@ class StudyCallback(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
-        from ssm_study.results.request import check_sweep
+        from ssm_study.results.request import check_sweep, watch_sweep
 
         if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
-            _refusing(lambda: check_sweep(config, study.job))
+            _refusing(lambda: watch_sweep(check_sweep(config, study.job)))
 
     def on_run_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study

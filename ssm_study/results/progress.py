@@ -1,14 +1,21 @@
 """One line over the whole sweep: runs done, failed, infeasible, time left."""
 
+import atexit
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from threading import Event, Thread
 from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from ssm_study.results.records import FAILED, INFEASIBLE, OK, RUNNING, read_record
+
+SETTLED = (OK, INFEASIBLE, FAILED)
 QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the end
 
 
@@ -63,3 +70,35 @@ class Progress:
         elif time.monotonic() - self.spoken > QUIET_S:
             self.spoken = time.monotonic()
             print(self.line(), file=sys.stderr, flush=True)
+
+
+class Watch(Thread):
+    """The same line for launchers that know nothing of it (basic, Slurm, Ray), read from the run folders."""
+
+    def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
+        super().__init__(daemon=True)
+        self.folders, self.every_s, self.over = list(dict.fromkeys(folders)), every_s, Event()
+        self.there_before = {folder for folder in self.folders if self._status(folder) in SETTLED}
+        atexit.register(self.finish)
+
+    def run(self) -> None:
+        with Progress(total=len(self.folders)) as progress:
+            progress.reused = len(self.there_before)
+            while not self.over.wait(self.every_s):
+                self._look(progress)
+            self._look(progress)
+
+    def finish(self) -> None:
+        """Look a last time, say the last line, and stop."""
+        self.over.set()
+        if self.is_alive():
+            self.join(timeout=30)
+
+    def _look(self, progress: Progress) -> None:
+        statuses = [self._status(folder) for folder in self.folders]
+        progress.counts = Counter(status for status in statuses if status in SETTLED)
+        progress.tick(running=statuses.count(RUNNING))
+
+    def _status(self, folder: Path) -> str:
+        record = read_record(folder)
+        return "absent" if record is None else str(record["status"])

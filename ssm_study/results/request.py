@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.compose import Composer
+from ssm_study.results.progress import Watch
 from ssm_study.results.sweep import Job, check_all, job_of
 
 OPTIONS = {"--dry-run": ("hydra/launcher=processes", "dry_run=true"), "--retry-failed": ("retry_failed=true",)}
@@ -64,6 +65,12 @@ def check_sweep(config: DictConfig, task_function: TaskFunction) -> list[Job]:
     jobs = [job_of(composer, overrides, number) for number, overrides in enumerate(combinations(words))]
     check_all(task_function, jobs)
     return jobs
+
+
+def watch_sweep(jobs: list[Job]) -> None:
+    """Say how far the sweep is, until this process ends; for launchers that do not say it themselves."""
+    if jobs:
+        Watch([job.folder for job in jobs]).start()
 
 
 def combinations(words: list[str]) -> list[list[str]]:

@@ -1,0 +1,34 @@
+"""One line says how far a sweep is, whoever runs it."""
+
+from pathlib import Path
+
+import pytest
+
+from ssm_study.results.progress import Progress, Watch
+from ssm_study.results.records import write_record
+
+
+def test_the_line_counts_and_foresees(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress(total=10) as progress:
+        assert progress.seconds_left() is None
+        for status, reused in (("ok", True), ("ok", False), ("infeasible", False), ("failed", False)):
+            progress.done(status, reused)
+        progress.tick(running=2)
+        progress.started -= 30.0  # three fresh runs in half a minute, six to go
+        assert progress.seconds_left() == pytest.approx(60, abs=1)
+        assert progress.line() == "4/10 runs: 2 ok, 1 infeasible, 1 failed; 1 there before; 2 running; 1:00 left"
+    assert "4/10 runs" in capsys.readouterr().err
+
+
+def test_a_watch_reads_the_run_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folders = [tmp_path / name for name in "abcd"]
+    for folder in folders[:2]:
+        folder.mkdir()
+    write_record(folders[0], {"status": "ok"})
+    write_record(folders[1], {"status": "running"})
+    watch = Watch([*folders, folders[0]], every_s=0.01)
+    watch.start()
+    write_record(folders[1], {"status": "failed"})
+    watch.finish()
+    assert not watch.is_alive()
+    assert "2/4 runs: 1 ok, 0 infeasible, 1 failed; 1 there before" in capsys.readouterr().err
