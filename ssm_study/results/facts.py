@@ -3,7 +3,8 @@
 from typing import Any
 
 from ssm_study.bounds.hankel import hankel_singular_values
-from ssm_study.bounds.scaffolds import jacobian_ball
+from ssm_study.bounds.local import local_controllability, local_observability
+from ssm_study.bounds.scaffolds import certified_balls, jacobian_ball
 from ssm_study.data.coverage import input_coverage, persistency_order, warn_if_two_level
 from ssm_study.data.scores import benchmark_rmse
 from ssm_study.models.free_run import free_run
@@ -35,6 +36,7 @@ def model_facts(model: SSM, identified: SSM, data: DataSet) -> Facts:
         "fit_test_before_reduction_percent": mean_fit(identified, data.test, data),
         **linear_facts(model),
         **slope_facts(model),
+        **local_facts(model),
     }
 
 
@@ -68,6 +70,19 @@ def rmse_over(model: Simulator, records: tuple[Trajectory, ...], start_up_sample
         for r in records
     ]
     return float((sum(n * s for n, s in squares) / sum(n for n, _ in squares)) ** 0.5)
+
+
+def local_facts(model: SSM) -> Facts:
+    """Local controllability and observability along any trajectory, with the paper's bounds on the Gramians."""
+    balls = certified_balls(model)
+    facts: Facts = {}
+    for name, local in (
+        ("controllability", local_controllability(model.linear, balls[0])),
+        ("observability", local_observability(model.linear, balls[1])),
+    ):
+        facts |= {f"local_{name}": local.holds, f"{name}_gramian_lower": local.lower}
+        facts |= {f"{name}_gramian_upper": local.upper}
+    return facts
 
 
 def slope_facts(model: SSM) -> Facts:
