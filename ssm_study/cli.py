@@ -160,7 +160,8 @@ def _parser() -> argparse.ArgumentParser:
     reproduce = commands.add_parser("reproduce", help="do a run again from its configuration and compare every number")
     export = commands.add_parser("export", help="the controller for use elsewhere: C, ONNX, python-control")
     report = commands.add_parser("report", help="figures and the report page of a study")
-    for command in (gather, show, report):
+    mlflow = commands.add_parser("export-mlflow", help="write a finished study into an MLflow store (extra mlflow)")
+    for command in (gather, show, report, mlflow):
         command.add_argument("study", type=Path, metavar="STUDY", help="the study folder, e.g. results/paper")
     for command in (verify, reproduce, export):
         command.add_argument("run", type=Path, metavar="RUN", help="the run folder, e.g. results/paper/<run>")
@@ -173,7 +174,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     export.add_argument("--to", type=Path, required=True, metavar="DIR", help="the folder to write into")
     report.add_argument("--only", action="append", metavar="NAME", help="draw only this figure (may be repeated)")
+    mlflow.add_argument("--store", metavar="ADDRESS", help="tracking address (default: sqlite:///STUDY/mlflow.db)")
     actions = {gather: _gather, show: _show, verify: _verify, reproduce: _reproduce, export: _export, report: _report}
+    actions |= {mlflow: _export_mlflow}
     for command, action in actions.items():
         command.set_defaults(command=action)
     return parser
@@ -216,6 +219,13 @@ def _export(options: argparse.Namespace) -> int:
 
     for path in export(options.run, options.to):
         print(path)
+    return DONE
+
+
+def _export_mlflow(options: argparse.Namespace) -> int:
+    from ssm_study.results.mlflow_export import export_mlflow
+
+    print(f"{export_mlflow(options.study, options.store)} runs written")
     return DONE
 
 
