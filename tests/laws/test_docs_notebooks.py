@@ -26,8 +26,8 @@ def test_it_runs(path: Path, results: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("SSM_STUDY_RESULTS", str(results))
     notebook = jupytext.read(path)
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute(cwd=str(ROOT))
-    assert pictures(notebook) >= 1
-    assert "Traceback" not in text(notebook)
+    assert pictures(notebook) >= 1, text(notebook)
+    assert "Traceback" not in text(notebook), text(notebook)
 
 
 def pictures(notebook: Any) -> int:
