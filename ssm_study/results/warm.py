@@ -4,9 +4,15 @@ The code versions are those of the modules as they are in memory now: a file edi
 what its jobs compute nor the keys under which they keep it.
 """
 
+import importlib
+import pkgutil
+from contextlib import suppress
 from pathlib import Path
 
+from hydra.core.plugins import Plugins
+
 import ssm_study
+from ssm_study.results.allow_list import ROOMS
 from ssm_study.results.keys import code_version
 from ssm_study.results.provenance import LIBRARIES, provenance
 
@@ -20,6 +26,17 @@ def rooms() -> list[str]:
     return [".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in known]
 
 
+def load_specifications() -> None:
+    """Import every module of the rooms that configurations name; those whose extra is missing are left out."""
+    for room in ROOMS:
+        package = importlib.import_module(f"{ssm_study.__name__}.{room}")
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            with suppress(ImportError):
+                importlib.import_module(module.name)
+
+
+load_specifications()
+Plugins.instance()
 for _name in (*rooms(), *LIBRARIES):
     code_version(_name)
 provenance()
