@@ -1,7 +1,7 @@
 """What `conf/model/ssm.yaml` says, and how it becomes a trainable model."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,10 @@ class SSMSpec(ModelSpec):
         scaffold_in, scaffold_out = self.scaffold_in.build(frames[0], rng), self.scaffold_out.build(frames[1], rng)
         lru = LRU(self._start(records, rng), self.feedthrough)
         return TorchSSM(scaffold_in, lru, scaffold_out)
+
+    def draw_start(self) -> "SSMSpec":
+        """The same model started from random modes: what a further start of a multistart begins with."""
+        return replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
 
     def _start(self, records: list[tuple[np.ndarray, np.ndarray]], rng: np.random.Generator) -> Start:
         if self.start == "data":

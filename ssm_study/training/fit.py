@@ -43,9 +43,10 @@ class Fit(pl.LightningModule):
         if not self.automatic_optimization:
             self._squares_step()
             return None
-        loss = self.training_records.loss(self.training_records.simulate(self.model, self.x0))
-        self.last_loss = float(loss.detach())
-        return loss + self._penalty()
+        y_hat = self.training_records.simulate(self.model, self.x0)
+        with torch.no_grad():
+            self.last_loss = float(self.training_records.loss(y_hat))
+        return self.training_records.objective(y_hat) + self._penalty()
 
     def _squares_step(self) -> None:
         """One step of an optimiser that works on the residuals themselves."""

@@ -22,9 +22,13 @@ class Records(nn.Module):
     u: Tensor
     y: Tensor
     weight: Tensor
+    scored: Tensor
 
-    def __init__(self, records: Sequence[Trajectory], data: DataSet, sorts: bool = True) -> None:
+    def __init__(
+        self, records: Sequence[Trajectory], data: DataSet, sorts: bool = True, integrated_share: float = 0.0
+    ) -> None:
         super().__init__()
+        self.integrated_share = integrated_share
         longest = max(len(record) for record in records)
         u = [_padded((r.u - data.input_equilibrium) / data.input_scale, longest) for r in records]
         y = [_padded((r.y - data.output_equilibrium) / data.output_scale, longest) for r in records]
@@ -34,6 +38,9 @@ class Records(nn.Module):
         spread = _spread(np.stack(y), scored)
         for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
             self.register_buffer(name, torch.from_numpy(values))
+        start, outputs = torch.from_numpy(scored), torch.from_numpy(np.stack(y))
+        self.sum_spread = float(((start * outputs).cumsum(1) * start).square().sum()) if integrated_share else 1.0
+        self.register_buffer("scored", start)
         self.lift = Lift(self.u, sorts)
 
     def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
@@ -43,7 +50,19 @@ class Records(nn.Module):
         return model(self.u) if x0 is None else model(self.u, x0)
 
     def loss(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:
+        """`sum weight |e|^2`: what the fit is made of."""
         return (self.weight * (y_hat - self.y) ** 2).sum()
+
+    def objective(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:
+        """`(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running sum of y|^2`.
+
+        The running sum is what an integrator behind the output sees: position, where y is a velocity.
+        """
+        if self.integrated_share == 0.0:
+            return self.loss(y_hat)
+        summed = (self.scored * (y_hat - self.y)).cumsum(1) * self.scored
+        drift = summed.square().sum() / self.sum_spread
+        return (1 - self.integrated_share) * self.loss(y_hat) + self.integrated_share * drift
 
 
 def fit_of_loss(loss: float) -> float:

@@ -3,7 +3,7 @@
 import logging
 import time
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -14,13 +14,14 @@ from torch.utils.data import DataLoader
 
 from ssm_study.models.baseline_solved import SolvedSpec
 from ssm_study.models.identified import Simulator
-from ssm_study.models.spec import ModelSpec
+from ssm_study.models.spec import ModelSpec, SSMSpec
 from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet
 from ssm_study.training.checkpoint import DurableCheckpointIO
 from ssm_study.training.fit import Fit, Keeper
 from ssm_study.training.identification import Identification, mean_fit
+from ssm_study.training.loggers import LoggerSpec, NoLogger
 from ssm_study.training.objective import Records
 from ssm_study.training.optimisers import Levenberg, OptimiserSpec, trainable
 from ssm_study.training.penalties import Penalties
@@ -36,8 +37,9 @@ class Training:
 
     `precision` 32 trains in float32 and polishes in float64; 64 trains in float64. `initial_state` "estimated" fits
     one initial state per training record, "auto" does so where the data set has start-up
-    samples. `validation_tolerance_percent`: see `Keeper`; the weights: see `Penalties`. `accelerator` and `devices` go
-    to Lightning.
+    samples. `validation_tolerance_percent`: see `Keeper`; the weights: see `Penalties`; `integrated_share`:
+    see `Records`. `starts` trainings from different starting points, the best validation fit is returned.
+    `accelerator`, `devices` and `logger` go to Lightning.
     """
 
     optimiser: OptimiserSpec
@@ -49,12 +51,17 @@ class Training:
     initial_state: str = "auto"
     roughness_weight: float = 0.0
     hankel_weight: float = 0.0
+    integrated_share: float = 0.0
+    starts: int = 1
+    logger: LoggerSpec = field(default_factory=NoLogger)
     checkpoint_every_s: float = 10.0
     accelerator: str = "cpu"
     devices: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("max_epochs", "patience", "devices"):
+        share = self.integrated_share
+        require(0 <= share <= 1, "training.integrated_share", share, "is a share of the loss", "use 0 to 1")
+        for name in ("max_epochs", "patience", "devices", "starts"):
             value = getattr(self, name)
             require(value >= 1, f"training.{name}", value, "must be at least one", "use a positive whole number")
         weights = ("roughness_weight", "hankel_weight")
@@ -71,6 +78,15 @@ class Training:
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
             return _scored(spec.solve(data), data, began, [], "solved without training")
+        found = [self._once(spec, data, seed, folder, progress)]
+        for start in range(1, self.starts):
+            again = spec.draw_start() if isinstance(spec, SSMSpec) else spec
+            found.append(self._once(again, data, seed + 1000 * start, folder / f"start_{start}", progress))
+        best = max(found, key=lambda one: one.fit_validation_percent)
+        return replace(best, seconds=time.perf_counter() - began)
+
+    def _once(self, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool) -> Identification:
+        began = time.perf_counter()
         belongs_to = fingerprint((spec, seed), replace(self, max_epochs=1, patience=1), data)
         net = spec.build(data, seed)
         fit = self._fit(net, data)
@@ -80,7 +96,7 @@ class Training:
             write_best(folder / BEST, keeper.kept, belongs_to)
             load_state(folder / BEST, fit)
         fit.to("cpu", torch.float64)
-        if self.precision == 32:
+        if self.precision == 32 and fit.automatic_optimization:
             polish(fit)
         return _scored(net.freeze(data), data, began, curve.rows, keeper.ended)
 
@@ -88,7 +104,8 @@ class Training:
         moving = data.start_up_samples > 0 if self.initial_state == "auto" else self.initial_state == "estimated"
         states = model.states if moving else 0
         sorts = not isinstance(self.optimiser, Levenberg)  # which differentiates forward
-        records = Records(data.training, data, sorts), Records(data.validation, data)
+        share = self.integrated_share
+        records = Records(data.training, data, sorts, share), Records(data.validation, data, sorts, share)
         penalties = Penalties(roughness_weight=self.roughness_weight, hankel_weight=self.hankel_weight)
         return Fit(model, *records, self.optimiser, self.max_epochs, states, penalties)
 
@@ -125,7 +142,8 @@ class Training:
                 callbacks=callbacks,
                 plugins=[DurableCheckpointIO()],
                 default_root_dir=folder,
-                logger=False,
+                logger=self.logger.build(folder) or False,
+                log_every_n_steps=1,
                 enable_checkpointing=False,
                 enable_progress_bar=False,
                 enable_model_summary=False,
@@ -155,7 +173,8 @@ def polish(fit: Fit) -> None:
 
     def closure() -> float:
         optimiser.zero_grad()
-        loss = fit.training_records.loss(fit.training_records.simulate(fit.model, fit.x0)) + fit._penalty()
+        loss = fit.training_step(None, 0)
+        assert loss is not None  # polish is for optimisers of a loss
         loss.backward()
         return float(loss.detach())
 

@@ -17,6 +17,7 @@ from ssm_study.models.scaffold_specs import Linear, Mlp, Monotone, Residual, Sca
 from ssm_study.models.spec import SSMSpec
 from ssm_study.signals import Trajectory
 from ssm_study.training.identification import mean_fit
+from ssm_study.training.loggers import Csv
 from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
 from ssm_study.training.training import Training
 
@@ -156,3 +157,27 @@ def test_the_hankel_penalty_drives_redundant_states_out(tmp_path: Path) -> None:
         ratios[weight] = sigma[3] / sigma[0]
         assert mean_fit(found.model, data.test, data) > 94.0
     assert ratios[3e-3] < 0.2 * ratios[0.0]
+
+
+def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:
+    """With its share on the running sum, training trades output error for position error; both are measured here."""
+    data, spec_ = data_set(noise=0.3, samples=300), spec(Linear())
+    drift = {}
+    for share in (0.0, 0.9):
+        model = training(integrated_share=share).identify(spec_, data, 0, tmp_path / str(share)).model
+        drift[share] = sum(np.square(np.cumsum(model.simulate(r.u) - r.y)).sum() for r in data.training)
+    assert drift[0.9] < drift[0.0]
+
+
+def test_the_best_of_several_starts_is_returned(tmp_path: Path) -> None:
+    data, ring = data_set(noise=0.05, samples=200), spec(start="ring", real_modes=0)
+    fits = {n: training(max_epochs=2, starts=n).identify(ring, data, 5, tmp_path / str(n)) for n in (1, 3)}
+    assert fits[3].fit_validation_percent > fits[1].fit_validation_percent
+    assert (tmp_path / "3" / "start_2" / "best.ckpt").exists()
+
+
+def test_the_curve_is_logged_on_request(tmp_path: Path) -> None:
+    training(max_epochs=3, logger=Csv()).identify(spec(), data_set(samples=100), 0, tmp_path)
+    lines = (tmp_path / "csv" / "metrics.csv").read_text().splitlines()
+    assert "fit_validation_percent" in lines[0]
+    assert len(lines) == 4
