@@ -59,7 +59,9 @@ def test_every_command_is_recognised(command: str) -> None:
 
 def composed(arguments: list[str]) -> None:
     """The configuration of the first job of the request: unknown groups, options and values do not compose."""
-    arguments = [word for word in arguments if word not in ("-m", "--multirun", "--help", "--dry-run")]
+    options = {word for word in arguments if word.startswith("-")}
+    assert options <= {"-m", "--multirun", "--help", "--dry-run", "--retry-failed"}
+    arguments = [word for word in arguments if word not in options]
     chosen = [first_value(word) for word in arguments if not is_from_an_extra(word)]
     named = [word for word in chosen if not word.split("=")[1].startswith("my_")]  # files the reader is to write
     register_resolver()
@@ -78,6 +80,8 @@ def first_value(word: str) -> str:
     override = OverridesParser.create().parse_override(word)
     if not override.is_sweep_override():
         return word
+    if override.is_interval_sweep():
+        return f"{override.input_line.split('=')[0]}={override.value().start}"
     return f"{override.input_line.split('=')[0]}={next(iter(override.sweep_string_iterator()))}"
 
 
