@@ -83,7 +83,7 @@ class Search:
         name = f"{secrets.token_hex(6)}.lock"
         with locked_or_none(folder / name):
             study = self.open()
-            self._answer(study, self._abandoned(study), answer)
+            self._answer(study, self._abandoned(study, name), answer)
             while (missing := self.trials - len(study.get_trials(deepcopy=False))) > 0:
                 asked = [self._ask(study, space, fixed, name) for _ in range(min(missing, self.at_once))]
                 self._answer(study, asked, answer)
@@ -109,14 +109,16 @@ class Search:
         trial.set_user_attr(WORDS, words)
         return trial.number
 
-    def _abandoned(self, study: optuna.Study) -> list[int]:
-        """Trials asked for by searches that are no more."""
+    def _abandoned(self, study: optuna.Study, ours: str) -> list[int]:
+        """Trials asked for by searches that are no more; one that nobody has signed yet may be a living search's."""
+        others = (path for path in (self.study / FOLDER).glob("*.lock") if path.name != ours)
+        alone = not any(is_locked(path) for path in others)
         running = study.get_trials(deepcopy=False, states=(TrialState.RUNNING, TrialState.WAITING))
-        return [trial.number for trial in running if not self._is_alive(trial)]
+        return [trial.number for trial in running if self._is_abandoned(trial, alone)]
 
-    def _is_alive(self, trial: FrozenTrial) -> bool:
+    def _is_abandoned(self, trial: FrozenTrial, alone: bool) -> bool:
         name = trial.user_attrs.get(SEARCHER)
-        return name is not None and is_locked(self.study / FOLDER / str(name))
+        return alone if name is None else not is_locked(self.study / FOLDER / str(name))
 
     def _answer(self, study: optuna.Study, numbers: list[int], answer: Answer) -> None:
         trials = study.get_trials(deepcopy=False)

@@ -1,8 +1,8 @@
 """A run is claimed, done and recorded; a finished one is never touched again; a failure is a record."""
 
 import json
-import os
-import time
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -114,23 +114,28 @@ def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
     assert not (folder / "half.json").exists()
 
 
+LIVING = """
+import sys, time
+from pathlib import Path
+from ssm_study.results.runs import execute
+def work(run):
+    print("working", flush=True)
+    time.sleep(600)
+execute(Path(sys.argv[1]), {"seed": 1}, work)
+"""
+
+
 def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
-    if (child := os.fork()) == 0:
-        execute(folder, {"seed": 1}, lambda _: time.sleep(60))
-        os._exit(0)
+    living = subprocess.Popen([sys.executable, "-c", LIVING, str(folder)], stdout=subprocess.PIPE, text=True)
     try:
-        for _ in range(200):
-            record = read_record(folder)
-            if record is not None and record["status"] == "running":
-                break
-            time.sleep(0.02)
-        else:
-            pytest.fail("the run was never seen running")
+        assert living.stdout is not None
+        assert living.stdout.readline() == "working\n"
+        assert (read_record(folder) or {})["status"] == "running"
         assert execute(folder, {}, unreachable).did == "elsewhere"
     finally:
-        os.kill(child, 9)
-        os.waitpid(child, 0)
+        living.kill()
+        living.communicate(timeout=30)
     assert (read_record(folder) or {})["status"] == "lost"
 
 

@@ -1,7 +1,8 @@
 """Search: total trials, nothing asked twice is computed twice, killed searches are taken up, two share one study."""
 
 import json
-import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -75,19 +76,25 @@ def test_failed_and_infeasible_runs_are_failed_trials(tmp_path: Path) -> None:
     assert objectives({"a": 1, "b": 2.0}, ["b", "a"]) == [2.0, 1.0]
 
 
+def elsewhere(folder: Path, trials: int, seed: int = 0, dies_at: int = 0) -> "subprocess.Popen[bytes]":
+    """The same search in a process of its own, which may die while its `dies_at`-th question is being answered."""
+    program = (
+        f"import sys, os; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from pathlib import Path\n"
+        "from test_engine_search import SPACE, parabola, search\n"
+        "count = 0\n"
+        "def answer(jobs):\n"
+        "    global count\n"
+        "    count += 1\n"
+        f"    if count == {dies_at}: os._exit(9)\n"
+        "    return parabola(jobs)\n"
+        f"search(Path({str(folder)!r}), {trials}, seed={seed}).run(SPACE, [], answer)\n"
+    )
+    return subprocess.Popen([sys.executable, "-c", program])
+
+
 def test_a_killed_search_is_taken_up_where_it_was(tmp_path: Path) -> None:
-    if (child := os.fork()) == 0:
-        count = 0
-
-        def dying(jobs: list[list[str]]) -> list[Mapping[str, Any] | None]:
-            nonlocal count
-            count += 1
-            if count == 3:
-                os._exit(9)
-            return parabola(jobs)
-
-        search(tmp_path, 12).run(SPACE, [], dying)
-    os.waitpid(child, 0)
+    assert elsewhere(tmp_path, 12, dies_at=3).wait(timeout=120) == 9
     left = search(tmp_path, 12).open().get_trials(states=(TrialState.RUNNING,))
     assert len(left) == 2
     first: list[list[str]] = []
@@ -102,13 +109,8 @@ def test_a_killed_search_is_taken_up_where_it_was(tmp_path: Path) -> None:
 
 
 def test_two_searches_share_the_trials_of_one_study(tmp_path: Path) -> None:
-    children = []
-    for number in range(2):
-        if (child := os.fork()) == 0:
-            search(tmp_path, 20, seed=number).run(SPACE, [], parabola)
-            os._exit(0)
-        children.append(child)
-    assert [os.waitpid(child, 0)[1] for child in children] == [0, 0]
+    both = [elsewhere(tmp_path, 20, seed=number) for number in range(2)]
+    assert [process.wait(timeout=120) for process in both] == [0, 0]
     trials = search(tmp_path, 20).open().trials
     assert 20 <= len(trials) <= 22  # both may ask for the last ones in the same moment
     assert {trial.state for trial in trials} == {TrialState.COMPLETE}

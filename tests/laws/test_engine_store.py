@@ -1,8 +1,7 @@
 """The store: one key, one computation, the same bytes for ever; whatever happens to a file is noticed."""
 
-import multiprocessing
-import os
-import time
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from omegaconf import OmegaConf
 
 from ssm_study.refusal import BadRequest
 from ssm_study.results import keys
-from ssm_study.results.durable import is_locked, locked
+from ssm_study.results.durable import is_locked
 from ssm_study.results.keys import canonical_json, code_version, digest, stage_key
 from ssm_study.results.plan import PlannedStages, plan
 from ssm_study.results.store import MANIFEST, Store, intact_manifest
@@ -158,26 +157,25 @@ def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
     assert not Store(tmp_path).stage("model", 1, [], "v", write_content).reused
 
 
-def compute_slowly(root: Path, ledger: Path) -> None:
-    def compute(folder: Path) -> None:
-        with ledger.open("a") as stream:
-            stream.write(f"{os.getpid()}\n")
-        time.sleep(0.3)
-        write_content(folder)
-
-    assert content_of(Store(root).stage("model", 1, [], "v", compute).path) == CONTENT
+SLOWLY = """
+import os, sys, time
+from pathlib import Path
+from ssm_study.results.store import Store
+root, ledger = Path(sys.argv[1]), Path(sys.argv[2])
+def compute(folder):
+    with ledger.open("a") as stream:
+        stream.write(f"{os.getpid()}\\n")
+    time.sleep(0.3)
+    (folder / "model.json").write_text("{}")
+assert (Store(root).stage("model", 1, [], "v", compute).path / "model.json").read_text() == "{}"
+"""
 
 
 def test_four_processes_compute_a_stage_once(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("fork")
-    ledger = tmp_path / "ledger"
-    workers = [context.Process(target=compute_slowly, args=(tmp_path / "store", ledger)) for _ in range(4)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    assert [worker.exitcode for worker in workers] == [0] * 4
-    assert len(ledger.read_text().splitlines()) == 1
+    command = [sys.executable, "-c", SLOWLY, str(tmp_path / "store"), str(tmp_path / "ledger")]
+    workers = [subprocess.Popen(command) for _ in range(4)]
+    assert [worker.wait(timeout=120) for worker in workers] == [0] * 4
+    assert len((tmp_path / "ledger").read_text().splitlines()) == 1
 
 
 def test_two_who_do_not_see_each_others_locks_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,19 +206,25 @@ def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None
     assert not leftover.exists()
 
 
+HOLDING = """
+import sys, time
+from pathlib import Path
+from ssm_study.results.durable import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
 def test_a_lock_is_seen_and_dies_with_its_holder(tmp_path: Path) -> None:
     path = tmp_path / ".lock"
     assert not is_locked(path)
-    reader, writer = os.pipe()
-    if (child := os.fork()) == 0:
-        with locked(path):
-            os.write(writer, b"x")
-            time.sleep(60)
-        os._exit(0)
-    os.read(reader, 1)
+    holder = subprocess.Popen([sys.executable, "-c", HOLDING, str(path)], stdout=subprocess.PIPE, text=True)
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
     assert is_locked(path)
-    os.kill(child, 9)
-    os.waitpid(child, 0)
+    holder.kill()
+    holder.communicate(timeout=30)
     assert not is_locked(path)
 
 
