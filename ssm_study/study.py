@@ -22,7 +22,7 @@ from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.table import Identified, write_rows
 from ssm_study.models.identified import SSM
-from ssm_study.models.spec import SSMSpec
+from ssm_study.models.stored import model_from_json
 from ssm_study.plants.plant import Plant
 from ssm_study.report.figures import draw
 from ssm_study.report.outcome import print_outcome
@@ -122,7 +122,7 @@ def line(specification: Specification, stages: Stages, done: Callable[[Kept[Any]
     done(data)
     model = model_stage(specification, stages, data)
     done(model)
-    if not isinstance(specification.model, SSMSpec):
+    if not specification.model.gives_ssm:
         done(score_stage(stages, data, model))
         return None
     bounded = bounds_stage(specification, stages, data, model)
@@ -312,7 +312,7 @@ def select(specification: Specification, *names: str) -> Facts:
 
 
 def read_model(folder: Path) -> Any:
-    return SSM.from_json(read_json(folder / "model.json"))
+    return model_from_json(read_json(folder / "model.json"))
 
 
 def read_json(path: Path) -> Any:

@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -35,6 +35,8 @@ class SolvedSpec(ModelSpec):
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
     """Linear state space by subspace identification with `block_rows` block rows; an SSM without nonlinearity."""
+
+    gives_ssm: ClassVar[bool] = True
 
     order: int
     block_rows: int

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from ssm_study.signals import DataSet
 class ModelSpec(ABC):
     """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
 
+    gives_ssm: ClassVar[bool] = False
+    """Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only."""
+
     @abstractmethod
     def build(self, data: DataSet, seed: int) -> TorchModel: ...
 
@@ -28,6 +32,8 @@ class SSMSpec(ModelSpec):
     (rad per sample) in `ring_frequency`, `real_modes` of them real (only then used). `slope_*` bound the scaffolding's
     own sector in scaled units; its gain lies in B and C.
     """
+
+    gives_ssm: ClassVar[bool] = True
 
     order: int
     hidden_width: int
