@@ -96,6 +96,8 @@ def test_the_tutorial_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytes
     for command in commands(ROOT / "docs" / "tutorial.md"):
         program, *arguments = shlex.split(command)
         if program == "ssm-study":
-            subprocess.run([sys.executable, "-m", "ssm_study.cli", *arguments], check=True, capture_output=True)
+            words = [sys.executable, "-m", "ssm_study.cli", *arguments]
+            done = subprocess.run(words, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
     assert (tmp_path / "results" / "first_sweep" / "report.html").is_file()
     assert (tmp_path / "results" / "first_sweep" / "figures" / "rates.pdf").is_file()
