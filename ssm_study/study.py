@@ -88,7 +88,8 @@ def conclude_run(config: DictConfig) -> bool:
     gather(study)
     name = run_name(config)
     record = read_record(study / name) or {}
-    figures = draw(RUN_FIGURES, study) if record.get("status") == OK else []
+    drawn = RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]  # a baseline closes no loop
+    figures = draw(drawn, study) if record.get("status") == OK else []
     print_outcome(record, figures)
     return record.get("status") not in (OK, INFEASIBLE)
 
