@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import null_space, solve_discrete_are
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffold import Scaffold
@@ -19,6 +19,8 @@ from ssm_study.systems import StateSpace
 SMOOTHNESS = 1.0
 """Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
 samples and not in one violent one."""
+IDLE_SHARE = 1e-9
+"""Of the largest static gain: a direction of inputs below this moves no output."""
 INVERSION_TOLERANCE = 1e-10
 """Residual of `S(v) = w` in scaled units, where one unit is the spread of the signal."""
 
@@ -78,7 +80,13 @@ def _track(
     """
     (n, m), d = system.b.shape, system.d
     f = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]])
-    g, h = np.vstack([system.b, np.eye(m)]), np.hstack([system.c, d])
+    idle = _idle(system)
+    target = np.concatenate([target, np.zeros((len(target), len(idle)))], axis=1)
+    d = np.vstack([d, idle])
+    g, h = (
+        np.vstack([system.b, np.eye(m)]),
+        np.vstack([np.hstack([system.c, system.d]), np.hstack([np.zeros((len(idle), n)), idle])]),
+    )
     weight = SMOOTHNESS * np.eye(m) + d.T @ d
     p = solve_discrete_are(f, g, h.T @ h, weight, s=h.T @ d)
     curvature = weight + g.T @ p @ g
@@ -90,6 +98,12 @@ def _track(
         preview[i] = np.linalg.solve(curvature, d.T @ target[i] - g.T @ costate)
         costate = closed @ costate - seen @ target[i]
     return _roll(f, g, k, preview, n)
+
+
+def _idle(system: StateSpace) -> Float[np.ndarray, "q k"]:
+    """Directions of v that move no output at rest, as rows: without a cost of their own they would drift."""
+    gain = system.c @ np.linalg.solve(np.eye(system.order) - system.a, system.b) + system.d
+    return null_space(gain, rcond=IDLE_SHARE).T
 
 
 def _roll(

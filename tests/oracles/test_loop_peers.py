@@ -25,7 +25,7 @@ from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.mismatch import mismatch
 
 KNOWN = Identified(model=motor_model(), balls=(INPUT_BALL, OUTPUT_BALL), validation=(motor_record(),))
-SHORT = Loop(horizon_s=0.8, measurement_noise_variance=0.02, initial_conditions=3)
+SHORT = Loop(horizon_s=0.4, measurement_noise_variance=0.02, initial_conditions=3)
 SMALL = Auto(stretch_shares=(0.3,), observer_rates=(0.1, 0.3), input_weights=(1e-4, 0.1), output_noises=(1e-4, 0.1))
 
 
