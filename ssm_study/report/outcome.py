@@ -16,6 +16,7 @@ STYLES = {
     verdict.SETTLED.word: "bold green",
     verdict.LOST.word: "bold yellow",
     verdict.UNCERTIFIED.word: "bold yellow",
+    verdict.IDENTIFIED.word: "bold cyan",
     verdict.INFEASIBLE.word: "bold magenta",
     verdict.FAILED.word: "bold red",
 }
@@ -59,12 +60,15 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         return MISSING if value is None else f"{value:{form}}{unit}" if isinstance(value, (int, float)) else str(value)
 
     yield "fit_test_percent", "Fit on the test record", number("fit_test_percent", ".1f", " %")
+    for name in sorted(key for key in record if key.startswith("score_test_")):
+        yield name, f"Benchmark score, record {name.removeprefix('score_test_')}", number(name, ".4g")
     interval = f"[{number('input_slope_lower')}, {number('input_slope_upper')}]"
     yield "input_slope_lower", "Slopes of S_u", f"{interval} ({number('bound_method')})"
     for side in ("controller", "observer"):
         shown = f"{number(f'rate_{side}')} asked, at most {number(f'{side}_rate_limit')}: {_certified(record, side)}"
         yield f"rate_{side}", f"{side.capitalize()} rate", shown
     yield "mismatch_margin", "Mismatch margin", f"{number('mismatch_margin')} (above 1 predicts a stable plant)"
+    yield "loop_on", "Closed loop on", _where(record)
     settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')}"
     yield "stable_count", "Initial conditions settled", settled
     controlled, alone = number("settling_time_mean_s", ".3f", " s"), number("settling_time_open_loop_s", ".3f", " s")
@@ -76,6 +80,12 @@ def _certified(record: Mapping[str, Any], side: str) -> str:
         return "certified"
     feasible = record.get(f"{side}_feasible")
     return "not reached" if feasible is None else "not certified" if feasible else "infeasible"
+
+
+def _where(record: Mapping[str, Any]) -> str:
+    """A loop on the identified model shows what the certificate promises, not what the plant does."""
+    where = str(record.get("loop_on"))
+    return "the true plant" if where == "plant" else f"the {where}; no plant was there to try it on"
 
 
 def _ratio(record: Mapping[str, Any]) -> str:

@@ -13,6 +13,7 @@ SHAPES = {
     verdict.SETTLED.word: "circle",
     verdict.LOST.word: "triangle-up",
     verdict.UNCERTIFIED.word: "square",
+    verdict.IDENTIFIED.word: "triangle-down",
     verdict.INFEASIBLE.word: "cross",
     verdict.FAILED.word: "diamond",
 }

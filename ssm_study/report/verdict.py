@@ -31,11 +31,17 @@ LOST = Verdict(
 UNCERTIFIED = Verdict(
     word="not certified", sentence="a design exists, but a certificate did not pass", colour=style.ORANGE, marker="s"
 )
+IDENTIFIED = Verdict(
+    word="identified",
+    sentence="a baseline, identified and scored; no controller is designed for it",
+    colour=style.PURPLE,
+    marker="v",
+)
 INFEASIBLE = Verdict(
     word="infeasible", sentence="no certificate exists at the rate asked", colour=style.GREY, marker="x"
 )
 FAILED = Verdict(word="failed", sentence="the run ended with an error", colour=style.INK, marker="P")
-ALL = (SETTLED, LOST, UNCERTIFIED, INFEASIBLE, FAILED)
+ALL = (SETTLED, LOST, UNCERTIFIED, IDENTIFIED, INFEASIBLE, FAILED)
 BY_WORD = {verdict.word: verdict for verdict in ALL}
 
 
@@ -47,6 +53,7 @@ def verdicts(table: pd.DataFrame) -> pd.Series:
     word = pd.Series(UNCERTIFIED.word, index=table.index, name="verdict", dtype=object)
     word[certified & settled] = SETTLED.word
     word[certified & ~settled] = LOST.word
+    word[column(table, "controller_feasible").isna() & column(table, "controller_certified").isna()] = IDENTIFIED.word
     word[status == "infeasible"] = INFEASIBLE.word
     word[~status.isin(["ok", "infeasible"])] = FAILED.word
     return word

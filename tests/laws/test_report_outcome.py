@@ -42,6 +42,12 @@ def test_every_number_of_the_argument_is_there() -> None:
         assert words in text, words
 
 
+def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
+    text = printed(a_run("ok") | {"loop_on": "identified model", "score_test_1": 4.21})
+    assert "the identified model; no plant was there to try it on" in " ".join(text.split())
+    assert "Benchmark score, record 1 4.21" in " ".join(text.split())
+
+
 def test_a_path_is_never_broken() -> None:
     path = Path("results") / ("long_" * 20) / "figures" / "closed_loop_responses.png"
     assert str(path) in printed(a_run("ok"), path).splitlines()[-1]

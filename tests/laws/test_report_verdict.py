@@ -31,11 +31,16 @@ def row(**values: object) -> dict[str, object]:
 
 def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
     slow, quick = row(run="slow", settling_time_mean_s=0.3), row(run="quick", settling_time_mean_s=0.2)
-    bare = row(run="bare", settling_time_mean_s=0.01, controller_certified=None)
+    bare = row(run="bare", settling_time_mean_s=0.01, controller_certified=False)
     lost = row(run="lost", settling_time_mean_s=0.02, stable_fraction=0.9)
     failed = {"run": "failed", "status": "failed"}
     order = verdict.best_first(pd.DataFrame([failed, bare, slow, lost, quick]))["run"].tolist()
     assert order == ["quick", "slow", "lost", "bare", "failed"]
+
+
+def test_a_baseline_that_is_only_scored_is_identified_not_uncertified() -> None:
+    baseline = {"run": "gru", "status": "ok", "fit_test_percent": 95.0}
+    assert verdict.verdicts(pd.DataFrame([baseline, row(run="ours")])).tolist() == ["identified", "certified, settles"]
 
 
 def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:

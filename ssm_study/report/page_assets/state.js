@@ -78,6 +78,7 @@ const SHAPES = {
   "certified, settles": "M7 1a6 6 0 1 0 .01 0z",
   "certified, plant lost": "M7 1l6 11H1z",
   "not certified": "M2 2h10v10H2z",
+  "identified": "M7 13L1 2h12z",
   "infeasible": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
   "failed": "M7 0l5 7-5 7-5-7z",
 };
