@@ -82,3 +82,24 @@ def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
     assert design.state_feedback.proved
     assert design.state_feedback.rate_limit < 0.9
     assert f"{design.state_feedback.rate_limit:.6g}" in design.state_feedback.reason
+
+
+def as_floats(matrix) -> np.ndarray:
+    return np.array([[int(value.p) / int(value.q) for value in row] for row in matrix.tolist()])
+
+
+def test_the_exact_blocks_are_the_theorems_blocks() -> None:
+    """Theorems 1 and 2 written out in NumPy, entry by entry, with Y different from P."""
+    rng = np.random.default_rng(0)
+    a, p, y = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
+    b, k, zero = rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), np.zeros((3, 2))
+    p, x = p + p.T, k @ y
+    coupling, border = a @ y + 0.7 * b @ x, 0.2 * x.T
+    corner, middle = 0.6 * p - 1.3 * b @ b.T, y + y.T - p
+    one = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
+    np.testing.assert_allclose(as_floats(exact.theorem_one(a, b, 0.7, 0.2, 0.4, p, y, k, 1.3)), one, atol=1e-13)
+    c, gain = b.T.copy(), k.T.copy()
+    v = y @ gain
+    coupling, border = (y @ a + 0.7 * v @ c).T, 0.2 * v
+    two = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
+    np.testing.assert_allclose(as_floats(exact.theorem_two(a, c, 0.7, 0.2, 0.4, p, y, gain, 1.3)), two, atol=1e-13)

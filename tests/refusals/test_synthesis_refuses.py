@@ -5,12 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from flint import fmpq, fmpq_mat
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis import exact
-from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.synthesis.certificate import Design, Infeasible, digest
 from ssm_study.synthesis.frontier import frontier, ratio_limit, unreached_modulus
 from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.problem import Problem
@@ -63,12 +64,29 @@ def test_any_tampering_with_a_number_is_found(stored: dict, name: str) -> None:
 
 
 def test_a_forged_digest_does_not_help_where_the_inequality_fails(stored: dict) -> None:
-    from ssm_study.synthesis.certificate import digest
-
     content = copy.deepcopy(stored)
     content["state_feedback"]["rate"] = 0.9
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
     assert any("in exact arithmetic the inequality fails" in claim for claim in broken_claims(content, PLANT, BALLS))
+
+
+@pytest.mark.parametrize(
+    ("side", "name"), [("state_feedback", n) for n in ("k", "y", "x")] + [("observer", n) for n in ("l", "u", "v")]
+)
+def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, name: str) -> None:
+    """The inequality still holds after so small a change, but the products no longer fit."""
+    content = copy.deepcopy(stored)
+    content[side][name][0][0] *= 1 + 1e-9
+    content[side]["digest"] = digest(content[side])
+    assert any("differs from what" in claim for claim in broken_claims(content, PLANT, BALLS))
+
+
+def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
+    """Determinant about `-0.375 2^-53`; in floats the matrix reads `[[1, 1], [1, 1 + 2^-52]]`, which is definite."""
+    off, last = 1 + fmpq(15, 2**57), 1 + fmpq(3, 2**54)
+    assert np.linalg.cholesky(np.array([[1.0, 1.0], [1.0, 1 + 2.0**-52]]))[1, 1] > 0
+    assert not exact.is_positive_definite(fmpq_mat([[fmpq(1), off], [off, last]]))
+    assert exact.is_positive_definite(fmpq_mat([[fmpq(1), off], [off, last + fmpq(1, 2**53)]]))
 
 
 def test_one_unit_in_the_last_place_decides() -> None:
