@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from flint import fmpz_mat
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -103,3 +104,9 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     coupling, border = (y @ a + 0.7 * v @ c).T, 0.2 * v
     two = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
     np.testing.assert_allclose(as_floats(exact.theorem_two(a, c, 0.7, 0.2, 0.4, p, y, gain, 1.3)), two, atol=1e-13)
+
+
+def test_a_poor_factor_proves_nothing() -> None:
+    """The dominance proof with the identity for G: `[[1, 2], [2, 1]]` has a positive diagonal and is indefinite."""
+    assert not exact._proved_by_dominance(fmpz_mat([[1, 2], [2, 1]]), np.eye(2))
+    assert exact._proved_by_dominance(fmpz_mat([[2, 1], [1, 2]]), np.eye(2))
