@@ -1,0 +1,49 @@
+"""A record that starts anywhere: the estimated state replays it; a record that starts at rest stays as it is."""
+
+import numpy as np
+import pytest
+
+from ssm_study.models.free_run import free_run, initial_state
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.signals import Trajectory, fit_percent
+from ssm_study.systems import StateSpace
+
+
+@pytest.fixture
+def model() -> SSM:
+    linear = StateSpace(
+        a=np.array([[0.95, 0.1], [0.0, 0.8]]), b=np.array([[0.0], [0.3]]), c=np.array([[1.0, 0.0]]), d=np.zeros((1, 1))
+    )
+    gain = LinearScaffold(gain=np.array([[0.7]]))
+    scales = {"input_scale": np.array([2.0]), "output_scale": np.array([3.0])}
+    rest = {"input_equilibrium": np.array([1.0]), "output_equilibrium": np.array([-4.0])}
+    return SSM(linear=linear, scaffold_in=gain, scaffold_out=gain, step_s=0.1, **scales, **rest)
+
+
+def record(model: SSM, x0: np.ndarray, noise: float = 0.0) -> Trajectory:
+    rng = np.random.default_rng(0)
+    u = 1.0 + np.repeat(rng.uniform(-2, 2, (40, 1)), 5, axis=0)
+    y = model.simulate(u, x0)
+    return Trajectory(u=u, y=y + noise * rng.standard_normal(y.shape), step_s=0.1)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_the_state_is_found_from_the_samples_that_are_not_scored(model: SSM, noise: float) -> None:
+    x0 = np.array([1.5, -0.4])
+    seen = record(model, x0, noise)
+    assert np.allclose(initial_state(model, seen, 20), x0, atol=0.03 + noise)
+    from_rest = fit_percent(seen.y, model.simulate(seen.u), 20)
+    estimated = fit_percent(seen.y, free_run(model, seen, 20), 20)
+    assert estimated > 96 > from_rest
+
+
+def test_without_start_up_samples_every_sample_is_predicted_from_rest(model: SSM) -> None:
+    seen = record(model, np.array([1.5, -0.4]))
+    assert np.array_equal(free_run(model, seen, 0), model.simulate(seen.u))
+
+
+def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
+    """With no input the reachability Gramian is zero: nothing but rest is believed."""
+    still = Trajectory(u=np.ones((50, 1)), y=np.full((50, 1), 5.0), step_s=0.1)
+    assert np.abs(initial_state(model, still, 10)).max() < 1e-12
