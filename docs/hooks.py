@@ -26,6 +26,7 @@ CHAPTERS = {
     "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "engine.md"],
     "Results": ["findings.md"],
 }
+PICTURES = "results/reference/certificates"
 ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop", "results", "report")
 
 
@@ -47,6 +48,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         pages[room] = sorted(path for path in (ROOT / "ssm_study" / room).rglob("*.py") if path.name != "__init__.py")
     for room, modules in pages.items():
         files.append(File.generated(config, f"reference/{room}.md", content=_reference(room, modules)))
+    for picture in sorted((ROOT / PICTURES).glob("*.png")):
+        files.append(File.generated(config, f"certificates/{picture.name}", abs_src_path=str(picture)))
     return files
 
 
@@ -58,7 +61,8 @@ def _reference(room: str, modules: list[Path]) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """`<!-- answers STUDY -->` becomes what the committed table of that study says."""
+    """`<!-- answers STUDY -->` becomes what the committed table of that study says; pictures come from their folder."""
+    markdown = markdown.replace(f"](../{PICTURES}/", "](certificates/")
     return re.sub(r"<!-- answers (\w+) -->", lambda match: _answers(match[1]), markdown)
 
 
