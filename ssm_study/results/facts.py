@@ -41,8 +41,9 @@ def model_facts(model: SSM, identified: SSM, data: DataSet) -> Facts:
 
 
 def fit_facts(model: Simulator, data: DataSet) -> Facts:
-    """Free-run fits and test errors of any model; `score_test` in the unit the benchmark is published in."""
-    scores = benchmark_rmse(data, tuple(free_run(model, record, data.start_up_samples) for record in data.test))
+    """Free-run fits and test errors of any model; on a benchmark also its score, in the unit it is published in."""
+    free_runs = tuple(free_run(model, record, data.start_up_samples) for record in data.test)
+    scores = benchmark_rmse(data, free_runs) if "benchmark" in data.metadata else ()
     return {
         "fit_train_percent": mean_fit(model, data.training, data),
         "fit_validation_percent": mean_fit(model, data.validation, data),
