@@ -34,6 +34,7 @@ METHODS: dict[str, type[Synthesis]] = {
 }
 GAPS = (0.001, 0.0001, 0.01, 0.1, 0.5, -0.01)
 COLUMNS = ("set", "method", "gap", "instances", "certified", "share_percent", "seconds_median", "orders", "misses")
+AGREEMENT = ("agrees", "cannot_tell", "contradicts")  # with the frontier: `synthesis_agreement.py`
 
 
 def instances(kind: str, gap: float, count: int, orders: tuple[int, int]) -> list[Instance]:
@@ -101,7 +102,7 @@ def keep(new: dict[str, object]) -> None:
     rows.append({name: str(value) for name, value in new.items()})
     rows.sort(key=lambda r: (r["set"], r["method"], -float(r["gap"])))
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter(file, COLUMNS + AGREEMENT, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 

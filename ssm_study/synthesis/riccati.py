@@ -9,14 +9,13 @@ Derivation: docs/theory.md; cf. Petersen & Hollot 1986 (guaranteed cost), THEORY
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from ssm_study.synthesis.closed_form import SHARES, minimum_energy_solution
+from ssm_study.synthesis.closed_form import minimum_energy_attempts
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.doubling import solve_riccati
 from ssm_study.synthesis.frontier import Frontier
@@ -112,4 +111,4 @@ class RiccatiSynthesis(Synthesis):
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The weights first; where the frontier leaves them no room, the minimum-energy gain."""
         weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
-        return [*weighted, *(partial(minimum_energy_solution, problem, share) for share in SHARES)]
+        return [*weighted, *minimum_energy_attempts(problem)]
