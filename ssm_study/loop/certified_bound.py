@@ -19,6 +19,8 @@ ROUNDING = 1e-9
 """Relative: what float64 may add to a distance over a thousand steps."""
 RESOLUTION = 1e-12
 """Of the bound's own start: below it both sides are rounding."""
+FORGOTTEN = 1e-6
+"""Of the estimate's first error: its decay is measured until there, far above rounding."""
 
 
 def distances(
@@ -60,3 +62,47 @@ def violations(
     bound = certified_bound(d[:, 0], e[:, 0], x.shape[1], feedback, observer)
     floor = RESOLUTION * (d[:, :1] + e[:, :1])
     return int((d > bound * (1 + ROUNDING) + floor).sum())
+
+
+def decay_rate(
+    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T s"], feedback: StateFeedback, observer: Observer
+) -> float | None:
+    """`1 - r^2`, r the mean shrink per sample of `e = ||xh - x||_Q` until it is below `FORGOTTEN` of its start.
+
+    The slowest case; on the model `e[k+1] <= r_o e[k]`, so it is at least the certified `observer.rate`. Cases that do
+    not get there are taken to the end; None if the estimate is exact from the start.
+    """
+    e = distances(x, x_hat, feedback, observer)[1]
+    e = e[e[:, 0] > 0]
+    if not len(e):
+        return None
+    gone = e <= FORGOTTEN * e[:, :1]
+    at = np.where(gone.any(axis=1), np.argmax(gone, axis=1), e.shape[1] - 1)
+    shrink = e[np.arange(len(e)), at] / e[:, 0]
+    return float((1.0 - shrink ** (2.0 / np.maximum(at, 1))).min())
+
+
+def excess(
+    x_hat: Float[np.ndarray, "N T s"], x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
+) -> float | None:
+    """`max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples: how far an estimate leaves what is certified.
+
+    On the model from `x0`, `||xh||_M <= ||x||_M + kappa ||xh - x||_Q <= b[k] = d[k] + kappa r_o^k e[0]` with `d` the
+    bound above and `kappa = ||M^{1/2} Q^{-1/2}||_2`, so the value is 0 there; `M` belongs to state and integrators,
+    `Q` to the state. On a plant, whose state is not the model's, nothing is certified: the value says, as a share of
+    the bound's start, how far noise and model error push the loop beyond the certificate. None if all cases start at 0.
+    """
+    d, e = distances(x0[:, None], x_hat[:, :1], feedback, observer)
+    samples, factor = x_hat.shape[1], np.linalg.cholesky(feedback.p)
+    decay = np.sqrt(1 - observer.rate) ** np.arange(samples)
+    bound = certified_bound(d[:, 0], e[:, 0], samples, feedback, observer) + _kappa(feedback, observer) * e * decay
+    measured = np.linalg.norm(solve_triangular(factor, x_hat.reshape(-1, len(factor)).T, lower=True), axis=0)
+    beyond = measured.reshape(bound.shape) - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
+    moving = bound[:, 0] > 0
+    return float(np.maximum(beyond[moving] / bound[moving, :1], 0.0).max()) if moving.any() else None
+
+
+def _kappa(feedback: StateFeedback, observer: Observer) -> float:
+    into_state = np.eye(len(feedback.p), len(observer.q))
+    scaled = solve_triangular(np.linalg.cholesky(feedback.p), into_state, lower=True)
+    return float(np.linalg.norm(solve_triangular(np.linalg.cholesky(observer.q), scaled.T, lower=True), 2))

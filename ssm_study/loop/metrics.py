@@ -3,11 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.loop.certified_bound import violations
+from ssm_study.loop.certified_bound import decay_rate, excess, violations
 from ssm_study.loop.controller import parts
 from ssm_study.loop.regulation import ClosedLoop
+from ssm_study.loop.rollout import Rollouts
 from ssm_study.loop.settling import empirical_rate, overshoots, settling_times_s
-from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
 
 Columns = dict[str, float | int | None]
 
@@ -58,12 +59,32 @@ def _final_error(error: Float[np.ndarray, "N T p"]) -> float:
 
 
 def certified(loop: ClosedLoop, design: Design) -> Columns:
-    """`certified_bound_violations`: samples on the noise-free model whose distance exceeds the certified bound."""
-    run = loop.on_model
-    if run is None:
-        return {"certified_bound_violations": None}
-    count = violations(run.states, run.estimate, *parts(design))
-    return {"certified_bound_violations": count}
+    """`bound_columns` of the experiment; all None without a run on the model."""
+    return bound_columns(loop.controlled, loop.on_model, *parts(design))
+
+
+def bound_columns(
+    controlled: Rollouts, on_model: Rollouts | None, feedback: StateFeedback, observer: Observer
+) -> Columns:
+    """What was certified beside what was measured.
+
+    `certified_bound_violations`: samples on the noise-free model whose distance exceeds the certified bound.
+    `estimate_decay_rate`: how fast the estimate finds the noise-free model's state, see `decay_rate`.
+    `certified_bound_excess_plant`: how far the estimate on the plant leaves what is certified on the model from the
+    same initial outputs, see `excess`; None where plant and model follow different references.
+    """
+    if on_model is None:
+        names = ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")
+        return dict.fromkeys(names)
+    states, estimate = on_model.states, on_model.estimate
+    alike = np.allclose(controlled.reference, on_model.reference)
+    return {
+        "certified_bound_violations": violations(states, estimate, feedback, observer),
+        "estimate_decay_rate": decay_rate(states, estimate, feedback, observer),
+        "certified_bound_excess_plant": excess(controlled.estimate, states[:, 0], feedback, observer)
+        if alike
+        else None,
+    }
 
 
 def _mean(values: list[float]) -> float | None:

@@ -49,6 +49,8 @@ WORDS: dict[str, str] = {
     "control_energy": "Control energy (V² s)",
     "empirical_rate": "Measured contraction, r (1/sample)",
     "certified_bound_violations": "Violations of the certified bound",
+    "estimate_decay_rate": "Measured decay of the estimate's error (1/sample)",
+    "certified_bound_excess_plant": "Beyond the certified bound on the plant (share of its start)",
     "mismatch_gain": "Model mismatch gain",
     "mismatch_margin": "Mismatch margin (–)",
     "infeasible_reason": "Why it is infeasible",

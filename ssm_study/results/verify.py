@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from omegaconf import OmegaConf
 
 from ssm_study.bounds.scaffolds import certified_balls
-from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.metrics import bound_columns
 from ssm_study.loop.settling import settling_times_s
 from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM
@@ -140,7 +141,7 @@ def _loop(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
         return
     controller = ObserverFeedback.of(_read_model(run), design)
     kept, on_model = read_rollouts(run / "closed_loop.mcap"), read_rollouts(run / "closed_loop_model.mcap")
-    apart = replay_error(controller, kept)
+    apart = replay_error(controller, kept, *input_limits(run))
     yield Finding(
         claim="closed_loop.mcap input",
         holds=apart <= ITERATED_AGREEMENT,
@@ -151,19 +152,33 @@ def _loop(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
         "initial_conditions": len(kept.run.y),
         "stable_count": len(settled),
         "settling_time_mean_s": float(np.mean(settled)) if settled else None,
-        "certified_bound_violations": violations(on_model.run.states, on_model.run.estimate, feedback, observer),
     }
+    bounds = bound_columns(kept.run, on_model.run, feedback, observer)
+    missing_in_older = {"estimate_decay_rate", "certified_bound_excess_plant"} - set(record)
+    derived |= {name: value for name, value in bounds.items() if name not in missing_in_older}
     yield from _same(record, derived, FLOAT_AGREEMENT)
 
 
-def replay_error(controller: ObserverFeedback, kept: RecordedLoop) -> float:
-    """Largest `|u - u_again| / max |u|` over cases that stayed: `u_again` from the recorded measurements alone."""
+def input_limits(run: Path) -> tuple[float, float]:
+    """`loop.input_lower`, `loop.input_upper` of the run's own configuration, unit of the input; infinite for none."""
+    loop = OmegaConf.load(run / ".hydra" / "config.yaml")["loop"]
+    lower, upper = loop.get("input_lower"), loop.get("input_upper")
+    return -np.inf if lower is None else float(lower), np.inf if upper is None else float(upper)
+
+
+def replay_error(
+    controller: ObserverFeedback, kept: RecordedLoop, lower: float = -np.inf, upper: float = np.inf
+) -> float:
+    """Largest `|u - u_again| / max |u|` over cases that stayed: `u_again` from the recorded measurements alone.
+
+    `u_again` is cut at the limits that the controller knew of; an integrator replays its own hold at a limit.
+    """
     run = kept.run
     stayed, targets = run.stayed, controller.targets(run.reference)
     memory, worst = controller.start(int(stayed.sum())), 0.0
     for k in range(run.u.shape[1]):
         applied, measured = run.u[stayed, k], run.measured[stayed, k]
-        again = controller.input(memory, measured, targets[k])
+        again = np.clip(controller.input(memory, measured, targets[k]), lower, upper)
         worst = max(worst, float(np.abs(again - applied).max(initial=0.0)))
         memory = controller.advance(memory, applied, measured, targets[k])
     return worst / max(float(np.abs(run.u).max()), np.finfo(float).tiny)

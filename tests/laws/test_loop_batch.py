@@ -111,4 +111,6 @@ def test_every_column_is_a_number_or_nothing():
     assert all(value is None or np.isfinite(value) for value in columns.values())
     assert columns["initial_conditions"] == 5
     assert columns["certified_bound_violations"] == 0
+    assert columns["estimate_decay_rate"] >= motor_design().observer.rate * (1 - 1e-9)
+    assert 0 <= columns["certified_bound_excess_plant"] < 1
     assert (result.controlled.left_at_sample == STAYED).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from loop_cases import random_model
 
-from ssm_study.loop.certified_bound import certified_bound, distances, violations
+from ssm_study.loop.certified_bound import certified_bound, decay_rate, distances, excess, violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.rollout import Rollouts, close_loop
@@ -60,12 +60,48 @@ def test_measured_is_within_certified(seed):
     assert d[:, -1].max() < 1e-3 * d[:, 0].max()
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_estimate_decays_at_least_as_certified_and_stays_within_its_bound(seed):
+    model = random_model(seed, inputs=1 + seed % 2, outputs=1 + seed // 2 % 2, order=3 + seed % 4)
+    feedback, observer = certified(model)
+    run = rollouts(model, feedback, observer, seed)
+    measured = decay_rate(run.states, run.estimate, feedback, observer)
+    assert observer.rate * (1 - 1e-9) <= measured <= 1.0
+    assert excess(run.estimate, run.states[:, 0], feedback, observer) == 0.0
+
+
+def test_decay_of_a_known_error_is_that_decay():
+    """The error shrinks by 0.8 and 0.7 per sample, so the slowest case decays at `1 - 0.8^2`."""
+    feedback, observer = certified(random_model(1))
+    x, direction = np.zeros((2, 200, 4)), np.random.default_rng(0).standard_normal(4)
+    shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
+    assert decay_rate(x, shrink[:, :, None] * direction, feedback, observer) == pytest.approx(1 - 0.64, rel=1e-9)
+    assert decay_rate(x, x, feedback, observer) is None
+
+
+def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
+    """The estimate's distance at sample 40 set to the bound there plus 0.3 of the bound's start."""
+    model = random_model(3)
+    feedback, observer = certified(model)
+    run = rollouts(model, feedback, observer, 3)
+    pushed, x0 = np.zeros_like(run.estimate), run.states[:, 0]
+    d, e = distances(run.states[:, :1], pushed[:, :1], feedback, observer)
+    root_p, root_q = (np.linalg.cholesky(matrix) for matrix in (feedback.p, observer.q))
+    kappa = np.linalg.norm(np.linalg.inv(root_p) @ np.linalg.inv(root_q).T, 2)
+    bound = certified_bound(d[:, 0], e[:, 0], 120, feedback, observer)
+    bound = bound + kappa * e * observer.contraction ** np.arange(120)
+    pushed[7, 40] = root_p[:, 0] * (bound[7, 40] + 0.3 * bound[7, 0])
+    assert excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
+    assert excess(pushed, np.zeros_like(x0), feedback, observer) is None
+
+
 def test_a_rate_that_is_not_certified_is_caught():
     model = random_model(2)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, 0)
     boast, boast_observer = replace(feedback, rate=0.9), replace(observer, rate=0.99)
     assert violations(run.states, run.estimate, boast, boast_observer) > 0
+    assert decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
 
 
 def test_the_bound_is_the_sum_it_says():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record, random_model
 
-from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.certified_bound import excess
+from ssm_study.loop.controller import ObserverFeedback, parts
 from ssm_study.loop.disturbance import StepDisturbance
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.reference import RampReference, StepReference
@@ -91,7 +92,11 @@ def test_without_integral_action_the_load_leaves_an_error():
 
 def test_the_certified_bound_holds_with_integrators(design):
     result = LOADED.run(motor(), motor_model(), design, seed=1)
-    assert certified(result, design)["certified_bound_violations"] == 0
+    columns = certified(result, design)
+    assert columns["certified_bound_violations"] == 0
+    assert columns["estimate_decay_rate"] >= design.observer.rate * (1 - 1e-9)
+    assert excess(result.on_model.estimate, result.on_model.states[:, 0], *parts(design)) == 0.0
+    assert columns["certified_bound_excess_plant"] is None  # the plant follows a reference, the model none
     assert result.on_model.estimate.shape[2] == motor_model().order + 1
 
 

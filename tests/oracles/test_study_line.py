@@ -14,6 +14,7 @@ from ssm_study.cli import main
 from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import Modes, by_convolution
+from ssm_study.results.recordings import read_rollouts
 from ssm_study.results.verify import verify
 
 CONTRACT_FILES = ("record.json", "model.json", "certificate.json", "validation.mcap", "closed_loop.mcap", ".hydra")
@@ -115,6 +116,24 @@ def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
 
 
 TINY = ["experiment=smoke", "study=sweep", "progress=false", "synthesis=riccati", "training.max_epochs=2"]
+
+
+def test_inputs_cut_at_limits_are_replayed(tmp_path: Path) -> None:
+    limits = ["loop.input_lower=-0.2", "loop.input_upper=0.3"]
+    assert main(["run", *TINY, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"]) == 0
+    (run,) = (path.parent for path in tmp_path.glob("sweep/*/record.json"))
+    u = read_rollouts(run / "closed_loop.mcap").run.u
+    assert u.min() == -0.2
+    assert u.max() == 0.3
+    assert [finding for finding in verify(run) if not finding.holds] == []
+    edit_text(run / ".hydra" / "config.yaml", "input_upper: 0.3", "input_upper: 0.29")
+    assert "closed_loop.mcap input" in failing(run)
+
+
+def edit_text(path: Path, old: str, new: str) -> None:
+    content = path.read_text()
+    assert content.count(old) == 1
+    path.write_text(content.replace(old, new))
 
 
 def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Path) -> None:
