@@ -58,11 +58,13 @@ class Auto:
     The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
     model always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
     whose limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. A rate
-    given as a number instead of "auto" is kept. When no candidate reaches the margin, the one with the largest is
-    returned and `solver_status` says so. With `integral_weights`, the controller also acts on integrators of the
-    tracking error (`synthesis.integral`), and their weight is one more axis of the grid.
+    given as a number instead of "auto" is kept; `rate` stands for each side that is left at "auto". When no candidate
+    reaches the margin, the one with the largest is returned and `solver_status` says so. With `integral_weights`, the
+    controller also acts on integrators of the tracking error (`synthesis.integral`), and their weight is one more axis
+    of the grid.
     """
 
+    rate: float | str = "auto"
     rate_controller: float | str = "auto"
     rate_observer: float | str = "auto"
     margin: float = 1.0
@@ -78,7 +80,7 @@ class Auto:
     method: ClassVar[str] = "auto"
 
     def __post_init__(self) -> None:
-        for name in ("rate_controller", "rate_observer"):
+        for name in ("rate", "rate_controller", "rate_observer"):
             rate = getattr(self, name)
             given = isinstance(rate, int | float) and 0 < rate < 1
             remedy = 'use "auto" or a number such as 0.1'
@@ -161,7 +163,11 @@ class Auto:
         return [share * _own_rate(system) for share in self.own_rate_shares]
 
     def _rates(self, rate: float | str, grid: list[float], limit: float) -> list[float]:
-        return [value for value in (grid if rate == "auto" else [float(rate)]) if 0 < value < limit]
+        asked = self._asked(rate)
+        return [value for value in (grid if asked == "auto" else [float(asked)]) if 0 < value < limit]
+
+    def _asked(self, own: float | str) -> float | str:
+        return self.rate if own == "auto" else own
 
     def _specification(self, **chosen: float) -> RiccatiSynthesis:
         asked = {"rate_controller": 0.5, "rate_observer": 0.5} | chosen
@@ -191,7 +197,8 @@ class Auto:
 
     def _slowest(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Design:
         """What the Riccati route says at the least demanding request, as the reason to report."""
-        asked = [1e-3 if rate == "auto" else float(rate) for rate in (self.rate_controller, self.rate_observer)]
+        rates = (self._asked(self.rate_controller), self._asked(self.rate_observer))
+        asked = [1e-3 if rate == "auto" else float(rate) for rate in rates]
         specification = self._specification(rate_controller=asked[0], rate_observer=asked[1])
         if not self.integral_weights:
             return specification.design(model, input_ball, output_ball)

@@ -1,9 +1,12 @@
 """Laws of `auto`: its choice is certified, holds the margin, keeps what it is given, and never sees the plant."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record
 
 from ssm_study.loop.metrics import behaviour, certified
@@ -92,6 +95,23 @@ def test_a_given_rate_is_kept():
     assert design.observer.rate == 0.15
 
 
+def test_one_rate_stands_for_both_sides_that_are_left_to_auto():
+    both = replace(SMALL, rate=0.02).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert (both.state_feedback.rate, both.observer.rate) == (0.02, 0.02)
+    one = replace(SMALL, rate=0.02, rate_observer=0.15)
+    design = one.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert (design.state_feedback.rate, design.observer.rate) == (0.02, 0.15)
+
+
+@pytest.mark.parametrize("group", ["auto", "auto_integral"])
+def test_rate_is_a_key_of_the_configuration(group):
+    with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
+        asked = compose("study", [f"synthesis={group}", "synthesis.rate=auto", "study=s"]).synthesis
+        given = compose("study", [f"synthesis={group}", "synthesis.rate=0.1", "study=s"]).synthesis
+    assert instantiate(asked).rate == "auto"
+    assert instantiate(given).rate == 0.1
+
+
 def test_a_rate_beyond_the_frontier_is_infeasible_and_says_how_far():
     design = replace(SMALL, rate_controller=0.9).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
     assert isinstance(design.state_feedback, Infeasible)
@@ -113,6 +133,7 @@ def test_a_record_without_excitation_is_refused():
 @pytest.mark.parametrize(
     ("values", "names"),
     [
+        ({"rate": "fast"}, r"synthesis\.rate "),
         ({"rate_controller": "fast"}, "rate_controller"),
         ({"rate_observer": 1.0}, "rate_observer"),
         ({"margin": 0.0}, "margin"),
