@@ -16,13 +16,6 @@ def uniform_step_s(
     Every instant must lie within `jitter_tolerance` of a period of where the clock puts it. Raises `BadRequest`.
     """
     mean_s = mean_period_s(time_s, where)
-    require(
-        claimed_s is None or abs(claimed_s - mean_s) <= AGREEMENT * mean_s,
-        "data.step_s",
-        claimed_s,
-        f"the times of {where} show {mean_s:.6g} s",
-        "correct one of them (units?), or leave step_s null",
-    )
     late = np.abs(time_s - time_s[0] - mean_s * np.arange(len(time_s))) / mean_s
     worst = int(np.argmax(late))
     require(
@@ -31,6 +24,13 @@ def uniform_step_s(
         time_s[worst],
         f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, and {jitter_tolerance:g} is tolerated",
         "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance",
+    )
+    require(
+        claimed_s is None or abs(claimed_s - mean_s) <= AGREEMENT * mean_s,
+        "data.step_s",
+        claimed_s,
+        f"the times of {where} show {mean_s:.6g} s",
+        "correct one of them (units?), or leave step_s null",
     )
     return mean_s if claimed_s is None else claimed_s
 
