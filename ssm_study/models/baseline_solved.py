@@ -34,7 +34,11 @@ class SolvedSpec(ModelSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
-    """Linear state space by subspace identification with `block_rows` block rows; an SSM without nonlinearity."""
+    """Linear state space by subspace identification with `block_rows` block rows; an SSM without nonlinearity.
+
+    A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts, and B is fitted
+    again without it.
+    """
 
     gives_ssm: ClassVar[bool] = True
 
@@ -56,8 +60,9 @@ class N4SID(SolvedSpec):
         )
         method.subspace_identification()
         found, _ = method.system_identification(rank=self.order)
-        a, radius = found.a, float(np.abs(np.linalg.eigvals(found.a)).max())
-        linear = StateSpace(a=a * min(1.0, SLOWEST / radius), b=found.b, c=found.c, d=found.d)
+        a = found.a * min(1.0, SLOWEST / float(np.abs(np.linalg.eigvals(found.a)).max()))
+        b = input_matrix(a, found.c, scaled(data))
+        linear = StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d))
         return SSM(
             linear=linear,
             scaffold_in=LinearScaffold.identity(u.shape[1]),
@@ -68,6 +73,25 @@ class N4SID(SolvedSpec):
             output_equilibrium=data.output_equilibrium,
             step_s=data.step_s,
         )
+
+
+def input_matrix(
+    a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: list[tuple[np.ndarray, np.ndarray]]
+) -> Float[np.ndarray, "n m"]:
+    """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so solved at once."""
+    n, m, count = len(a), records[0][0].shape[1], len(records)
+    each = StateSpace(a=a, b=np.eye(n), c=c, d=np.zeros((len(c), n)))
+    rows, targets = [], []
+    for i, (u, y) in enumerate(records):
+        pushes = np.eye(n)[:, None, None, :] * u.T[None, :, :, None]  # (n, m, T, n): input j drives state i alone
+        driven = each.simulate(pushes.reshape(n * m, len(u), n))[0].reshape(n * m, -1)
+        free = each.simulate(np.zeros((n, len(u), n)), np.eye(n))[0].reshape(n, -1)
+        starts = np.zeros((count, n, free.shape[1]))
+        starts[i] = free
+        rows.append(np.concatenate([driven, starts.reshape(count * n, -1)]).T)
+        targets.append(y.reshape(-1))
+    solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+    return solved[: n * m].reshape(n, m)
 
 
 @dataclass(frozen=True, kw_only=True)
