@@ -161,8 +161,8 @@ def _loop(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
 
 def input_limits(run: Path) -> tuple[float, float]:
     """`loop.input_lower`, `loop.input_upper` of the run's own configuration, unit of the input; infinite for none."""
-    loop = OmegaConf.load(run / ".hydra" / "config.yaml")["loop"]
-    lower, upper = loop.get("input_lower"), loop.get("input_upper")
+    configuration = OmegaConf.load(run / ".hydra" / "config.yaml")
+    lower, upper = (OmegaConf.select(configuration, f"loop.input_{side}") for side in ("lower", "upper"))
     return -np.inf if lower is None else float(lower), np.inf if upper is None else float(upper)
 
 
