@@ -1,10 +1,12 @@
 """Does the mismatch margin predict the true plant? Certified designs of many models, one line per model.
 
     python benchmarks/loop_margin.py run --plant dc_motor --order 4 8 12 --seed 0 1 2 --to margin_dc_motor.csv
-    python benchmarks/loop_margin.py pool margin_*.csv
+    python benchmarks/loop_margin.py pool margin_*.csv --to results/reference/loop
+    python benchmarks/loop_margin.py draw results/reference/loop
 
 `run` identifies one model per (plant, order, seed), draws 150 certified designs and closes each on the plant ten times
-(`ssm_study.loop.design_grid`); models already in the file are skipped. `pool` prints ROC and confusion table.
+(`ssm_study.loop.design_grid`); models already in the file are skipped. `pool` writes ROC and confusion table,
+hindsight, exceptions and the designs that `draw` draws, beside the figures of `peers.csv` and `robustness.csv`.
 The same tables come from `ssm-study run -m experiment=fit_versus_stability`, with everything else a run records.
 """
 
@@ -21,9 +23,18 @@ from ssm_study.bounds.scaffolds import certified_balls
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.table import Identified
 from ssm_study.models.free_run import free_run
+from ssm_study.report import style
+from ssm_study.report.figures import peers, robustness
+from ssm_study.report.margin_figures import NEEDED, roc, settling
 from ssm_study.signals import fit_percent
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
+MODEL = ["plant", "order", "seed"]
+EXCEPTION = [
+    *(*MODEL, "design", "rate_controller", "rate_observer", "gain_norm", "observer_gain_norm"),
+    *("mismatch_gain", "mismatch_margin", "stable_count", "stable_count_noise_free"),
+    *("left_bound_count", "middle_spread", "final_spread", "kind"),
+]
 GROUPS = ("plant", "excitation", "data", "model", "training", "reduction", "loop")
 
 
@@ -118,10 +129,34 @@ def run(arguments: argparse.Namespace) -> None:
 
 def pool(arguments: argparse.Namespace) -> None:
     table = pd.concat([pd.read_csv(name) for name in arguments.files], ignore_index=True)
-    groups = {("all", "all"): table} | dict(table.groupby(["plant", "order"]).__iter__())
-    print(pd.DataFrame({key: summary(group) for key, group in groups.items()}).T.to_csv(float_format="%.4g"))
-    models = {key: hindsight(group) for key, group in table.groupby(["plant", "order", "seed"])}
-    print(pd.DataFrame(models).T.to_csv(float_format="%.4g"))
+    table, to = table.assign(kind=outcome(table)), Path(arguments.to)
+    groups = {("all", "all"): table} | {(plant, "all"): own for plant, own in table.groupby("plant")}
+    groups |= {(plant, order): own for (plant, order), own in table.groupby(["plant", "order"])}
+    rows = [{"plant": plant, "order": order} | summary(own) for (plant, order), own in groups.items()]
+    written = {"margin_summary.csv": pd.DataFrame(rows)}
+    models = [dict(zip(MODEL, key, strict=True)) | hindsight(own) for key, own in table.groupby(MODEL)]
+    written["hindsight.csv"] = pd.DataFrame(models)
+    written["margin_exceptions.csv"] = table.loc[(table.mismatch_margin > 1) & (table.kind != "settled"), EXCEPTION]
+    relative = table.settling_time_mean_s / table.settling_time_open_loop_s
+    written["margin_designs.csv.gz"] = table.assign(relative_time=relative)[[*MODEL, "design", *NEEDED[1:]]]
+    for name, content in written.items():
+        packed = {"method": "gzip", "mtime": 0} if name.endswith(".gz") else None
+        content.to_csv(to / name, index=False, float_format="%.4g", compression=packed)
+
+
+def draw(arguments: argparse.Namespace) -> None:
+    folder = Path(arguments.folder)
+    designs = pd.read_csv(folder / "margin_designs.csv.gz")
+    peers_table, robustness_table = (pd.read_csv(folder / f"{name}.csv") for name in ("peers", "robustness"))
+    with style.paper():
+        figures = {
+            "margin_roc": roc(designs),
+            "margin_settling": settling(designs),
+            "peers": peers.figure(peers_table, peers_table["controller"]),
+            "robustness": robustness.figure(robustness_table),
+        }
+        for name, figure in figures.items():
+            figure.savefig(folder / f"{name}.png", dpi=200, metadata={"Software": None})
 
 
 def main() -> None:
@@ -135,7 +170,11 @@ def main() -> None:
     one.set_defaults(act=run)
     two = commands.add_parser("pool")
     two.add_argument("files", nargs="+")
+    two.add_argument("--to", required=True)
     two.set_defaults(act=pool)
+    three = commands.add_parser("draw")
+    three.add_argument("folder")
+    three.set_defaults(act=draw)
     arguments = parser.parse_args()
     arguments.act(arguments)
 

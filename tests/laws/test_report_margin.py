@@ -1,0 +1,51 @@
+"""The margin's figures: the curve is the one its area says, and both figures hold every design."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ssm_study.report import margin_figures, style
+
+
+def designs(count: int = 60) -> pd.DataFrame:
+    rng = np.random.default_rng(0)
+    margin = np.round(rng.lognormal(-1, 1.5, count), 1)  # rounded: ties
+    settled = rng.uniform(size=count) < margin / (0.5 + margin)
+    return pd.DataFrame(
+        {
+            "plant": np.where(np.arange(count) % 2, "dc_motor", "cascaded_tanks"),
+            "mismatch_margin": margin,
+            "kind": np.where(settled, "settled", "lost"),
+            "relative_time": np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count)),
+        }
+    )
+
+
+def test_the_area_is_the_chance_that_a_good_design_scores_higher():
+    table = designs()
+    good, score = table["kind"].eq("settled").to_numpy(float), table["mismatch_margin"].to_numpy()
+    false, true = margin_figures.roc_points(score, good)
+    pairs = np.sign(score[good == 1][:, None] - score[good == 0][None, :])
+    assert np.trapezoid(true, false) == pytest.approx((0.5 + 0.5 * pairs).mean(), rel=1e-12)
+    assert (false[-1], true[-1]) == (1.0, 1.0)
+
+
+def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
+    table = designs()
+    with style.paper():
+        roc, settling = margin_figures.roc(table), margin_figures.settling(table)
+    drawn = sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections)
+    assert drawn == len(table)
+    assert len(settling.axes) == 2
+    assert [text.get_text().split(",")[0] for text in roc.axes[0].get_legend().get_texts()] == [
+        "cascaded tanks",
+        "dc motor",
+    ]
+
+
+def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
+    table = designs().assign(kind="settled")
+    with style.paper():
+        roc, settling = margin_figures.roc(table), margin_figures.settling(table)
+    assert len(roc.axes[0].lines) == 1  # the diagonal
+    assert sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections) == len(table)
