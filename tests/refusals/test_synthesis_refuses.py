@@ -56,6 +56,13 @@ def test_any_tampering_with_any_matrix_is_found(stored: dict, where: tuple[str, 
     assert any(claim.startswith(where[0]) for claim in broken_claims(content, PLANT, BALLS))
 
 
+def test_the_digest_covers_every_field(stored: dict) -> None:
+    for side, part in stored.items():
+        assert part["digest"] == digest(part)
+        for name in part.keys() - {"digest"}:
+            assert digest(part | {name: "altered"}) != part["digest"], f"{side}.{name}"
+
+
 @pytest.mark.parametrize("name", ["alpha", "beta", "rate", "sigma", "rate_limit"])
 def test_any_tampering_with_a_number_is_found(stored: dict, name: str) -> None:
     content = copy.deepcopy(stored)
