@@ -32,6 +32,7 @@ MODELS = {
     "lstm": "LSTM, our run",
     "deep_ssm": "deep SSM (two blocks of ours), our run",
 }
+FULL_BUDGET = 60  # epochs of conf/training/default.yaml; a run with fewer is said to be cut short
 TOLD = ["benchmark", "model", "seed", "status", "fit_train_percent", "epochs_allowed", "training_seconds",
         "training_ended", "controller_certified", "observer_certified"]  # fmt: skip
 
@@ -62,6 +63,8 @@ def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
             continue
         best = max(scored, key=lambda run: run["fit_train_percent"])
         row |= {column: f"{best[column]:.3g}" for column in columns}
+        if best["epochs_allowed"] < FULL_BUDGET:
+            notes.append(f"{benchmark} cut to {best['epochs_allowed']} epochs")
         if model == "ssm":
             notes.append(f"{benchmark} {str(best['controller_certified'] and best['observer_certified']).lower()}")
     said = "both certificates: " if model == "ssm" else ""
