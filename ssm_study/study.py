@@ -31,7 +31,7 @@ from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, 
 from ssm_study.results.gather import gather
 from ssm_study.results.keys import code_version
 from ssm_study.results.naming import register_resolver, run_name
-from ssm_study.results.recordings import write_rollouts, write_simulation
+from ssm_study.results.recordings import write_excitation, write_rollouts, write_simulation
 from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record
 from ssm_study.results.runs import Outcome, Run, execute
 from ssm_study.results.show import show
@@ -142,6 +142,7 @@ def dataset_stage(specification: Specification, stages: Stages) -> Kept[DataSet]
         arrays, about = dataset_to_tensors(data)
         save_file(arrays, folder / "records.safetensors")
         write_json(folder / "records.json", about)
+        write_excitation(folder / "excitation.mcap", data)
         write_json(folder / "facts.json", data_facts(data))
 
     def read(folder: Path) -> DataSet:
@@ -149,8 +150,9 @@ def dataset_stage(specification: Specification, stages: Stages) -> Kept[DataSet]
 
     settings = select(specification, "data", "seed", *(("plant", "excitation") if specification.plant else ()))
     files = [sha256_of_file(path) for path in specification.files()]
-    version = code_version(*NOUNS, "plants", "data")
-    return Kept(stages.stage("dataset", settings | {"files": files}, (), version, compute), read)
+    version = code_version(*NOUNS, "plants", "data", "results.recordings")
+    result = stages.stage("dataset", settings | {"files": files}, (), version, compute)
+    return Kept(result, read, ("excitation.mcap",))
 
 
 def model_stage(specification: Specification, stages: Stages, data: Kept[DataSet]) -> Kept[Any]:

@@ -36,6 +36,14 @@ def write_simulation(path: Path, model: Simulator, records: tuple[Trajectory, ..
     write_mcap(path, tuple(groups), data.metadata | about)
 
 
+def write_excitation(path: Path, data: DataSet) -> None:
+    """`/record_<i>/input`: what the training records were excited by, physical."""
+    groups = [
+        _group(f"/record_{i}/input", record.time_s, data.inputs, record.u) for i, record in enumerate(data.training)
+    ]
+    write_mcap(path, tuple(groups), data.metadata | {"step_s": repr(data.step_s)})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
     """What `write_simulation` kept: the records, the free runs beside them, and how many samples are not scored."""
