@@ -6,9 +6,10 @@ verdict on what it returns is exact arithmetic's.
 """
 
 import warnings
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import cvxpy as cp
 import numpy as np
@@ -16,10 +17,15 @@ import scipy.linalg
 from jaxtyping import Float
 
 from ssm_study.refusal import require
+from ssm_study.synthesis.certificate import Infeasible, Observer, StateFeedback
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.systems import JacobianBall, StateSpace
 
-OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")
+Part = TypeVar("Part", bound=StateFeedback | Observer | Infeasible)
+
+OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost", "largest_rate")
+LARGEST_RATE_STEPS = 12  # halvings between the asked rate and the frontier: the rate to 1/4096 of that interval
 # SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact verdict decides.
 SOLVERS: dict[str, dict[str, float]] = {"CLARABEL": {}, "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0}}
 # The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its strictness by this.
@@ -151,7 +157,11 @@ def _compiled(
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """The paper's route. `objective` is one of `OBJECTIVES`, `solver` CLARABEL or SCS."""
+    """The paper's route. `objective` is one of `OBJECTIVES`, `solver` CLARABEL or SCS.
+
+    With `largest_rate` the asked rates are floors: each side gets the largest rate at which the solver's matrices are
+    certified exactly, by bisection up to the frontier.
+    """
 
     objective: str = "guaranteed_cost"
     full: bool = False
@@ -165,5 +175,29 @@ class LmiSynthesis(Synthesis):
             value = getattr(self, name)
             require(value in choices, f"synthesis.{name}", value, "unknown", f"use one of {', '.join(choices)}")
 
+    def state_feedback(self, linear: StateSpace, ball: JacobianBall) -> StateFeedback | Infeasible:
+        if self.objective != "largest_rate":
+            return super().state_feedback(linear, ball)
+        return _largest(lambda rate: self._at(rate_controller=rate).state_feedback(linear, ball), self.rate_controller)
+
+    def observer(self, linear: StateSpace, ball: JacobianBall) -> Observer | Infeasible:
+        if self.objective != "largest_rate":
+            return super().observer(linear, ball)
+        return _largest(lambda rate: self._at(rate_observer=rate).observer(linear, ball), self.rate_observer)
+
+    def _at(self, **rate: float) -> "LmiSynthesis":
+        return replace(self, objective="largest_margin", **rate)  # type: ignore[arg-type]  # the two rate fields only
+
     def solve(self, problem: Problem) -> Solution:
         return compiled(problem, self.objective, self.full).solve(problem, self.solver)
+
+
+def _largest(certify: Callable[[float], Part], floor: float) -> Part:
+    """The last certified part of a bisection on the rate; what the floor gives, if that is not certified."""
+    best = certify(floor)
+    low, high = floor, best.rate_limit
+    for _ in range(LARGEST_RATE_STEPS if best.certified else 0):
+        middle = (low + high) / 2
+        found = certify(middle)
+        best, low, high = (found, middle, high) if found.certified else (best, low, middle)
+    return best
