@@ -44,7 +44,7 @@ WORDS: dict[str, str] = {
     "settling_time_mean_s": "Mean settling time (s)",
     "settling_time_worst_s": "Worst settling time (s)",
     "settling_time_open_loop_s": "Mean settling time, uncontrolled (s)",
-    "overshoot_worst": "Worst overshoot (output unit)",
+    "overshoot_worst": "Worst overshoot (share of the start)",
     "input_peak_v": "Input peak (V)",
     "control_energy": "Control energy (V² s)",
     "empirical_rate": "Measured contraction, r (1/sample)",

@@ -64,7 +64,7 @@ COLUMNS = (
     Column("overshoot_worst", "Float64", "low"),
     Column("input_peak_v", "Float64", "low", "peak V"),
     Column("control_energy", "Float64", "low", "energy"),
-    Column("empirical_rate", "Float64", "low"),
+    Column("empirical_rate", "Float64", "high"),
     Column("certified_bound_violations", "Int64", "low"),
     Column("mismatch_gain", "Float64", "low"),
     Column("mismatch_margin", "Float64", "high", "margin"),
