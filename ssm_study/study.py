@@ -27,7 +27,7 @@ from ssm_study.plants.plant import Plant
 from ssm_study.report.figures import draw
 from ssm_study.report.outcome import print_outcome
 from ssm_study.results.durable import sha256_of_file
-from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, model_facts
+from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, model_facts, opinion_facts
 from ssm_study.results.gather import gather
 from ssm_study.results.keys import code_version
 from ssm_study.results.naming import register_resolver, run_name
@@ -212,7 +212,8 @@ def synthesis_stage(
         balls = certified_balls(model)
         design = specification.synthesis.design(model, *balls, validation)
         design.save(folder / "certificate.json")
-        write_json(folder / "facts.json", design_facts(design, model, balls, validation))
+        facts = design_facts(design, model, balls, validation) | opinion_facts(design, model, balls)
+        write_json(folder / "facts.json", facts)
 
     version = code_version(*NOUNS, "models", "bounds", "synthesis", "results.facts", "cvxpy", "clarabel")
     result = stages.stage("synthesis", select(specification, "synthesis"), (data.key, bounded.key), version, compute)

@@ -110,13 +110,16 @@ def design_facts(
     if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
         reasons = (part.reason for part in (feedback, observer) if isinstance(part, Infeasible))
         return facts | {"infeasible_reason": "; ".join(reasons)}
-    facts |= opinion_facts(model, balls, (feedback.rate, observer.rate))
     predicted = mismatch(model, feedback.k, observer.l, *balls, validation)
     return facts | {"mismatch_gain": predicted.gain, "mismatch_margin": predicted.margin}
 
 
-def opinion_facts(model: SSM, balls: tuple[JacobianBall, JacobianBall], rates: tuple[float, float]) -> Facts:
+def opinion_facts(design: Design, model: SSM, balls: tuple[JacobianBall, JacobianBall]) -> Facts:
     """What the paper's two LMIs, solved by Clarabel at the same rates, have to say: information, not the verdict."""
+    feedback, observer = design.state_feedback, design.observer
+    if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
+        return {}
+    rates = feedback.rate, observer.rate
     facts: Facts = {}
     for side, opinion in zip(("controller", "observer"), paper_lmis(model.linear, *balls, *rates), strict=True):
         facts |= {f"lmi_{side}_status": opinion.status, f"lmi_{side}_certified": opinion.certified}
