@@ -43,12 +43,24 @@ class TorchDeepSSM(TorchModel):
     def __init__(self, blocks: list[TorchSSM]) -> None:
         super().__init__()
         self.blocks = nn.ModuleList(blocks)
+        self.orders = [block.states for block in blocks]
+        self.states = sum(self.orders)
 
     def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
-        del x0  # `states` is zero: blocks start from rest
-        for block in self.blocks:
-            u = block(u)
+        starts = [None] * len(self.blocks) if x0 is None else x0.split(self.orders, dim=1)
+        for block, start in zip(self.blocks, starts, strict=True):
+            u = block(u, start)
         return u
+
+    def advance(
+        self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
+    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+        ends = []
+        for block, start in zip(self.blocks, x0.split(self.orders, dim=1), strict=True):
+            assert isinstance(block, TorchSSM)
+            u, end = block.advance(u, start)
+            ends.append(end)
+        return u, torch.cat(ends, 1)
 
     def freeze(self, data: DataSet) -> DeepSSM:
         frozen, last = [], len(self.blocks) - 1

@@ -71,10 +71,17 @@ class TorchRecurrent(TorchModel):
         kind = nn.GRU if cell == "gru" else nn.LSTM
         self.cell = kind(channels[0], hidden, batch_first=True, dtype=torch.float64)
         self.read = nn.Linear(hidden, channels[1], dtype=torch.float64)
+        self.states = hidden if cell == "gru" else 2 * hidden  # the LSTM's h, then its c
 
     def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
-        del x0  # `states` is zero: the cell starts from rest
-        return self.read(self.cell(u)[0])
+        return self.read(self.cell(u)[0]) if x0 is None else self.advance(u, x0)[0]
+
+    def advance(
+        self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
+    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+        start = [part.contiguous() for part in x0[None].split(self.cell.hidden_size, dim=-1)]
+        y, end = self.cell(u, start[0] if self.kind == "gru" else tuple(start))
+        return self.read(y), (end if self.kind == "gru" else torch.cat(end, -1))[0]
 
     def freeze(self, data: DataSet) -> Recurrent:
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")

@@ -69,6 +69,10 @@ class LRU(nn.Module):
         real, pairs = free[:, : self.reals], free[:, self.reals :].unflatten(1, (-1, 2))
         return torch.complex(torch.cat([real, pairs[..., 0]], 1), torch.cat([torch.zeros_like(real), pairs[..., 1]], 1))
 
+    def real_state(self, modal: Complex[Tensor, "e modes"]) -> Float[Tensor, "e n"]:
+        """The inverse of `initial_state`."""
+        return torch.cat([modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Start:

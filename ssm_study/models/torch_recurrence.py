@@ -70,6 +70,17 @@ def free_response(modes: Modes, x0: Complex[Tensor, "e n"], samples: int) -> Flo
     return power_sum(x0[:, None, :] * modes.c, modes.decay, samples).transpose(1, 2)
 
 
+def end_state(
+    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Complex[Tensor, "e n"]:
+    """`x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the recurrence stands after the last sample."""
+    samples, rate = u.shape[1], modes.decay.to(torch.complex128)
+    ages = powers(rate, samples).flip(0).to(modes.b.dtype)
+    moments = torch.complex(u.transpose(1, 2) @ ages.real, u.transpose(1, 2) @ ages.imag)
+    x = (moments * modes.b.T).sum(1)
+    return x if x0 is None else x + torch.exp(rate * samples).to(x.dtype) * x0
+
+
 def by_convolution(
     modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
 ) -> Float[Tensor, "e T p"]:

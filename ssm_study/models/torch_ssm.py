@@ -1,6 +1,7 @@
 """The trainable model: scaffolding, recurrent unit, scaffolding, in scaled units."""
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -8,18 +9,28 @@ from torch import Tensor, nn
 
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.torch_lru import LRU
-from ssm_study.models.torch_recurrence import respond
+from ssm_study.models.torch_recurrence import end_state, respond
 from ssm_study.models.torch_scaffold import TorchScaffold
 from ssm_study.signals import DataSet
 
 
 class TorchModel(nn.Module, ABC):
-    """A trainable model on scaled signals; `states` is the length of the initial state it accepts, 0 for none."""
+    """A trainable model on scaled signals; `states` is the length of the initial state it accepts.
 
-    states: int = 0
+    `estimates_start`: whether a free run of the stored model estimates the state a record starts from (`free_run`).
+    """
+
+    states: int
+    estimates_start: ClassVar[bool] = False
 
     @abstractmethod
     def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]: ...
+
+    @abstractmethod
+    def advance(
+        self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
+    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+        """The output, and the state after the last sample: what the next window of a record starts from."""
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
@@ -28,6 +39,8 @@ class TorchModel(nn.Module, ABC):
 
 class TorchSSM(TorchModel):
     """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`."""
+
+    estimates_start = True
 
     def __init__(self, scaffold_in: TorchScaffold, lru: LRU, scaffold_out: TorchScaffold) -> None:
         super().__init__()
@@ -41,6 +54,19 @@ class TorchSSM(TorchModel):
         """The output for an input that has passed `S_u` already; `x0` ordered as in `to_state_space`."""
         modal = None if x0 is None else self.lru.initial_state(x0)
         return self.scaffold_out(respond(self.lru.modes(), ubar, modal))
+
+    def advance(
+        self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
+    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+        return self.advance_lifted(self.scaffold_in(u), x0)
+
+    def advance_lifted(
+        self, ubar: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
+    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+        """`advance` for an input that has passed `S_u` already."""
+        modes, modal = self.lru.modes(), self.lru.initial_state(x0)
+        end = self.lru.real_state(end_state(modes, ubar, modal))
+        return self.scaffold_out(respond(modes, ubar, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
         return SSM(

@@ -1,4 +1,4 @@
-"""The Lightning module: one full-record loss per step, one validation per epoch."""
+"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch."""
 
 import copy
 import math
@@ -11,31 +11,37 @@ from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from ssm_study.models.torch_ssm import TorchSSM
+from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 from ssm_study.training.objective import Records, fit_of_loss
 from ssm_study.training.optimisers import Adam, Levenberg, OptimiserSpec
 from ssm_study.training.penalties import Penalties
+from ssm_study.training.windows import Continuity, Starts
 
 
 class Fit(pl.LightningModule):
-    """Minimises the training loss of `model`; optionally estimates one initial state per training record as well."""
+    """Minimises the training loss of `model`, and with it the states of `starts` where they are parameters.
+
+    `training` holds the windows, `whole` the records they were cut from (None where windows are whole records): the
+    training fit that is shown is always that of whole records.
+    """
 
     def __init__(
         self,
-        model: nn.Module,
+        model: TorchModel,
         training: Records,
         validation: Records,
         optimiser: OptimiserSpec,
         max_epochs: int,
-        estimated_states: int = 0,
+        starts: Starts | None = None,
         penalties: Penalties | None = None,
+        continuity: Continuity | None = None,
+        whole: Records | None = None,
     ) -> None:
         super().__init__()
         self.model, self.training_records, self.validation_records = model, training, validation
         self.optimiser, self.max_epochs = optimiser, max_epochs
         self.penalties = penalties or Penalties(roughness_weight=0.0, hankel_weight=0.0)
-        states = torch.zeros(len(training.u), estimated_states, dtype=torch.float64)
-        self.x0 = nn.Parameter(states) if estimated_states else None
+        self.starts, self.continuity, self.whole = starts, continuity, whole
         self.last_loss = math.inf
         self.automatic_optimization = not isinstance(optimiser, Levenberg)
 
@@ -43,10 +49,18 @@ class Fit(pl.LightningModule):
         if not self.automatic_optimization:
             self._squares_step()
             return None
-        y_hat = self.training_records.simulate(self.model, self.x0)
+        y_hat, defects = self.run()
         with torch.no_grad():
             self.last_loss = float(self.training_records.loss(y_hat))
-        return self.training_records.objective(y_hat) + self._penalty()
+        return self.training_records.objective(y_hat) + defects.square().sum() + self._penalty()
+
+    def run(self) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "k n"]]:
+        """The simulated windows, and the defects between them (none without multiple shooting)."""
+        x0 = None if self.starts is None else self.starts()
+        if self.continuity is None or x0 is None:
+            return self.training_records.simulate(self.model, x0), self.training_records.y.new_zeros(0, 0)
+        y_hat, ends = self.training_records.advance(self.model, x0)
+        return y_hat, self.continuity(ends, x0)
 
     def _squares_step(self) -> None:
         """One step of an optimiser that works on the residuals themselves."""
@@ -55,7 +69,7 @@ class Fit(pl.LightningModule):
         self.last_loss = wrapped.step()
 
     def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
-        """`sqrt(weight) (y_hat - y)` as a function of all trainable parameters, one after the other."""
+        """`sqrt(weight) (y_hat - y)`, then the defects, as a function of all trainable parameters in a row."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])
         values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
@@ -69,6 +83,9 @@ class Fit(pl.LightningModule):
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
         loss = float(self.validation_records.loss(self.validation_records.simulate(self.model)))
+        if self.whole is not None:
+            x0 = None if self.starts is None else self.starts.of_records()
+            self.last_loss = float(self.whole.loss(self.whole.simulate(self.model, x0)))
         self.log("fit_validation_percent", fit_of_loss(loss) if math.isfinite(loss) else -math.inf)
         self.log("fit_training_percent", fit_of_loss(self.last_loss) if math.isfinite(self.last_loss) else -math.inf)
 
@@ -88,8 +105,8 @@ class _Residual(nn.Module):
 
     def forward(self) -> Float[Tensor, "N"]:
         records = self.fit.training_records
-        error = records.simulate(self.fit.model, self.fit.x0) - records.y
-        return (torch.sqrt(records.weight) * error).flatten()
+        y_hat, defects = self.fit.run()
+        return torch.cat([(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()])
 
 
 class Keeper(Callback):

@@ -8,15 +8,16 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ssm_study.models.torch_lift import Lift
-from ssm_study.models.torch_ssm import TorchSSM
+from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 from ssm_study.signals import DataSet, Trajectory
 
 
 class Records(nn.Module):
     """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
 
-    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the start-up window and in the padding, and scaled so that
-    `sum(weight |y - mean|^2) = 1`. Then the loss is `(1 - fit / 100)^2` for one channel.
+    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the first `unscored` samples (the start-up samples unless
+    given) and in the padding, and scaled so that `sum(weight |y - mean|^2) = 1`. Then the loss is `(1 - fit / 100)^2`
+    for one channel.
     """
 
     u: Tensor
@@ -25,7 +26,12 @@ class Records(nn.Module):
     scored: Tensor
 
     def __init__(
-        self, records: Sequence[Trajectory], data: DataSet, sorts: bool = True, integrated_share: float = 0.0
+        self,
+        records: Sequence[Trajectory],
+        data: DataSet,
+        sorts: bool = True,
+        integrated_share: float = 0.0,
+        unscored: Sequence[int] | None = None,
     ) -> None:
         super().__init__()
         self.integrated_share = integrated_share
@@ -34,7 +40,7 @@ class Records(nn.Module):
         y = [_padded((r.y - data.output_equilibrium) / data.output_scale, longest) for r in records]
         scored = np.zeros((len(records), longest, 1))
         for e, record in enumerate(records):
-            scored[e, data.start_up_samples : len(record)] = 1.0
+            scored[e, (unscored[e] if unscored else data.start_up_samples) : len(record)] = 1.0
         spread = _spread(np.stack(y), scored)
         for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
             self.register_buffer(name, torch.from_numpy(values))
@@ -48,6 +54,14 @@ class Records(nn.Module):
         if isinstance(model, TorchSSM):
             return model.respond(self.lift(model.scaffold_in), x0)
         return model(self.u) if x0 is None else model(self.u, x0)
+
+    def advance(
+        self, model: TorchModel, x0: Float[Tensor, "e n"]
+    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+        """As `simulate`, and the states after the last sample, padding included."""
+        if isinstance(model, TorchSSM):
+            return model.advance_lifted(self.lift(model.scaffold_in), x0)
+        return model.advance(self.u, x0)
 
     def loss(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:
         """`sum weight |e|^2`: what the fit is made of."""

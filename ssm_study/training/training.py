@@ -23,22 +23,22 @@ from ssm_study.training.fit import Fit, Keeper
 from ssm_study.training.identification import Identification, mean_fit
 from ssm_study.training.loggers import LoggerSpec, NoLogger
 from ssm_study.training.objective import Records
-from ssm_study.training.optimisers import Levenberg, OptimiserSpec, trainable
+from ssm_study.training.optimisers import Levenberg, OptimiserSpec
 from ssm_study.training.penalties import Penalties
+from ssm_study.training.polish import polish
 from ssm_study.training.progress import Curve, Line
 from ssm_study.training.saving import BEST, Saver, fingerprint, load_state, resumable, write_best
-
-POLISH_STEPS = 20  # float64 iterations after float32 training: they undo its rounding, not its optimum
+from ssm_study.training.windows import Cut, Starts, Windows, simulated_states
 
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Simulation error over full records, until validation gains less than `min_gain_percent` in `patience` epochs.
+    """Simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
 
     `precision` 32 trains in float32 and polishes in float64; 64 trains in float64. `initial_state` "estimated" fits
-    one initial state per training record, "auto" does so where the data set has start-up
-    samples. `validation_tolerance_percent`: see `Keeper`; the weights: see `Penalties`; `integrated_share`:
-    see `Records`. `starts` trainings from different starting points, the best validation fit is returned.
+    one initial state per training record, "auto" does so where the data set has start-up samples.
+    `validation_tolerance_percent`: see `Keeper`; the weights: see `Penalties`; `integrated_share`: see `Records`;
+    `windows`: see `Windows`. `starts` trainings from different starting points, the best validation fit is returned.
     `accelerator`, `devices` and `logger` go to Lightning.
     """
 
@@ -52,6 +52,7 @@ class Training:
     roughness_weight: float = 0.0
     hankel_weight: float = 0.0
     integrated_share: float = 0.0
+    windows: Windows = field(default_factory=Windows)
     starts: int = 1
     logger: LoggerSpec = field(default_factory=NoLogger)
     checkpoint_every_s: float = 10.0
@@ -101,13 +102,26 @@ class Training:
         return _scored(net.freeze(data), data, began, curve.rows, keeper.ended)
 
     def _fit(self, model: TorchModel, data: DataSet) -> Fit:
-        moving = data.start_up_samples > 0 if self.initial_state == "auto" else self.initial_state == "estimated"
-        states = model.states if moving else 0
         sorts = not isinstance(self.optimiser, Levenberg)  # which differentiates forward
-        share = self.integrated_share
-        records = Records(data.training, data, sorts, share), Records(data.validation, data, sorts, share)
-        penalties = Penalties(roughness_weight=self.roughness_weight, hankel_weight=self.hankel_weight)
-        return Fit(model, *records, self.optimiser, self.max_epochs, states, penalties)
+        cut = self.windows.cut(data.training, data.start_up_samples)
+        records = cut.records(data, sorts, self.integrated_share)
+        return Fit(
+            model,
+            records,
+            Records(data.validation, data, sorts),
+            self.optimiser,
+            self.max_epochs,
+            self._starts(model, data, records, cut),
+            Penalties(roughness_weight=self.roughness_weight, hankel_weight=self.hankel_weight),
+            self.windows.continuity(cut),
+            Records(data.training, data, sorts) if cut.later else None,
+        )
+
+    def _starts(self, model: TorchModel, data: DataSet, records: Records, cut: Cut) -> Starts | None:
+        moving = data.start_up_samples > 0 if self.initial_state == "auto" else self.initial_state == "estimated"
+        shooting = self.windows.continuity_weight > 0
+        rows = [*(cut.first if moving and model.estimates_start else ()), *(cut.later if shooting else ())]
+        return Starts(cut, sorted(rows), simulated_states(model, records, cut)) if rows else None
 
     def _run(self, fit: Fit, folder: Path, belongs_to: str, progress: bool) -> tuple[Keeper, Curve]:
         resume_from = resumable(folder, belongs_to)
@@ -164,21 +178,3 @@ def _scored(model: Simulator, data: DataSet, began: float, curve: list[dict[str,
         curve=curve,
         ended=ended,
     )
-
-
-def polish(fit: Fit) -> None:
-    """A few L-BFGS iterations in float64, kept only if they end finite and lower."""
-    before = {name: value.clone() for name, value in fit.state_dict().items()}
-    optimiser = torch.optim.LBFGS(trainable(fit), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe")
-
-    def closure() -> float:
-        optimiser.zero_grad()
-        loss = fit.training_step(None, 0)
-        assert loss is not None  # polish is for optimisers of a loss
-        loss.backward()
-        return float(loss.detach())
-
-    first = closure()
-    optimiser.step(closure)
-    if not closure() <= first:
-        fit.load_state_dict(before)

@@ -1,0 +1,220 @@
+"""Windows of a record train on the same error as the record, and shooting without defects is single shooting."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from models_cases import data_set
+from test_training_identify import LBFGS, spec, training
+from torch import Tensor
+
+from ssm_study.models.baseline_deep import DeepSSMSpec
+from ssm_study.models.baseline_recurrent import RecurrentSpec
+from ssm_study.models.scaffold_specs import Mlp, Monotone
+from ssm_study.models.spec import ModelSpec
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import DataSet
+from ssm_study.training.fit import Fit
+from ssm_study.training.identification import mean_fit
+from ssm_study.training.optimisers import Levenberg, OptimiserSpec
+from ssm_study.training.saving import read
+from ssm_study.training.windows import Windows
+
+DEEP = DeepSSMSpec(layers=2, order=3, channels=2, hidden_width=4, scaffold=Monotone())
+MODELS = {
+    "ssm": spec(order=3, scaffold_out=Monotone()),
+    "ring": spec(start="ring", order=5, real_modes=1, scaffold_in=Mlp(depth=2, train_slopes=True, certified=True)),
+    "gru": RecurrentSpec(cell="gru", hidden=3),
+    "lstm": RecurrentSpec(cell="lstm", hidden=3),
+    "deep_ssm": DEEP,
+}
+each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+SHOOTING = Windows(samples=40, continuity_weight=2.0)
+
+
+def unequal(samples: int = 100) -> DataSet:
+    """Two records, the second shorter; neither a multiple of the windows below."""
+    data = data_set(noise=0.1, samples=samples, records=2)
+    short = dataclasses.replace(data.training[1], u=data.training[1].u[:-17], y=data.training[1].y[:-17])
+    return dataclasses.replace(data, training=(data.training[0], short))
+
+
+def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any) -> Fit:
+    return training(windows=windows or Windows(), **settings)._fit(model.build(data, 0), data)
+
+
+def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
+    """The objective, and its gradient by the names of the model's parameters."""
+    loss = fit.training_step(None, 0)
+    assert loss is not None
+    loss.backward()
+    return loss.detach(), {n: p.grad for n, p in fit.model.named_parameters() if p.grad is not None}
+
+
+@each_model
+def test_two_halves_are_the_whole(model: ModelSpec) -> None:
+    """`advance` over a part, then over the rest from where it ended, is the run over both; `forward` agrees."""
+    net, u = model.build(unequal(), 0), torch.randn(3, 60, 1, dtype=torch.float64)
+    x0 = torch.randn(3, net.states, dtype=torch.float64)
+    (whole, end), (head, middle) = net.advance(u, x0), net.advance(u[:, :23], x0)
+    tail, end_of_tail = net.advance(u[:, 23:], middle)
+    torch.testing.assert_close(torch.cat([head, tail], 1), whole, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(end_of_tail, end, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(net(u, x0), whole, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(net(u), net(u, torch.zeros_like(x0)), rtol=1e-9, atol=1e-9)
+
+
+@each_model
+def test_a_window_as_long_as_the_record_is_the_record(model: ModelSpec) -> None:
+    data = data_set(noise=0.1, samples=80, records=2)
+    (loss, gradient), (expected, reference) = (
+        step_of(fit_of(model, data, windows)) for windows in (Windows(samples=80, continuity_weight=1.0), None)
+    )
+    torch.testing.assert_close(loss, expected, rtol=1e-12, atol=0)
+    for name, value in reference.items():
+        torch.testing.assert_close(gradient[name], value, rtol=1e-9, atol=1e-12)
+
+
+@each_model
+def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
+    data = unequal()
+    fit, whole = fit_of(model, data, SHOOTING), fit_of(model, data)
+    y_hat, defects = fit.run()
+    assert defects.shape == (4, fit.model.states)  # 100 and 83 samples in windows of 40: three each
+    assert defects.abs().max() < 1e-9
+    torch.testing.assert_close(fit.training_records.loss(y_hat), whole.training_records.loss(whole.run()[0]))
+
+
+@pytest.mark.parametrize("start_up", [0, 7])
+@pytest.mark.parametrize("windows", [Windows(samples=30, washout=12), Windows(samples=30), SHOOTING])
+def test_every_sample_is_scored_once(windows: Windows, start_up: int) -> None:
+    data = dataclasses.replace(unequal(), start_up_samples=start_up)
+    cut, whole = fit_of(MODELS["gru"], data, windows).training_records, fit_of(MODELS["gru"], data).training_records
+    scored = [records.y[records.scored.bool()].sort().values for records in (cut, whole)]
+    torch.testing.assert_close(*scored, rtol=0, atol=0)
+    torch.testing.assert_close(cut.weight.max(), whole.weight.max())
+
+
+def test_washout_makes_windows_at_rest_fair(tmp_path: Path) -> None:
+    """At a good model the windows agree that it is one, unless they score samples that rest cannot explain."""
+    data = data_set(samples=400)
+    training(max_epochs=8).identify(spec(), data, 0, tmp_path)
+    losses = {}
+    for windows in (Windows(), Windows(samples=100, washout=60), Windows(samples=100)):
+        fit = fit_of(spec(), data, windows)
+        state = {k: v for k, v in read(tmp_path / "best.ckpt")["state_dict"].items() if k.startswith("model.")}
+        fit.load_state_dict(state, strict=False)
+        losses[windows.samples, windows.washout] = float(fit.training_records.loss(fit.run()[0]).detach())
+    assert losses[100, 60] == pytest.approx(losses[None, 0], rel=0.3)
+    assert losses[100, 0] > 100 * losses[None, 0]
+
+
+@each_model
+def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec) -> None:
+    """Along a random direction through all parameters, states of the windows included, away from zero defects."""
+    fit = fit_of(model, unequal(), SHOOTING, integrated_share=0.3)
+    assert fit.starts is not None
+    rng = torch.Generator().manual_seed(1)
+    parameters = [p for p in fit.parameters() if p.requires_grad]
+    with torch.no_grad():
+        fit.starts.free += 0.3 * torch.randn(fit.starts.free.shape, generator=rng, dtype=torch.float64)
+    direction = [torch.randn(p.shape, generator=rng, dtype=torch.float64) for p in parameters]
+    loss = fit.training_step(None, 0)
+    assert loss is not None
+    slope = sum((g * d).sum() for g, d in zip(torch.autograd.grad(loss, parameters), direction, strict=True))
+    seen = []
+    for side in (1e-6, -1e-6):
+        with torch.no_grad():
+            for p, d in zip(parameters, direction, strict=True):
+                p += side * d
+            moved = fit.training_step(None, 0)
+            for p, d in zip(parameters, direction, strict=True):
+                p -= side * d
+        assert moved is not None
+        seen.append(float(moved))
+    assert (seen[0] - seen[1]) / 2e-6 == pytest.approx(float(slope), rel=1e-5)
+
+
+def test_the_residuals_of_shooting_are_its_objective() -> None:
+    """What Levenberg-Marquardt squares is what the others minimise, defects included."""
+    fit = fit_of(MODELS["ssm"], unequal(), SHOOTING)
+    assert fit.starts is not None
+    with torch.no_grad():
+        fit.starts.free += 0.5
+    flat = torch.cat([p.detach().flatten() for p in fit.parameters() if p.requires_grad])
+    objective = fit.training_step(None, 0)
+    assert objective is not None
+    torch.testing.assert_close(fit.residual(flat).square().sum(), objective.detach())
+    assert fit.run()[1].square().sum() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("optimiser", "windows"),
+    [
+        (LBFGS, Windows(samples=100, continuity_weight=1.0)),
+        (LBFGS, Windows(samples=150, washout=50)),
+        (LBFGS, Windows(samples=150, washout=50, stride=30)),
+        (Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5), Windows(samples=100, continuity_weight=1.0)),
+    ],
+)
+def test_windows_find_the_system(optimiser: OptimiserSpec, windows: Windows, tmp_path: Path) -> None:
+    data = data_set()
+    found = training(optimiser, windows=windows, max_epochs=12).identify(spec(), data, 0, tmp_path)
+    assert mean_fit(found.model, data.test, data) > 95.0  # a linear input map stops below 93
+    shown = max(row["fit_training_percent"] for row in found.curve)
+    assert found.fit_training_percent == pytest.approx(shown, abs=0.5)  # the curve shows whole records
+
+
+def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
+    """The first window's state is estimated as a whole record's would be; the curve starts whole records from it."""
+    data = data_set(samples=260, records=4)
+    moving = tuple(dataclasses.replace(r, u=r.u[60:260], y=r.y[60:260]) for r in data.training)
+    data = dataclasses.replace(data, training=moving)
+    windows = Windows(samples=50, continuity_weight=1.0)
+    fits = {
+        state: training(initial_state=state, windows=windows, max_epochs=10).identify(spec(), data, 0, tmp_path / state)
+        for state in ("zero", "estimated")
+    }
+    shown = {state: found.curve[-1]["fit_training_percent"] for state, found in fits.items()}
+    assert mean_fit(fits["estimated"].model, data.test, data) > 97.0
+    assert shown["estimated"] > max(97.0, shown["zero"] + 1.0)
+
+
+def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
+    data, settings = data_set(noise=0.05, samples=120), training(windows=SHOOTING, max_epochs=3)
+    one, two = (settings.identify(MODELS["gru"], data, 3, tmp_path / name).model for name in ("one", "two"))
+    assert one.to_json() == two.to_json()
+    low = dataclasses.replace(settings, precision=32).identify(spec(), data, 3, tmp_path / "low")
+    assert low.fit_training_percent > max(row["fit_training_percent"] for row in low.curve) - 0.1 > 80.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"samples": 1}, r"training.windows.samples = 1"),
+        ({"samples": 40, "washout": 40}, r"training.windows.washout = 40"),
+        ({"samples": 40, "washout": -1}, r"training.windows.washout = -1"),
+        ({"samples": 40, "stride": 0}, r"training.windows.stride = 0"),
+        ({"samples": 40, "stride": 41}, r"training.windows.stride = 41"),
+        ({"samples": 40, "continuity_weight": -1.0}, r"training.windows.continuity_weight = -1"),
+        ({"samples": 40, "continuity_weight": float("nan")}, r"training.windows.continuity_weight = nan"),
+        ({"samples": 40, "continuity_weight": 1.0, "washout": 5}, r"follow each other.*use washout 0 and stride null"),
+        ({"samples": 40, "continuity_weight": 1.0, "stride": 30}, r"follow each other"),
+        ({"washout": 5}, r"need windows"),
+        ({"continuity_weight": 1.0}, r"need windows"),
+    ],
+)
+def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(BadRequest, match=named):
+        Windows(**changes)
+
+
+def test_a_window_that_no_record_can_fill_is_refused(tmp_path: Path) -> None:
+    data = unequal()
+    with pytest.raises(BadRequest, match=r"samples = 90: the record training_1 has only 83 samples"):
+        training(windows=Windows(samples=90)).identify(spec(), data, 0, tmp_path)
+    late = dataclasses.replace(data, start_up_samples=40)
+    with pytest.raises(BadRequest, match="40 start-up samples leave nothing"):
+        training(windows=SHOOTING).identify(spec(), late, 0, tmp_path)
