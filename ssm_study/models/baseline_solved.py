@@ -51,7 +51,7 @@ class N4SID(SolvedSpec):
         require(fits, "model.block_rows", self.block_rows, "must exceed the order", "use twice the order")
 
     def solve(self, data: DataSet) -> SSM:
-        nfoursid, pandas = _library("nfoursid.nfoursid"), _library("pandas")
+        nfoursid, pandas = library("nfoursid.nfoursid"), library("pandas")
         u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
         names = [f"u{i}" for i in range(u.shape[1])], [f"y{i}" for i in range(y.shape[1])]
         table = pandas.DataFrame(np.hstack([u, y]), columns=[*names[0], *names[1]])
@@ -142,7 +142,7 @@ class NARX(SolvedSpec):
     def solve(self, data: DataSet) -> Polynomial:
         channels = (len(data.input_scale), len(data.output_scale))
         require(channels == (1, 1), "model", "NARX", "takes one input and one output", "choose another model")
-        frols, basis = _library("sysidentpy.model_structure_selection"), _library("sysidentpy.basis_function")
+        frols, basis = library("sysidentpy.model_structure_selection"), library("sysidentpy.basis_function")
         u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
         method = frols.FROLS(
             order_selection=False, n_terms=self.terms, ylag=self.lags, xlag=self.lags,
@@ -156,11 +156,13 @@ class NARX(SolvedSpec):
 
 INSTALL = {
     "nfoursid": 'pip install "ssm-study[baselines]"',
+    "dynonet": 'pip install "ssm-study[baselines]"',
     "sysidentpy": "pip install --no-deps sysidentpy==0.9.0 (it asks for an older NumPy, and works with this one)",
 }
 
 
-def _library(name: str) -> Any:
+def library(name: str) -> Any:
+    """An optional package; raises `BadRequest` with what to install where it is missing."""
     try:
         return import_module(name)
     except ImportError as error:

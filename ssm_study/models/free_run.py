@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import solve_discrete_lyapunov
 
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
@@ -27,13 +26,14 @@ def free_run(model: Any, record: Trajectory, start_up_samples: int) -> Float[np.
 def initial_state(model: SSM, record: Trajectory, samples: int) -> Float[np.ndarray, "n"]:
     """`argmin |y - y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W the reachability Gramian.
 
-    W is that of the record's own lifted input, so a state the input cannot reach is not invented to fit the noise.
+    W is that of the record's own lifted input over the record's length, so a state that the input cannot reach is not
+    invented to fit the noise; a mode near the unit circle, whose Gramian over all time is singular, does no harm.
     The current sample's output error is linearised through `S_y` and solved by Gauss-Newton.
     """
     samples = min(samples, len(record))
     lifted = model.lift(record.u)
     drive = model.linear.b * lifted.std(axis=0)
-    prior = solve_discrete_lyapunov(model.linear.a, drive @ drive.T)
+    prior = reachability_gramian(model.linear.a, drive, len(record))
     target = (record.y[:samples] - model.output_equilibrium) / model.output_scale
     powers = [model.linear.c]
     for _ in range(samples - 1):
@@ -47,3 +47,13 @@ def initial_state(model: SSM, record: Trajectory, samples: int) -> Float[np.ndar
         missing = (target - model.scaffold_out(ybar)).ravel() + o @ x0
         x0 = prior @ o.T @ np.linalg.solve(o @ prior @ o.T + START_UP_NOISE * np.eye(len(o)), missing)
     return x0
+
+
+def reachability_gramian(
+    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], samples: int
+) -> Float[np.ndarray, "n n"]:
+    """`sum_k A^k B B^T A^kT` over k below the first power of two that is not less than `samples`: by doubling."""
+    gramian, power = b @ b.T, a
+    for _ in range((samples - 1).bit_length()):
+        gramian, power = gramian + power @ gramian @ power.T, power @ power
+    return gramian

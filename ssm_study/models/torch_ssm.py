@@ -18,10 +18,12 @@ class TorchModel(nn.Module, ABC):
     """A trainable model on scaled signals; `states` is the length of the initial state it accepts.
 
     `estimates_start`: whether a free run of the stored model estimates the state a record starts from (`free_run`).
+    `differentiates_forward`: whether Levenberg-Marquardt can have its Jacobian.
     """
 
     states: int
     estimates_start: ClassVar[bool] = False
+    differentiates_forward: ClassVar[bool] = True
 
     @abstractmethod
     def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]: ...

@@ -15,6 +15,7 @@ from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 from ssm_study.training.objective import Records, fit_of_loss
 from ssm_study.training.optimisers import Adam, Levenberg, OptimiserSpec
 from ssm_study.training.penalties import Penalties
+from ssm_study.training.start_up import StartUp
 from ssm_study.training.windows import Continuity, Starts
 
 
@@ -22,7 +23,8 @@ class Fit(pl.LightningModule):
     """Minimises the training loss of `model`, and with it the states of `starts` where they are parameters.
 
     `training` holds the windows, `whole` the records they were cut from (None where windows are whole records): the
-    training fit that is shown is always that of whole records.
+    training fit that is shown is always that of whole records. `start_up` estimates what validation records start from;
+    None for rest.
     """
 
     def __init__(
@@ -36,12 +38,13 @@ class Fit(pl.LightningModule):
         penalties: Penalties | None = None,
         continuity: Continuity | None = None,
         whole: Records | None = None,
+        start_up: StartUp | None = None,
     ) -> None:
         super().__init__()
         self.model, self.training_records, self.validation_records = model, training, validation
         self.optimiser, self.max_epochs = optimiser, max_epochs
         self.penalties = penalties or Penalties(roughness_weight=0.0, hankel_weight=0.0)
-        self.starts, self.continuity, self.whole = starts, continuity, whole
+        self.starts, self.continuity, self.whole, self.start_up = starts, continuity, whole, start_up
         self.last_loss = math.inf
         self.automatic_optimization = not isinstance(optimiser, Levenberg)
 
@@ -82,7 +85,8 @@ class Fit(pl.LightningModule):
         return self.penalties.of(self.model)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        loss = float(self.validation_records.loss(self.validation_records.simulate(self.model)))
+        x0 = None if self.start_up is None else self.start_up(self.model)
+        loss = float(self.validation_records.loss(self.validation_records.simulate(self.model, x0)))
         if self.whole is not None:
             x0 = None if self.starts is None else self.starts.of_records()
             self.last_loss = float(self.whole.loss(self.whole.simulate(self.model, x0)))

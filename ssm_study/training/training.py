@@ -15,9 +15,9 @@ from torch.utils.data import DataLoader
 from ssm_study.models.baseline_solved import SolvedSpec
 from ssm_study.models.identified import Simulator
 from ssm_study.models.spec import ModelSpec, SSMSpec
-from ssm_study.models.torch_ssm import TorchModel
+from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 from ssm_study.refusal import BadRequest, require
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, Trajectory
 from ssm_study.training.checkpoint import DurableCheckpointIO
 from ssm_study.training.fit import Fit, Keeper
 from ssm_study.training.identification import Identification, mean_fit
@@ -28,6 +28,7 @@ from ssm_study.training.penalties import Penalties
 from ssm_study.training.polish import polish
 from ssm_study.training.progress import Curve, Line
 from ssm_study.training.saving import BEST, Saver, fingerprint, load_state, resumable, write_best
+from ssm_study.training.start_up import StartUp
 from ssm_study.training.windows import Cut, Starts, Windows, simulated_states
 
 
@@ -103,6 +104,8 @@ class Training:
 
     def _fit(self, model: TorchModel, data: DataSet) -> Fit:
         sorts = not isinstance(self.optimiser, Levenberg)  # which differentiates forward
+        able = sorts or model.differentiates_forward
+        require(able, "training.optimiser", "levenberg", "this model has no forward derivatives", "use lbfgs or adam")
         cut = self.windows.cut(data.training, data.start_up_samples)
         records = cut.records(data, sorts, self.integrated_share)
         return Fit(
@@ -115,13 +118,21 @@ class Training:
             Penalties(roughness_weight=self.roughness_weight, hankel_weight=self.hankel_weight),
             self.windows.continuity(cut),
             Records(data.training, data, sorts) if cut.later else None,
+            _start_up(model, data.validation, data),
         )
 
     def _starts(self, model: TorchModel, data: DataSet, records: Records, cut: Cut) -> Starts | None:
         moving = data.start_up_samples > 0 if self.initial_state == "auto" else self.initial_state == "estimated"
         shooting = self.windows.continuity_weight > 0
+        problem, remedy = "this model has no state to start a window from", "use training.windows.washout instead"
+        able = model.states > 0 or not shooting
+        require(able, "training.windows.continuity_weight", self.windows.continuity_weight, problem, remedy)
         rows = [*(cut.first if moving and model.estimates_start else ()), *(cut.later if shooting else ())]
-        return Starts(cut, sorted(rows), simulated_states(model, records, cut)) if rows else None
+        if not rows:
+            return None
+        start_up = _start_up(model, data.training, data) if moving else None
+        first = None if start_up is None else start_up(model)
+        return Starts(cut, sorted(rows), simulated_states(model, records, cut, first))
 
     def _run(self, fit: Fit, folder: Path, belongs_to: str, progress: bool) -> tuple[Keeper, Curve]:
         resume_from = resumable(folder, belongs_to)
@@ -167,6 +178,11 @@ class Training:
             raise BadRequest(
                 "training.accelerator", self.accelerator, "not available on this machine", "use accelerator=cpu"
             ) from error
+
+
+def _start_up(model: TorchModel, records: tuple[Trajectory, ...], data: DataSet) -> StartUp | None:
+    """What `records` start from, where a free run of the stored model will estimate it."""
+    return StartUp(records, data) if data.start_up_samples > 0 and isinstance(model, TorchSSM) else None
 
 
 def _scored(model: Simulator, data: DataSet, began: float, curve: list[dict[str, float]], ended: str) -> Identification:

@@ -24,7 +24,7 @@ TRAININGS = sorted(path.stem for path in (CONF / "training").glob("*.yaml"))
 OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob("*.yaml"))
 
 
-PACKAGES = {"n4sid": "nfoursid", "narx": "sysidentpy"}  # the extra "baselines"
+PACKAGES = {"n4sid": "nfoursid", "narx": "sysidentpy", "dynonet": "dynonet"}  # the extra "baselines"
 
 
 def read(group: str, choice: str, *overrides: str) -> Any:
@@ -51,6 +51,8 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
 
 @pytest.mark.parametrize("choice", [c for c in MODELS if c not in ("n4sid", "narx")])
 def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
+    if choice in PACKAGES:
+        pytest.importorskip(PACKAGES[choice])
     data, spec = data_set(samples=60, records=2), read("model", choice)
     assert not isinstance(spec, SolvedSpec)
     net = spec.build(data, 0)

@@ -11,6 +11,7 @@ from test_training_identify import LBFGS, spec, training
 from torch import Tensor
 
 from ssm_study.models.baseline_deep import DeepSSMSpec
+from ssm_study.models.baseline_dynonet import DynoNetSpec
 from ssm_study.models.baseline_recurrent import RecurrentSpec
 from ssm_study.models.scaffold_specs import Mlp, Monotone
 from ssm_study.models.spec import ModelSpec
@@ -42,7 +43,7 @@ def unequal(samples: int = 100) -> DataSet:
 
 
 def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any) -> Fit:
-    return training(windows=windows or Windows(), **settings)._fit(model.build(data, 0), data)
+    return training(**{"windows": windows or Windows(), **settings})._fit(model.build(data, 0), data)
 
 
 def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
@@ -209,6 +210,19 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
 def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(BadRequest, match=named):
         Windows(**changes)
+
+
+def test_a_model_without_state_is_windowed_but_not_shot_at() -> None:
+    pytest.importorskip("dynonet")
+    model, data = DynoNetSpec(wires=2, numerator=2, denominator=2, hidden=4), unequal()
+    for allowed in (Windows(), Windows(samples=40, washout=10)):
+        loss, gradient = step_of(fit_of(model, data, allowed))
+        assert torch.isfinite(loss)
+        assert all(value.abs().max() > 0 for value in gradient.values())
+    with pytest.raises(BadRequest, match="no state to start a window from"):
+        fit_of(model, data, SHOOTING)
+    with pytest.raises(BadRequest, match="no forward derivatives"):
+        fit_of(model, data, optimiser=Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5))
 
 
 def test_a_window_that_no_record_can_fill_is_refused(tmp_path: Path) -> None:
