@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_lyapunov
 
-from ssm_study.models.free_run import free_run, initial_state
+from ssm_study.models.free_run import free_run, initial_state, reachability_gramian
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffold_linear import LinearScaffold
 from ssm_study.signals import Trajectory, fit_percent
@@ -51,3 +52,14 @@ def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
     """With no input the reachability Gramian is zero: nothing but rest is believed."""
     still = Trajectory(u=np.ones((50, 1)), y=np.full((50, 1), 5.0), step_s=0.1)
     assert np.abs(initial_state(model, still, 10)).max() < 1e-12
+
+
+def test_the_gramian_of_a_record_is_the_sum_over_it() -> None:
+    """For a fast system the Lyapunov solution; with a mode on the unit circle still finite, and the plain sum."""
+    rng = np.random.default_rng(3)
+    fast, b = np.diag([0.8, -0.5, 0.2]) + 0.02 * rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
+    np.testing.assert_allclose(reachability_gramian(fast, b, 4000), solve_discrete_lyapunov(fast, b @ b.T), rtol=1e-9)
+    slow, total, reached = np.diag([1.0, 0.99, 0.5]), np.zeros((3, 3)), b
+    for _ in range(128):
+        total, reached = total + reached @ reached.T, slow @ reached
+    np.testing.assert_allclose(reachability_gramian(slow, b, 100), total, rtol=1e-9)

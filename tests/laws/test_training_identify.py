@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffold_specs import Linear, Mlp, Monotone, Residual, ScaffoldSpec
 from ssm_study.models.spec import SSMSpec
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Trajectory, fit_percent
 from ssm_study.training.identification import mean_fit
 from ssm_study.training.loggers import Csv
 from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
@@ -124,6 +124,18 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
     }
     assert fits["estimated"] > 97.0
     assert fits["zero"] < fits["estimated"] - 1.0
+
+
+def test_validation_starts_where_a_score_starts(tmp_path: Path) -> None:
+    """Records cut in motion: the fit that stops a training is the fit that is stored, not that of a start at rest."""
+    data = data_set(noise=0.01, samples=300, records=1)
+    late = tuple(dataclasses.replace(r, u=r.u[40:], y=r.y[40:] + 3.0) for r in data.training)  # a slow mode, displaced
+    moving = dataclasses.replace(data, training=late, validation=late, start_up_samples=20)
+    found = training(max_epochs=4).identify(spec(), moving, 0, tmp_path)
+    kept = max(row["fit_validation_percent"] for row in found.curve)
+    assert found.fit_validation_percent == pytest.approx(kept, abs=0.3)  # 0.2 is the tolerance of what is kept
+    at_rest = fit_percent(late[0].y, found.model.simulate(late[0].u), moving.start_up_samples)
+    assert kept > at_rest + 5
 
 
 def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
