@@ -1,7 +1,9 @@
 """From a composed configuration to the frozen parts of one run; whatever is wrong is said here, before any work."""
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from inspect import signature
 from pathlib import Path
 from types import UnionType
@@ -10,8 +12,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import hydra
 from beartype import BeartypeConf
 from beartype.door import is_bearable
-from hydra.errors import InstantiationException
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.data.excitation import Excitation
@@ -22,7 +23,7 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.results.allow_list import refuse_foreign_targets
-from ssm_study.results.naming import run_name
+from ssm_study.results.naming import plain, run_name
 from ssm_study.results.runs import run_folder
 from ssm_study.signals import DataSet
 from ssm_study.synthesis.design import Synthesis
@@ -61,17 +62,18 @@ class Specification:
         whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32
         require(whole, "seed", seed, "not a whole number from 0 to 2^32 - 1", "use 0")
         folder = run_folder(str(config.results_dir), str(config.study), run_name(config))
-        parts = {name: part(config, name) for name in PARTS if name != "plant"}
+        settings = plain(config)
+        parts = {name: part(name, settings[name]) for name in PARTS if name != "plant"}
         recorded = not isinstance(parts["data"], SimulatedData)
         return cls(
-            plant=None if recorded else part(config, "plant"),
+            plant=None if recorded else part("plant", settings["plant"]),
             **parts,
             seed=seed,
             loop_seed=config.loop_seed,
             progress=bool(config.progress),
             folder=folder,
             store=Path(str(config.results_dir)) / ".store",
-            configuration=plain(config),
+            configuration=settings,
         )
 
     def files(self) -> tuple[Path, ...]:
@@ -86,18 +88,27 @@ class Specification:
         return self.data.build(self.seed)
 
 
-def part(config: DictConfig, name: str) -> Any:
-    """Instantiate one group of the configuration after checking its fields against the constructor's own types."""
-    node = OmegaConf.create(dict(plain(config)[name]))
+def part(name: str, settings: Mapping[str, Any]) -> Any:
+    """One group of the configuration as the object it describes, its fields checked against the constructor's types."""
+    node = copy.deepcopy(dict(settings))
     check_fields(name, node)
     try:
-        return hydra.utils.instantiate(node, _convert_="all")
-    except InstantiationException as error:
-        refusal = _refusal_within(error)
-        if refusal is not None:
-            raise refusal from error
-        cause = " ".join(str(error.__cause__ or error).split()).rstrip(".")
+        return built(node)
+    except BadRequest:
+        raise
+    except Exception as error:  # whatever a constructor raises for values that have the right types
+        cause = " ".join(str(error).split()).rstrip(".")
         raise BadRequest(name, node.get("_target_"), cause, f"see conf/{name}/ for its fields") from error
+
+
+def built(node: Any) -> Any:
+    """The tree with every `_target_` called on its fields, inner ones first."""
+    if isinstance(node, list):
+        return [built(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    fields = {key: built(value) for key, value in node.items() if key != "_target_"}
+    return hydra.utils.get_object(node["_target_"])(**fields) if "_target_" in node else fields
 
 
 def check_fields(path: str, node: Any) -> None:
@@ -105,21 +116,19 @@ def check_fields(path: str, node: Any) -> None:
 
     A whole number given where the constructor wants any number is made a float.
     """
-    if isinstance(node, ListConfig):
+    if isinstance(node, list):
         for i, item in enumerate(node):
             check_fields(f"{path}[{i}]", item)
-    if not isinstance(node, DictConfig) or "_target_" not in node:
+    if not isinstance(node, dict) or "_target_" not in node:
         return
     kind = hydra.utils.get_object(node["_target_"])
-    hints = get_type_hints(getattr(kind, "__init__", kind) if isinstance(kind, type) else kind)
-    known = list(signature(kind).parameters)
-    for key in (str(key) for key in node if not str(key).startswith("_")):
+    hints, known = fields_of(kind)
+    for key, value in node.items():
         field = f"{path}.{key}"
-        value: Any = OmegaConf.to_container(node[key], resolve=True) if OmegaConf.is_config(node[key]) else node[key]
         remedy = f"its fields are {', '.join(known)}"
-        require(key in known, field, value, f"{kind.__name__} has no such field", remedy)
-        if OmegaConf.is_config(node[key]):
-            check_fields(field, node[key])
+        require(key in known or key == "_target_", field, value, f"{kind.__name__} has no such field", remedy)
+        if isinstance(value, dict | list):
+            check_fields(field, value)
         elif key in hints:
             fits = is_bearable(value, hints[key], conf=NUMBERS)
             require(fits, field, value, f"is not {_words(hints[key])}", "correct the value")
@@ -127,25 +136,14 @@ def check_fields(path: str, node: Any) -> None:
                 node[key] = float(value)
 
 
+@cache
+def fields_of(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The types of a constructor's parameters, and their names."""
+    return get_type_hints(kind.__init__), tuple(signature(kind).parameters)  # type: ignore[misc] # of a class
+
+
 def _words(hint: Any) -> str:
     """A type as a reader would say it."""
     said = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", type(None): "null"}
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     return " or ".join(said.get(part, str(part).replace("typing.", "")) for part in parts)
-
-
-def plain(config: DictConfig) -> dict[str, Any]:
-    """The resolved configuration without Hydra's own part."""
-    kept = [str(key) for key in config if key != "hydra"]
-    resolved = OmegaConf.to_container(OmegaConf.masked_copy(config, kept), resolve=True)
-    assert isinstance(resolved, dict)
-    return {str(key): value for key, value in resolved.items()}
-
-
-def _refusal_within(error: BaseException) -> BadRequest | None:
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, BadRequest):
-            return cause
-        cause = cause.__cause__ or cause.__context__
-    return None

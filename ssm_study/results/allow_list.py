@@ -9,6 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.refusal import require
+from ssm_study.results.naming import plain
 
 # The rooms whose classes are specifications; the others (cli, results, report) act on the world.
 ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop")
@@ -51,8 +52,7 @@ def refuse_foreign_targets(config: DictConfig) -> None:
     _walk(tree, "", _refuse_in_task)
     if isinstance(hydra, dict):
         _walk(hydra, "hydra", _refuse_in_hydra)
-    resolved = OmegaConf.to_container(OmegaConf.masked_copy(config, [str(key) for key in tree]), resolve=True)
-    _walk(resolved, "", _refuse_in_task)  # what the remaining interpolations bring in
+    _walk(plain(config), "", _refuse_in_task)  # what the remaining interpolations bring in
 
 
 def _walk(node: Any, path: str, refuse: Callable[[str, str, Any], None]) -> None:

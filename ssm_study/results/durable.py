@@ -7,39 +7,45 @@ import json
 import os
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 BLOCK_BYTES = 1 << 20
+SYNCED_AT_ONCE = 8
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
     """Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of the folder.
 
-    Raises `OSError` with the old version untouched and no temporary left behind.
+    Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`: survives every kill but
+    not a power loss; for what is synchronised later, or counts as absent when it is damaged.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:
         with temporary.open("xb") as stream:
             stream.write(content)
             stream.flush()
-            os.fsync(stream.fileno())
+            if durable:
+                os.fsync(stream.fileno())
         temporary.replace(path)
     except BaseException:
         with suppress(OSError):
             temporary.unlink()
         raise
-    sync_folder(path.parent)
+    if durable:
+        sync_folder(path.parent)
 
 
-def write_json_atomically(path: Path, value: Any) -> None:
+def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
     """As `write_atomically`; the text is strict JSON (no NaN), one key per line."""
-    write_atomically(path, _json_bytes(value))
+    write_atomically(path, json_bytes(value), durable)
 
 
-def _json_bytes(value: Any) -> bytes:
+def json_bytes(value: Any) -> bytes:
+    """The one text of a sealed object: `unsealed` knows no other."""
     return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode("utf-8", "surrogatepass")
 
 
@@ -53,6 +59,13 @@ def sync_folder(folder: Path) -> None:
             raise
     finally:
         os.close(descriptor)
+
+
+def sync_together(paths: Iterable[Path]) -> None:
+    """Make many files and folders durable at once: their file system then commits them together, not one by one."""
+    with ThreadPoolExecutor(SYNCED_AT_ONCE) as pool:
+        for _ in pool.map(lambda path: sync_folder(path) if path.is_dir() else sync_file(path), paths):
+            pass
 
 
 def sync_file(path: Path) -> None:
@@ -81,7 +94,7 @@ def unsealed(content: bytes) -> dict[str, Any] | None:
     try:
         value = json.loads(content)
         body = {key: item for key, item in value.items() if key != "sha256"}
-        same = content == _json_bytes(value) and _body_digest(body) == value["sha256"]
+        same = content == json_bytes(value) and _body_digest(body) == value["sha256"]
     except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
         return None
     return body if same else None

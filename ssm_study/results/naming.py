@@ -1,7 +1,7 @@
 """A run is named by its configuration, so that every launcher, today and tomorrow, finds it in the same folder."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -16,11 +16,15 @@ RESOLVER = "run_name"
 
 def identity(config: DictConfig) -> dict[str, Any]:
     """The resolved configuration without what does not change the result: what the run's name is the hash of."""
-    candidates = OmegaConf.masked_copy(config, [str(key) for key in config if str(key) not in NOT_IDENTITY])
-    raw = OmegaConf.to_container(candidates, resolve=False)
+    raw = OmegaConf.to_container(config, resolve=False)
     assert isinstance(raw, dict)
-    kept = [str(key) for key, value in raw.items() if f"${{{RESOLVER}:" not in str(value)]
-    return {key: _resolved(config[key]) for key in kept}
+    named = {str(key) for key, value in raw.items() if f"${{{RESOLVER}:" in str(value)}
+    return plain(config, NOT_IDENTITY | named)
+
+
+def plain(config: DictConfig, without: Set[str] = frozenset({"hydra"})) -> dict[str, Any]:
+    """The configuration as plain containers with its interpolations resolved, some keys left out."""
+    return {str(key): _resolved(config[key]) for key in config if str(key) not in without}
 
 
 def run_name(config: DictConfig | Mapping[str, Any]) -> str:

@@ -19,10 +19,10 @@ RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
 LOST, CORRUPT = "lost", "corrupt"
 
 
-def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
     """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts `inf` and `-inf`."""
-    flat = {str(key): _flat(str(key), value) for key, value in record.items() if key != "sha256"}
-    write_json_atomically(folder / RECORD, sealed({"record_version": RECORD_VERSION} | flat))
+    flat = {str(key): storable(str(key), value) for key, value in record.items() if key != "sha256"}
+    write_json_atomically(folder / RECORD, sealed({"record_version": RECORD_VERSION} | flat), durable)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -43,7 +43,8 @@ def parse_record(content: bytes) -> dict[str, Any]:
     return {"status": CORRUPT} if record is None else record
 
 
-def _flat(key: str, value: Any) -> bool | int | float | str | None:
+def storable(key: str, value: Any) -> bool | int | float | str | None:
+    """A value as a record holds it; raises `BadRequest` for one that is no single number, text or truth value."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

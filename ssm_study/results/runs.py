@@ -108,7 +108,7 @@ def execute(
         _set_aside(folder, before)
         for name, text in (configuration or {}).items():
             (folder / ".hydra").mkdir(exist_ok=True)
-            write_atomically(folder / ".hydra" / name, text.encode())
+            write_atomically(folder / ".hydra" / name, text.encode(), durable=False)
         return _run(folder, _opening(folder, parameters, before), work)
 
 
@@ -148,7 +148,7 @@ def _opening(folder: Path, parameters: Mapping[str, Any], before: Mapping[str, A
 
 def _run(folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]) -> Outcome:
     run, started = Run(path=folder), time.perf_counter()
-    write_record(folder, opening)
+    write_record(folder, opening, durable=False)  # until the end only the lock says that the run is under way
     try:
         run.note(**(work(run) or {}))
         status = run.facts.get("status", OK)

@@ -14,13 +14,13 @@ from typing import Any
 
 from ssm_study.refusal import require
 from ssm_study.results.durable import (
+    json_bytes,
     locked,
     sealed,
     sha256_of_file,
-    sync_file,
     sync_folder,
+    sync_together,
     unsealed,
-    write_json_atomically,
 )
 from ssm_study.results.keys import stage_key
 
@@ -135,26 +135,25 @@ class Store(Stages):
 
 
 def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()) -> None:
-    """Synchronise every file of `folder`, then write `manifest.json`: the note, sizes and SHA-256 sums, and its own.
+    """Write `manifest.json` (the note, sizes and SHA-256 sums, and its own), then make the whole folder durable.
 
-    `leave_out` names entries directly in `folder` that may change later.
+    `leave_out` names entries directly in `folder` that may change later; they are synchronised, not sealed. A manifest
+    that was cut short seals nothing, so it needs no replacing; what makes the folder count comes after it (the rename
+    of a stage, the record of a run).
     """
-    files = {}
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder)
-        if name.parts[0] in leave_out or name == Path(MANIFEST):
-            continue
-        if path.is_dir():
-            sync_folder(path)
-        elif path.is_file():
-            sync_file(path)
-            files[name.as_posix()] = {"sha256": sha256_of_file(path), "bytes": path.stat().st_size}
+    paths = sorted(path for path in folder.rglob("*") if path.relative_to(folder) != Path(MANIFEST))
+    files = {
+        path.relative_to(folder).as_posix(): {"sha256": sha256_of_file(path), "bytes": path.stat().st_size}
+        for path in paths
+        if path.is_file() and path.relative_to(folder).parts[0] not in leave_out
+    }
     made = {
         "made_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": socket.gethostname(),
         "pid": os.getpid(),
     }
-    write_json_atomically(folder / MANIFEST, sealed(note | made | {"files": files}))
+    (folder / MANIFEST).write_bytes(json_bytes(sealed(note | made | {"files": files})))
+    sync_together([*(path for path in paths if path.is_dir() or path.is_file()), folder / MANIFEST, folder])
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
