@@ -40,15 +40,20 @@ def paper_lmis(
 
     One attempt each, at the asked rates, no frontier consulted, nothing repaired.
     """
-    method = LmiSynthesis(
-        rate_controller=rate_controller, rate_observer=rate_observer, objective="feasibility", full=True, solver=solver
-    )
-    return (
-        _opinion(
-            method, CONTROLLER, partial(method.controller_problem, linear, input_ball), rate_controller, input_ball
-        ),
-        _opinion(method, OBSERVER, partial(method.observer_problem, linear, output_ball), rate_observer, output_ball),
-    )
+    controller = theorem_one_alone(linear, input_ball, rate_controller, solver)
+    method = _as_printed(rate_observer, solver)
+    build = partial(method.observer_problem, linear, output_ball)
+    return controller, _opinion(method, OBSERVER, build, rate_observer, output_ball)
+
+
+def theorem_one_alone(linear: StateSpace, ball: JacobianBall, rate: float, solver: str = "CLARABEL") -> Opinion:
+    """The controller's half of `paper_lmis`."""
+    method = _as_printed(rate, solver)
+    return _opinion(method, CONTROLLER, partial(method.controller_problem, linear, ball), rate, ball)
+
+
+def _as_printed(rate: float, solver: str) -> LmiSynthesis:
+    return LmiSynthesis(rate_controller=rate, rate_observer=rate, objective="feasibility", full=True, solver=solver)
 
 
 def _opinion(method: LmiSynthesis, side: str, build: Callable[[], Problem], rate: float, ball: JacobianBall) -> Opinion:

@@ -1,0 +1,172 @@
+"""Seeded faults in the certificate code, and the share the tests catch: `python benchmarks/mutation.py`.
+
+Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every single fault of `FAULTS` in the modules of
+a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and the group's tests
+run on it, first failure out, without the shape checker. A test run that takes more than `LIMIT_CPU_S` of processor
+time counts as caught (a loop that no longer ends). `--folder DIR` holds the copies, `--python` the project's interpreter,
+`--cosmic-ray` the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
+`results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
+
+The tests that verify a run share one, made before any fault is planted.
+"""
+
+import argparse
+import csv
+import json
+import random
+import re
+import sqlite3
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "results" / "reference" / "mutation"
+COLUMNS = ("group", "module", "line", "fault", "occurrence", "outcome")
+SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 60, 400
+# Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would only flatter.
+FAULTS = re.compile(
+    r"core/(ReplaceBinaryOperator_(Add_Sub|Sub_Add|Mul_Div|Div_Mul|Pow_Mul)"
+    r"|ReplaceComparisonOperator_(Lt_LtE|LtE_Lt|Gt_GtE|GtE_Gt|Lt_Gt|LtE_GtE|Gt_Lt|GtE_LtE|Eq_NotEq|NotEq_Eq|Is_IsNot"
+    r"|IsNot_Is)|ReplaceUnaryOperator_Delete_(USub|Not)|AddNot|ReplaceTrueWithFalse|ReplaceFalseWithTrue"
+    r"|ReplaceAndWithOr|ReplaceOrWithAnd|ReplaceBreakWithContinue|ReplaceContinueWithBreak|ExceptionReplacer"
+    r"|NumberReplacer|ZeroIterationForLoop)$"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Modules (paths under `ssm_study`), the tests that speak of them, cheapest first, and how many faults to plant."""
+
+    modules: tuple[str, ...]
+    tests: str
+    planted: int
+
+
+def _synthesis(*names: str) -> tuple[str, ...]:
+    return tuple(f"synthesis/{name}.py" for name in names)
+
+
+REFUSES, EXACT = "tests/refusals/test_synthesis_refuses.py", "tests/oracles/test_synthesis_exact.py"
+LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthesis_frontier.py"
+CONTRACTS = "tests/laws/test_synthesis_contraction.py"
+CHOSEN = "tests/oracles/test_loop_mismatch.py tests/oracles/test_loop_integral.py tests/laws/test_auto_choice.py"
+LINE = "tests/oracles/test_study_line.py -k 'claim or tamper or truncated or refuses'"
+GROUPS = {
+    "verdict": Group(
+        modules=_synthesis("exact", "verify", "certificate", "verdict", "problem"),
+        tests=f"{REFUSES} {EXACT}",
+        planted=60,
+    ),
+    "methods": Group(
+        modules=_synthesis("frontier", "closed_form", "modal_gain", "modes", "slow_modes", "whole_metric", "doubling")
+        + _synthesis("riccati", "lmi", "modal_lmi", "paper_lmis", "design"),
+        tests=f"{REFUSES} {EXACT} {LIMITS}",
+        planted=70,
+    ),
+    "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=60),
+    "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=20),
+    "claims": Group(modules=("results/verify.py",), tests=LINE, planted=15),
+}
+
+
+def plant(name: str, folder: Path, tool: Path, python: str, minutes: float) -> None:
+    """Go on with the group's session for so many minutes."""
+    session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
+    fresh_copy(tree)
+    group = GROUPS[name]
+    # Named as a worker, pytest looks for the shared run beside its own folder.
+    settings = f"PYTHONPATH={tree} OMP_NUM_THREADS=1 PYTEST_XDIST_WORKER=gw0"
+    pytest = f"{python} -m pytest -p no:xdist -p no:randomly -o addopts= --basetemp={folder}/shared/{name} -q -x"
+    command = json.dumps(f'bash -c "ulimit -t {LIMIT_CPU_S}; {settings} {pytest} {group.tests}"')
+    modules = json.dumps([f"ssm_study/{module}" for module in group.modules])
+    config.write_text(
+        f"[cosmic-ray]\nmodule-path = {modules}\ntimeout = {LIMIT_S}.0\nexcluded-modules = []\n"
+        f'test-command = {command}\n[cosmic-ray.distributor]\nname = "local"\n'
+    )
+    if not session.exists():
+        subprocess.run([tool / "cosmic-ray", "baseline", config], cwd=tree, check=True)
+        subprocess.run([tool / "cosmic-ray", "init", config, session], cwd=tree, check=True)
+        sample(session, tree, group.planted)
+    exec_ = ["timeout", str(int(60 * minutes)), tool / "cosmic-ray", "exec", config, session]
+    subprocess.run(exec_, cwd=tree, check=False)
+
+
+def fresh_copy(tree: Path) -> None:
+    tree.mkdir(parents=True, exist_ok=True)
+    archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
+    subprocess.run(["tar", "x", "-C", tree], input=archive, check=True)
+
+
+def sample(session: Path, tree: Path, planted: int) -> None:
+    """Keep so many of the session's faults, drawn with `SEED`; none in a dataclass's own decorator."""
+    with sqlite3.connect(session) as base:
+        specs = list(base.execute("select job_id, module_path, operator_name, start_pos_row from mutation_specs"))
+        lines = {path: (tree / path).read_text().splitlines() for path in {spec[1] for spec in specs}}
+        eligible = [s for s in specs if FAULTS.match(s[2]) and not lines[s[1]][s[3] - 1].lstrip().startswith("@")]
+        eligible.sort(key=lambda spec: spec[1:])
+        kept = {spec[0] for spec in random.Random(SEED).sample(eligible, min(planted, len(eligible)))}
+        for table in ("mutation_specs", "work_items"):
+            dropped = [(spec[0],) for spec in specs if spec[0] not in kept]
+            base.executemany(f"delete from {table} where job_id = ?", dropped)
+    print(f"{session.stem}: {len(kept)} of {len(eligible)} faults planted", flush=True)
+
+
+def planted_faults(session: Path) -> list[tuple[dict[str, object], str]]:
+    query = (
+        "select module_path, start_pos_row, operator_name, occurrence, test_outcome, diff from mutation_specs"
+        " join work_results using (job_id) order by module_path, start_pos_row, operator_name, occurrence"
+    )
+    with sqlite3.connect(session) as base:
+        found = list(base.execute(query))
+    outcomes = {"KILLED": "caught", "SURVIVED": "survived"}
+    return [
+        (
+            dict(
+                zip(
+                    COLUMNS,
+                    (session.stem, module, line, fault[5:], occurrence, outcomes.get(said, said)),
+                    strict=True,
+                )
+            ),
+            diff,
+        )
+        for module, line, fault, occurrence, said, diff in found
+    ]
+
+
+def report(folder: Path) -> None:
+    rows = [
+        row
+        for name in GROUPS
+        if (folder / f"{name}.sqlite").exists()
+        for row in planted_faults(folder / f"{name}.sqlite")
+    ]
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with (FOLDER / "faults.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(row for row, _ in rows)
+    survivors = [diff for row, diff in rows if row["outcome"] == "survived"]
+    (FOLDER / "survivors.diff").write_text("\n".join(survivors) + "\n")
+    for name in GROUPS:
+        said = [row["outcome"] for row, _ in rows if row["group"] == name]
+        print(f"{name}: {said.count('caught')} of {len(said)} caught", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--folder", type=Path, default=Path("/tmp/mutation"))
+    parser.add_argument("--python", default=sys.executable)
+    parser.add_argument("--cosmic-ray", type=Path, default=Path(sys.executable).parent)
+    parser.add_argument("--groups", default=",".join(GROUPS))
+    parser.add_argument("--minutes", type=float, default=60.0)
+    arguments = parser.parse_args()
+    for name in filter(None, arguments.groups.split(",")):
+        plant(name, arguments.folder, arguments.cosmic_ray, arguments.python, arguments.minutes)
+    report(arguments.folder)
+
+
+if __name__ == "__main__":
+    main()

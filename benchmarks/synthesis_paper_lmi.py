@@ -1,0 +1,123 @@
+"""The paper's inequality on the thousand random models: `python benchmarks/synthesis_paper_lmi.py` (hours; resumes).
+
+The same models and requests as the other methods of `synthesis_certified.py`, orders 1 to 32; Theorem 1 with all its
+unknowns (P, Y, X, sigma) through CVXPY and Clarabel, one solve each, nothing repaired. A solve that takes longer than
+`LIMIT_S` counts as not found. Every solve is a row of `results/reference/certificates/paper_lmi.csv`; a second call
+goes on where the first one stopped, and `--minutes M` stops it. At its end it writes the counts into
+`certified.csv` and, by order, `paper_lmi_by_order.csv`.
+"""
+
+import argparse
+import csv
+import itertools
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from synthesis_certified import FOLDER, GAPS, instances, keep
+from synthesis_instances import Instance
+from synthesis_times import write
+
+from ssm_study.synthesis.lmi import SOLVERS
+from ssm_study.synthesis.paper_lmis import theorem_one_alone
+
+TARGET = FOLDER / "paper_lmi.csv"
+COLUMNS = ("gap", "index", "order", "kind", "status", "certified", "seconds")
+COUNT, BLOCK = 1000, 50
+# Small orders first: two thirds of the time go to the last band. Within a band a block of models goes through every
+# gap, so that an unfinished band is still a fair sample of its orders.
+BANDS = ((1, 8), (9, 16), (17, 20), (21, 26), (27, 32))
+LIMIT_S = 120.0
+
+Row = dict[str, str]
+
+
+def solved() -> list[Row]:
+    return list(csv.DictReader(TARGET.open())) if TARGET.exists() else []
+
+
+def open_cases(done: set[tuple[str, str]]) -> Iterator[tuple[float, int, Instance]]:
+    cases = {gap: instances("random", gap, COUNT, (1, 32)) for gap in GAPS}
+    for (low, high), first in itertools.product(BANDS, range(0, COUNT, BLOCK)):
+        for gap, index in itertools.product(GAPS, range(first, first + BLOCK)):
+            if low <= cases[gap][index].linear.order <= high and (str(gap), str(index)) not in done:
+                yield gap, index, cases[gap][index]
+
+
+def row(gap: float, index: int, case: Instance) -> Row:
+    started = time.process_time()
+    opinion = theorem_one_alone(case.linear, case.ball, case.rate)
+    values = (gap, index, case.linear.order, case.kind, opinion.status, opinion.certified)
+    return dict(zip(COLUMNS, [*map(str, values), f"{time.process_time() - started:.4f}"], strict=True))
+
+
+def solve(minutes: float) -> None:
+    started, rows = time.monotonic(), solved()
+    with TARGET.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        if not rows:
+            writer.writeheader()
+        for gap, index, case in open_cases({(row["gap"], row["index"]) for row in rows}):
+            if time.monotonic() - started > 60 * minutes:
+                return
+            writer.writerow(row(gap, index, case))
+            file.flush()
+
+
+def count(gap: float, rows: list[Row]) -> dict[str, object]:
+    held = [row for row in rows if row["certified"] == "True"]
+    missed = [f"n={row['order']} {row['kind']}" for row in rows if row["certified"] != "True"]
+    orders = [int(row["order"]) for row in rows]
+    return {
+        "set": "random",
+        "method": "paper_lmi",
+        "gap": gap,
+        "instances": len(rows),
+        "certified": len(held),
+        "share_percent": 100 * len(held) / len(rows),
+        "seconds_median": f"{np.median([float(row['seconds']) for row in rows]):.6f}",
+        "orders": f"{min(orders)}-{max(orders)}",
+        "misses": "; ".join(missed[:8]) if gap > 0 else "",
+    }
+
+
+def by_order(rows: list[Row]) -> list[dict[str, object]]:
+    """Of each band and gap: models, how many were solved, how many certified, what the solver called the rest."""
+    table = []
+    for (low, high), gap in itertools.product(BANDS, sorted(GAPS, reverse=True)):
+        models = [case for case in instances("random", gap, COUNT, (1, 32)) if low <= case.linear.order <= high]
+        here = [row for row in rows if row["gap"] == str(gap) and low <= int(row["order"]) <= high]
+        status = Counter(row["status"].removeprefix("clarabel: ") for row in here if row["certified"] != "True")
+        table.append(
+            {
+                "orders": f"{low}-{high}",
+                "gap": gap,
+                "models": len(models),
+                "solved": len(here),
+                "certified": sum(row["certified"] == "True" for row in here),
+                "otherwise": "; ".join(f"{count} {word}" for word, count in status.most_common()),
+            }
+        )
+    return table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=np.inf)
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    SOLVERS["CLARABEL"]["time_limit"] = LIMIT_S
+    solve(arguments.minutes)
+    rows = solved()
+    for gap in GAPS:
+        of_gap = [row for row in rows if row["gap"] == str(gap)]
+        if of_gap:
+            keep(count(gap, of_gap))
+            print(gap, len(of_gap), sum(row["certified"] == "True" for row in of_gap), flush=True)
+    write("paper_lmi_by_order.csv", by_order(rows))
+
+
+if __name__ == "__main__":
+    main()
