@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hydra.errors import InstantiationException
 from plants_cases import from_yaml
 from scipy.io import loadmat
 
@@ -150,3 +151,23 @@ def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-un
     kicked = velocity.test[0].y.copy()
     kicked[velocity.start_up_samples] += 1e-3 / velocity.step_s
     assert benchmark_rmse(velocity, (kicked,))[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["ced", "cascaded_tanks", "emps_repeated"])
+def test_a_fold_opens_no_test_file_and_scores_what_it_held_out(built, name: str) -> None:  # type: ignore[no-untyped-def]
+    """The pieces of all folds are the training records, each once; what a fold keeps and holds out do not overlap."""
+    whole = built(name, "start_up_samples=0")
+    folds = [
+        from_yaml("data", name, f"fold={k}", "test.0.path=nowhere.csv", "start_up_samples=0").build(0) for k in range(4)
+    ]
+    for i, record in enumerate(whole.training):
+        np.testing.assert_array_equal(np.concatenate([fold.test[i].y for fold in folds]), record.y)
+    for fold in folds:
+        assert sum(map(len, (*fold.training, *fold.test))) == sum(map(len, whole.training))
+        assert fold.validation == fold.training
+
+
+def test_a_fold_that_is_none() -> None:
+    for wrong in ("fold=4", "fold=-1", "folds=1"):
+        with pytest.raises(InstantiationException, match=r"data\.fold"):
+            from_yaml("data", "ced", wrong)
