@@ -138,18 +138,22 @@ class Keeper(Callback):
             return
         training = float(trainer.callback_metrics["fit_training_percent"])
         validation = float(trainer.callback_metrics["fit_validation_percent"])
+        self.see(trainer.current_epoch, training, validation, pl_module)
+        trainer.should_stop = trainer.should_stop or bool(self.ended)
+
+    def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
+        """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             self.ended = (
-                f"the loss was not finite in epoch {trainer.current_epoch}; the last good state is kept; "
+                f"the loss was not finite in epoch {epoch}; the last good state is kept; "
                 "lower the learning rate, or start from modes further inside the unit circle"
             )
-            trainer.should_stop = True
             return
         self.best_validation = max(self.best_validation, validation)
         eligible = validation >= self.best_validation - self.tolerance
         worn_out = self.kept_validation < self.best_validation - self.tolerance
         if worn_out or (eligible and training > self.kept_training):
-            self.kept, self.kept_training, self.kept_validation = _copy(pl_module), training, validation
+            self.kept, self.kept_training, self.kept_validation = _copy(module), training, validation
 
     def state_dict(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self._REMEMBERED}

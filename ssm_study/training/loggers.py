@@ -34,24 +34,37 @@ class Csv(LoggerSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class TensorBoard(LoggerSpec):
-    """Event files in `tensorboard/`; needs the package tensorboard."""
+    """Event files in `tensorboard/`; extra `tensorboard`."""
 
     def build(self, folder: Path) -> Logger:
         try:
             return TensorBoardLogger(folder, name="tensorboard", version="")
         except ImportError as error:
-            raise BadRequest("training.logger", "tensorboard", "not installed", "pip install tensorboard") from error
+            raise BadRequest(
+                "training.logger", "tensorboard", "not installed", "pip install 'ssm-study[tensorboard]'"
+            ) from error
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mlflow(LoggerSpec):
-    """A run of `experiment` at `tracking_uri`; needs the package mlflow."""
+    """A run of `experiment` at `tracking_uri`, by default in `mlflow.db` of the training's folder; extra `mlflow`."""
 
-    tracking_uri: str
+    tracking_uri: str | None
     experiment: str
 
-    def build(self, folder: Path) -> Logger:  # noqa: ARG002 - mlflow keeps its own
+    def build(self, folder: Path) -> Logger:
+        address, own = self.tracking_uri, folder.absolute()
         try:
-            return MLFlowLogger(experiment_name=self.experiment, tracking_uri=self.tracking_uri)
+            logger = MLFlowLogger(
+                experiment_name=self.experiment,
+                tracking_uri=address or f"sqlite:///{own / 'mlflow.db'}",
+                artifact_location=None if address else (own / "mlflow").as_uri(),
+            )
+            _ = logger.run_id  # reaches the tracker, which may refuse
         except ImportError as error:
-            raise BadRequest("training.logger", "mlflow", "not installed", "pip install mlflow") from error
+            remedy = "pip install 'ssm-study[mlflow]'"
+            raise BadRequest("training.logger", "mlflow", "not installed", remedy) from error
+        except Exception as error:  # MlflowException is not importable without mlflow
+            problem, remedy = f"the tracker refuses: {str(error).split('. ')[0]}", "use null or sqlite:///FILE"
+            raise BadRequest("training.logger.tracking_uri", address, problem, remedy) from error
+        return logger

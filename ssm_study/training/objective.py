@@ -63,19 +63,19 @@ class Records(nn.Module):
             return model.advance_lifted(self.lift(model.scaffold_in), x0)
         return model.advance(self.u, x0)
 
-    def loss(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:
+    def loss(self, y_hat: Float[Tensor, "*models e T p"]) -> Float[Tensor, "*models"]:
         """`sum weight |e|^2`: what the fit is made of."""
-        return (self.weight * (y_hat - self.y) ** 2).sum()
+        return (self.weight * (y_hat - self.y) ** 2).sum((-3, -2, -1))
 
-    def objective(self, y_hat: Float[Tensor, "e T p"]) -> Float[Tensor, ""]:
+    def objective(self, y_hat: Float[Tensor, "*models e T p"]) -> Float[Tensor, "*models"]:
         """`(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running sum of y|^2`.
 
         The running sum is what an integrator behind the output sees: position, where y is a velocity.
         """
         if self.integrated_share == 0.0:
             return self.loss(y_hat)
-        summed = (self.scored * (y_hat - self.y)).cumsum(1) * self.scored
-        drift = summed.square().sum() / self.sum_spread
+        summed = (self.scored * (y_hat - self.y)).cumsum(-2) * self.scored
+        drift = summed.square().sum((-3, -2, -1)) / self.sum_spread
         return (1 - self.integrated_share) * self.loss(y_hat) + self.integrated_share * drift
 
 

@@ -79,28 +79,42 @@ class Training:
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
-            return _scored(spec.solve(data), data, began, [], "solved without training")
+            return _scored(spec.solve(data), data, passed(began), [], "solved without training")
         found = [self._once(spec, data, seed, folder, progress)]
         for start in range(1, self.starts):
             again = spec.draw_start() if isinstance(spec, SSMSpec) else spec
             found.append(self._once(again, data, seed + 1000 * start, folder / f"start_{start}", progress))
         best = max(found, key=lambda one: one.fit_validation_percent)
-        return replace(best, seconds=time.perf_counter() - began)
+        return replace(best, seconds=passed(began))
 
     def _once(self, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool) -> Identification:
         began = time.perf_counter()
-        belongs_to = fingerprint((spec, seed), replace(self, max_epochs=1, patience=1), data)
-        net = spec.build(data, seed)
-        fit = self._fit(net, data)
-        fit.to(torch.float32 if self.precision == 32 else torch.float64)
+        belongs_to = self.belongs_to(spec, data, seed)
+        fit = self.prepared(spec, data, seed)
         keeper, curve = self._run(fit, folder, belongs_to, progress)
+        return replace(self.concluded(fit, data, keeper, curve.rows, folder, belongs_to), seconds=passed(began))
+
+    def belongs_to(self, spec: ModelSpec, data: DataSet, seed: int) -> str:
+        """What a checkpoint of this training names; more epochs or patience only continue it."""
+        return fingerprint((spec, seed), replace(self, max_epochs=1, patience=1), data)
+
+    def prepared(self, spec: ModelSpec, data: DataSet, seed: int) -> Fit:
+        """The model at its starting point, with the records it will be trained and validated on."""
+        fit = self._fit(spec.build(data, seed), data)
+        return fit.to(torch.float32 if self.precision == 32 else torch.float64)
+
+    def concluded(
+        self, fit: Fit, data: DataSet, keeper: Keeper, rows: list[dict[str, float]], folder: Path, belongs_to: str
+    ) -> Identification:
+        """The kept state, stored in `folder` and scored; `seconds` is that of the last epoch."""
         if keeper.kept is not None:
             write_best(folder / BEST, keeper.kept, belongs_to)
             load_state(folder / BEST, fit)
         fit.to("cpu", torch.float64)
         if self.precision == 32 and fit.automatic_optimization:
             polish(fit)
-        return _scored(net.freeze(data), data, began, curve.rows, keeper.ended)
+        seconds = rows[-1]["seconds"] if rows else 0.0
+        return _scored(fit.model.freeze(data), data, seconds, rows, keeper.ended)
 
     def _fit(self, model: TorchModel, data: DataSet) -> Fit:
         sorts = not isinstance(self.optimiser, Levenberg)  # which differentiates forward
@@ -159,6 +173,7 @@ class Training:
 
     def _trainer(self, callbacks: list[pl.Callback], folder: Path) -> pl.Trainer:
         logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+        logger = self.logger.build(folder) or False
         try:
             return pl.Trainer(
                 accelerator=self.accelerator,
@@ -167,7 +182,7 @@ class Training:
                 callbacks=callbacks,
                 plugins=[DurableCheckpointIO()],
                 default_root_dir=folder,
-                logger=self.logger.build(folder) or False,
+                logger=logger,
                 log_every_n_steps=1,
                 enable_checkpointing=False,
                 enable_progress_bar=False,
@@ -185,12 +200,16 @@ def _start_up(model: TorchModel, records: tuple[Trajectory, ...], data: DataSet)
     return StartUp(records, data) if data.start_up_samples > 0 and isinstance(model, TorchSSM) else None
 
 
-def _scored(model: Simulator, data: DataSet, began: float, curve: list[dict[str, float]], ended: str) -> Identification:
+def passed(began: float) -> float:
+    return time.perf_counter() - began
+
+
+def _scored(model: Simulator, data: DataSet, seconds: float, curve: list[dict[str, float]], ended: str) -> Identification:
     return Identification(
         model=model,
         fit_training_percent=mean_fit(model, data.training, data),
         fit_validation_percent=mean_fit(model, data.validation, data),
-        seconds=time.perf_counter() - began,
+        seconds=seconds,
         curve=curve,
         ended=ended,
     )

@@ -17,7 +17,6 @@ from ssm_study.models.scaffold_specs import Linear, Mlp, Monotone, Residual, Sca
 from ssm_study.models.spec import SSMSpec
 from ssm_study.signals import Trajectory, fit_percent
 from ssm_study.training.identification import mean_fit
-from ssm_study.training.loggers import Csv
 from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
 from ssm_study.training.training import Training
 
@@ -186,10 +185,3 @@ def test_the_best_of_several_starts_is_returned(tmp_path: Path) -> None:
     fits = {n: training(max_epochs=2, starts=n).identify(ring, data, 5, tmp_path / str(n)) for n in (1, 3)}
     assert fits[3].fit_validation_percent > fits[1].fit_validation_percent
     assert (tmp_path / "3" / "start_2" / "best.ckpt").exists()
-
-
-def test_the_curve_is_logged_on_request(tmp_path: Path) -> None:
-    training(max_epochs=3, logger=Csv()).identify(spec(), data_set(samples=100), 0, tmp_path)
-    lines = (tmp_path / "csv" / "metrics.csv").read_text().splitlines()
-    assert "fit_validation_percent" in lines[0]
-    assert len(lines) == 4
