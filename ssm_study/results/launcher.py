@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from multiprocessing.connection import wait
 from pathlib import Path
 from types import FrameType
@@ -17,21 +16,16 @@ from hydra.core.utils import JobReturn, JobStatus, setup_globals
 from omegaconf import OmegaConf
 
 from ssm_study.refusal import require
+from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.compose import Composer
 from ssm_study.results.deaths import GRACE_S, conclude, kill_group, stop_hanging
 from ssm_study.results.jobs import run_in_this_process
 from ssm_study.results.plan import plan
 from ssm_study.results.progress import Progress
 from ssm_study.results.runs import Outcome, is_to_run, outcome_of, standing
+from ssm_study.results.server import Server
 from ssm_study.results.store import Store
 from ssm_study.results.sweep import Job, Sweep, check_all, job_of, task_hook
-
-# Large tensors then stay in the process instead of going back to the system at every step: 1.6-2.2 times faster.
-ALLOCATOR = {
-    "MALLOC_MMAP_THRESHOLD_": "4294967296",
-    "MALLOC_TRIM_THRESHOLD_": "4294967296",
-    "MALLOC_TOP_PAD_": "67108864",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,15 +64,20 @@ class Processes:
             before = standing(job.folder)
             if not is_to_run(before, retry):
                 job.outcome = outcome_of(job.folder, before)
-        check_all(sweep.task_function, [job for job in unique if job.outcome is None])
-        if OmegaConf.select(sweep.config, "dry_run", default=False):
+        server = Server(preload=self.preload, threads=self.threads)
+        to_do, only_tell = [job for job in unique if job.outcome is None], OmegaConf.select(sweep.config, "dry_run")
+        refuse_foreign_targets(sweep.config)
+        if to_do and not only_tell:
+            server.start()  # it imports while the configurations are checked
+        check_all(sweep.task_function, to_do)
+        if only_tell:
             self._tell(sweep, unique)
         else:
-            self._run_all(sweep, unique)
+            self._run_all(sweep, server, unique)
         ends = {job.folder: job.outcome for job in unique}
         return [_returned(job, ends[job.folder]) for job in jobs]
 
-    def _run_all(self, sweep: Sweep, jobs: list[Job]) -> None:
+    def _run_all(self, sweep: Sweep, server: Server, jobs: list[Job]) -> None:
         waiting = [job for job in jobs if job.outcome is None]
         running: list[Job] = []
         with Progress(total=len(jobs)) as progress, _stopped_by_signals(running):
@@ -87,7 +86,7 @@ class Processes:
                     progress.done(job.outcome.status, reused=True)
             while waiting or running:
                 while waiting and len(running) < self.jobs:
-                    running.append(self._start(sweep, waiting.pop(0)))
+                    running.append(self._start(sweep, server, waiting.pop(0)))
                 for job in self._ended(running, progress):
                     running.remove(job)
                     job.outcome = conclude(job)
@@ -98,19 +97,15 @@ class Processes:
         """Print the plan: `walk(configuration, stages)` of the task's module takes each run's stages down the line."""
         walk = task_hook(sweep.task_function, "walk")
         to_do = [job for job in jobs if job.outcome is None]
-        walks = [partial(walk, job.task_config) for job in to_do] if walk else []
+        walks = [partial(walk, job.config) for job in to_do] if walk else []
         store = Store(Path(sweep.config.results_dir) / ".store")
         told = plan(store, walks, runs=len(jobs), finished=len(jobs) - len(to_do), jobs_at_once=self.jobs)
         print("\n".join(told.lines()))
 
-    def _start(self, sweep: Sweep, job: Job) -> Job:
-        context = get_context("forkserver")
-        context.set_forkserver_preload(list(self.preload))
+    def _start(self, sweep: Sweep, server: Server, job: Job) -> Job:
         singletons = Singleton.get_state()["instances"]
         arguments = (job.folder, job.config, sweep.hydra_context, sweep.task_function, singletons)
-        job.process = context.Process(target=run_in_this_process, args=arguments, name=job.name)
-        with _environment(thread_limits(self.threads) | ALLOCATOR):
-            job.process.start()
+        job.process = server.fork(run_in_this_process, arguments, name=job.name)
         job.started = time.monotonic()
         return job
 
@@ -126,28 +121,11 @@ class Processes:
         return ended
 
 
-def thread_limits(threads: int) -> dict[str, str]:
-    """The variables that torch, MKL and OpenBLAS read when they are first imported."""
-    counts = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads))
-    return counts | {"OMP_WAIT_POLICY": "passive"}
-
-
 def _returned(job: Job, outcome: Outcome | None) -> JobReturn:
     returned = JobReturn(overrides=job.overrides, cfg=job.config, working_dir=str(Path.cwd()), task_name=job.name)
     returned.status = JobStatus.COMPLETED
     returned.return_value = outcome
     return returned
-
-
-@contextlib.contextmanager
-def _environment(variables: dict[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 
 from ssm_study.refusal import BadRequest
 from ssm_study.results.allow_list import refuse_foreign_targets
@@ -40,11 +40,6 @@ class Job:
     def name(self) -> str:
         return self.folder.name
 
-    @property
-    def task_config(self) -> DictConfig:
-        """What the task sees: the configuration without Hydra's section."""
-        return OmegaConf.masked_copy(self.config, [str(key) for key in self.config if key != "hydra"])
-
 
 def job_of(composer: Composer, overrides: list[str], number: int) -> Job:
     """The configuration of one job and the folder it names; raises `BadRequest` if that leaves the results folder."""
@@ -69,7 +64,7 @@ def check_all(task_function: TaskFunction, jobs: list[Job]) -> None:
             HydraConfig.instance().set_config(job.config)
             refuse_foreign_targets(job.config)
             if check is not None:
-                check(job.task_config)
+                check(job.config)
         except BadRequest as refusal:
             where = f"{refusal.field} (of the run {' '.join(job.overrides)})"
             raise BadRequest(where, refusal.value, refusal.problem, refusal.remedy) from refusal

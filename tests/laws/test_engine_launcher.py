@@ -21,7 +21,7 @@ def environment(folder: Path) -> dict[str, str]:
     (folder / "conf").mkdir(exist_ok=True)
     unwanted = ("OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THREADS")
     base = {name: value for name, value in os.environ.items() if name not in unwanted}
-    path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+    path = os.pathsep.join([str(REPOSITORY), str(folder), os.environ.get("PYTHONPATH", "")])
     return base | {"ENGINE_CONF": str(folder / "conf"), "PYTHONPATH": path, "HYDRA_FULL_ERROR": "1"}
 
 
@@ -155,6 +155,19 @@ def test_a_wrong_job_stops_the_sweep_before_any_starts(tmp_path: Path) -> None:
     assert status != 0
     assert "BadRequest: seed (of the run" in output
     assert records(tmp_path) == []
+
+
+def test_a_module_that_cannot_be_imported_for_the_jobs_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "cvxpy.py").write_text("raise RuntimeError('half edited')\n")
+    status, output = sweep(tmp_path, "seed=0,1", "hydra.launcher.preload=[cvxpy]")
+    assert status != 0
+    assert "BadRequest: hydra.launcher.preload = cvxpy: importing these for the jobs failed" in output.splitlines()[-1]
+    assert "RuntimeError: half edited" in output.splitlines()[-1]
+    assert "EOFError" not in output
+    assert living(tmp_path) == []
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'marker')!r}, 'w')\n")
+    assert "foreign modules are not imported" in sweep(tmp_path, "seed=0,1", "hydra.launcher.preload=[evil]")[1]
+    assert not (tmp_path / "marker").exists()
 
 
 def test_failed_runs_wait_for_retry_and_are_then_the_only_ones(tmp_path: Path) -> None:
