@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.report import verdict
-from ssm_study.report.columns import column, flag, text, words
+from ssm_study.report.columns import column, flag, spoken, text, words
 
 PARAMETERS = (
     "order",
@@ -49,23 +49,80 @@ def swept(table: pd.DataFrame) -> list[str]:
     return sorted((name for name, count in counts.items() if count > 1), key=lambda name: -counts[name])
 
 
+def by_plant(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """The runs of each plant, with `DC motor: ` to stand before its first sentence; nothing if there is only one plant.
+
+    Settling times of different plants do not compare.
+    """
+    plants = text(table, "plant")
+    if plants.nunique() < 2:
+        return [("", table)]
+    return [(f"{_capital(spoken(name))}: ", table[plants == name]) for name in plants.unique() if name]
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
 def _best(table: pd.DataFrame) -> tuple[str, ...]:
     if table.empty:
         return ("No run has been made yet.",)
-    run = verdict.best_first(table).iloc[[0]]
-    word, name = verdict.verdicts(run).iloc[0], text(run, "run").iloc[0]
-    if word != verdict.SETTLED.word:
-        return (f"No run is certified and brings every start to rest; the nearest, {name}, is {word}.",)
+    return tuple(
+        begun * (k == 0) + sentence for begun, runs in by_plant(table) for k, sentence in enumerate(_best_of(runs))
+    )
+
+
+def _best_of(table: pd.DataFrame) -> list[str]:
+    ordered = verdict.best_first(table)
+    run, word = ordered.iloc[[0]], verdict.verdicts(ordered)
+    name = text(run, "run").iloc[0]
+    if word.iloc[0] != verdict.SETTLED.word:
+        return [f"No run is certified and brings every start to rest; the nearest, {name}, is {word.iloc[0]}."]
+    rivals = ordered[word == verdict.SETTLED.word]
     number = {key: float(column(run, key).iloc[0]) for key in _NUMBERS}
-    ratio = number["settling_time_mean_s"] / number["settling_time_open_loop_s"]
-    alone = f", {ratio:.2f} of the plant left alone ({number['settling_time_open_loop_s']:.3f} s)"
-    return (
-        f"{name}: among the runs whose two certificates hold and whose every start settles, it settles soonest, in "
-        f"{number['settling_time_mean_s']:.3f} s on average{alone if np.isfinite(ratio) else ''}.",
+    return [
+        f"{name}. {_why(rivals)} {_settles(number)}.",
         f"Its model fits the test record to {number['fit_test_percent']:.1f} %; its controller contracts at rate "
         f"{number['rate_controller']:.3g} per sample where at most {number['controller_rate_limit']:.3g} can be "
         "certified.",
+        *_faster_but_not_foretold(rivals),
+    ]
+
+
+def _settles(number: dict[str, float]) -> str:
+    ratio = number["settling_time_mean_s"] / number["settling_time_open_loop_s"]
+    alone = f", {ratio:.2f} of the plant left alone ({number['settling_time_open_loop_s']:.3f} s)"
+    return f"in {number['settling_time_mean_s']:.3f} s on average{alone if np.isfinite(ratio) else ''}"
+
+
+def _why(rivals: pd.DataFrame) -> str:
+    """What sets the first of the certified runs that settle apart: the prediction, where there was one, and speed."""
+    foretold = verdict.foretold(rivals)
+    predicted = f", as was predicted without the plant ({_prediction(rivals)})" if foretold.iloc[0] else ""
+    such = int(foretold.sum()) if foretold.iloc[0] else len(rivals)
+    soonest = f"Of the {such} such runs it settles soonest," if such > 1 else "It settles"
+    return f"Both certificates hold and every start settles{predicted}. {soonest}"
+
+
+def _prediction(runs: pd.DataFrame) -> str:
+    """The numbers behind the prediction for the first run."""
+    resolved, radius, margin = (
+        float(column(runs, name).iloc[0]) for name in ("resolved_margin", "controller_radius", "mismatch_margin")
     )
+    if np.isfinite(resolved):
+        return f"margin {resolved:.4g} by frequency, controller's own radius {radius:.3g}"
+    return f"mismatch margin {margin:.4g}, above one" if margin > 1 else f"mismatch margin {margin:.4g}"
+
+
+def _faster_but_not_foretold(rivals: pd.DataFrame) -> list[str]:
+    quickest = rivals.loc[[column(rivals, "settling_time_mean_s").idxmin()]]
+    if verdict.foretold(quickest).iloc[0] or not verdict.foretold(rivals).any():
+        return []
+    time = float(column(quickest, "settling_time_mean_s").iloc[0])
+    return [
+        f"{text(quickest, 'run').iloc[0]} was faster ({time:.3f} s), yet only the plant itself could tell "
+        f"({_prediction(quickest)})."
+    ]
 
 
 _NUMBERS = (
@@ -78,47 +135,77 @@ _NUMBERS = (
 
 
 def _feasibility(table: pd.DataFrame) -> tuple[str, ...]:
-    rate, limit = column(table, "rate_controller"), column(table, "controller_rate_limit")
+    sentences = [sentence for side in ("controller", "observer") for sentence in _side(table, side)]
+    return tuple(sentences) or ("No run got as far as a rate limit.",)
+
+
+def _side(table: pd.DataFrame, side: str) -> list[str]:
+    """The frontier of the controllers, or of the observers where some request went beyond it."""
+    rate, limit = column(table, f"rate_{side}"), column(table, f"{side}_rate_limit")
     known = rate.notna() & limit.notna()
-    if not known.any():
-        return ("No run got as far as a rate limit.",)
-    beyond, certified = known & (rate >= limit), flag(table, "controller_certified")
-    reach = f"from {limit.min():.3g} to {limit.max():.3g}" if limit.nunique() > 1 else f"{limit.max():.3g}"
-    sentences = [
-        f"The largest rate any controller can be certified for is {reach} per sample over the models of this study; it "
-        "follows exactly from the eigenvalues of A and the ratio of the smallest to the largest slope of S_u.",
-        f"{int(beyond.sum())} of {int(known.sum())} requests lie beyond it, and {int((beyond & certified).sum())} of "
-        "those were certified.",
-    ]
+    beyond, certified = known & (rate >= limit), flag(table, f"{side}_certified")
     missed = known & ~beyond & ~certified
+    if not known.any() or (side == "observer" and not (beyond | missed).any()):
+        return []
+    reach = f"from {limit.min():.3g} to {limit.max():.3g}" if limit.nunique() > 1 else f"{limit.max():.3g}"
+    scaffold = "S_u" if side == "controller" else "S_y"
+    sentences = [
+        f"The largest rate any {side} can be certified for is {reach} per sample over the models of this study; it "
+        f"follows exactly from the eigenvalues of A and the ratio of the smallest to the largest slope of {scaffold}.",
+        _beyond(int(known.sum()), int(beyond.sum()), int((beyond & certified).sum())),
+    ]
     if missed.any():
         sentences.append(f"Inside it, {int(missed.sum())} got no certificate: there the method fell short.")
-    return tuple(sentences)
+    return sentences
+
+
+def _beyond(known: int, beyond: int, certified: int) -> str:
+    if not beyond:
+        return "Every rate asked lies inside it." if known > 1 else "The rate asked lies inside it."
+    none = "none of those was certified" if not certified else f"{certified} of those were certified"
+    return f"{beyond} of {known} requests lie beyond it, and {none}."
 
 
 def _fit(table: pd.DataFrame) -> tuple[str, ...]:
+    return tuple(begun + _fit_of(runs) for begun, runs in by_plant(table))
+
+
+def _fit_of(table: pd.DataFrame) -> str:
+    """Against the share of starts settled; against settling time where all settle."""
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
-    fit, share = column(table, "fit_test_percent"), column(table, "stable_fraction")
-    known = certified & fit.notna() & share.notna()
-    if known.sum() < 3 or fit[known].nunique() < 2 or share[known].nunique() < 2:
-        return (f"This study cannot tell: {int(known.sum())} certified runs, too alike in fit or in what settles.",)
-    rank = float(np.corrcoef(fit[known].rank(), share[known].rank())[0, 1])
-    return (
-        f"Over its {int(known.sum())} certified runs, fit and share of starts settled have a rank correlation of "
-        f"{rank:.2f} (1: always, 0: unrelated).",
-    )
+    fit = column(table, "fit_test_percent")
+    for name, said, meaning in (
+        ("stable_fraction", "share of starts settled", "1: the better the fit, the more settle"),
+        ("settling_time_mean_s", "settling time", "-1: the better the fit, the sooner"),
+    ):
+        other = column(table, name)
+        known = certified & fit.notna() & other.notna()
+        if known.sum() >= 3 and fit[known].nunique() > 2 and other[known].nunique() > 1:
+            rank = float(np.corrcoef(fit[known].rank(), other[known].rank())[0, 1])
+            return (
+                f"Over {int(known.sum())} certified runs, fit and {said} have a rank correlation of {rank:.2f} "
+                f"({meaning}; 0: unrelated)."
+            )
+    return f"This study cannot tell: its certified runs ({int(certified.sum())}) are too few or too alike."
 
 
 def _margin(table: pd.DataFrame) -> tuple[str, ...]:
-    margin, share = column(table, "mismatch_margin"), column(table, "stable_fraction")
-    known = margin.notna() & share.notna()
+    share, foretold = column(table, "stable_fraction"), verdict.foretold(table)
+    by_frequency = column(table, "predicted_stable").notna()
+    known = (by_frequency | column(table, "mismatch_margin").notna()) & share.notna()
     if not known.any():
         return ("No run has both a margin and a closed loop.",)
-    sentences = []
-    for label, side in (("above", known & (margin > 1)), ("at or below", known & (margin <= 1))):
-        settled = int((side & (share >= 1)).sum())
-        sentences.append(f"With a margin {label} one, {settled} of {int(side.sum())} runs bring every start to rest.")
-    return tuple(sentences)
+    yes, no = "With a margin above one", "With a margin at or below one"
+    if by_frequency[known].any():
+        yes = "With a margin above one at every frequency and a controller that is stable by itself"
+        no = "Without that"
+    return tuple(f"{said}, {_at_rest(share[known & side])}." for said, side in ((yes, foretold), (no, ~foretold)))
+
+
+def _at_rest(share: pd.Series) -> str:
+    return (
+        f"{int((share >= 1).sum())} of {len(share)} runs bring every start to rest" if len(share) else "there is no run"
+    )
 
 
 def _failed(table: pd.DataFrame) -> tuple[str, ...]:

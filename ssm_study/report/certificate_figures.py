@@ -77,4 +77,14 @@ def _lines(axes: Axes, table: pd.DataFrame, x: pd.Series, y: pd.Series) -> None:
         here = method == name
         if here.any():
             size, face, order = (6, "none", 4) if marker == "o" else (3, colour, 3)
-            axes.plot(x[here], y[here], color=colour, marker=marker, ms=size, mfc=face, label=label, zorder=order)
+            axes.plot(
+                x[here],
+                y[here],
+                color=colour,
+                marker=marker,
+                ms=size,
+                mfc=face,
+                label=label,
+                zorder=order,
+                clip_on=False,
+            )

@@ -53,9 +53,39 @@ WORDS: dict[str, str] = {
     "certified_bound_excess_plant": "Beyond the certified bound on the plant (share of its start)",
     "mismatch_gain": "Model mismatch gain",
     "mismatch_margin": "Mismatch margin (–)",
+    "resolved_margin": "Mismatch margin by frequency (–)",
+    "controller_radius": "Controller's own spectral radius (–)",
+    "predicted_stable": "Plant predicted stable",
     "infeasible_reason": "Why it is infeasible",
     "error_message": "Error",
 }
+
+
+CHOICES: dict[str, str] = {
+    "pi": "PI",
+    "lqg": "LQG",
+    "mpc": "MPC",
+    "lmi": "LMI",
+    "paper_lmi": "paper's LMI",
+    "modal_lmi": "modal LMI",
+    "auto_integral": "auto, integral",
+    "load_periodic": "load sine",
+    "noise_free": "no noise",
+    "noise_4x": "noise × 4",
+    "spread": "off-nominal",
+    "dc_motor": "DC motor",
+    "dc_motor_limited": "DC motor, limited",
+    "stribeck_drive": "Stribeck drive",
+    "DCMotor": "DC motor",
+    "StribeckDrive": "Stribeck drive",
+    "CascadedTanks": "cascaded tanks",
+    "QuadrupleTank": "quadruple tank",
+}
+
+
+def spoken(choice: object) -> str:
+    """The printed name of a controller, situation or plant, e.g. `paper_lmi` -> `paper's LMI`."""
+    return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
 def words(column: str) -> str:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ssm_study.report import style
+from ssm_study.report.columns import spoken
 
 NEEDED = ("plant", "mismatch_margin", "kind", "relative_time")
 SHOWN = (1e-3, 10.0)
@@ -41,7 +42,7 @@ def roc(table: pd.DataFrame) -> Figure:
         if good.min() == good.max():
             continue  # one kind only: no curve
         false, true = roc_points(score, good)
-        (line,) = axes.plot(false, true, label=f"{_spaced(plant)}, area {np.trapezoid(true, false):.3f}")
+        (line,) = axes.plot(false, true, label=f"{spoken(plant)}, area {np.trapezoid(true, false):.3f}")
         above = score > 1
         axes.scatter((above * (1 - good)).sum() / (1 - good).sum(), (above * good).sum() / good.sum(), s=18, zorder=4)
         axes.collections[-1].set_color(line.get_color())
@@ -59,7 +60,7 @@ def settling(table: pd.DataFrame) -> Figure:
     fig = style.canvas(style.PAGE_IN, 2.5)
     for axes, plant in zip(np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True):
         _panel(axes, table[table["plant"] == plant])
-        axes.set(title=_spaced(plant), xlabel="Mismatch margin (–)")
+        axes.set(title=spoken(plant), xlabel="Mismatch margin (–)")
     fig.axes[0].set_ylabel("Settling time / uncontrolled (–)")
     handles, labels = fig.axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=2)
@@ -78,7 +79,3 @@ def _panel(axes: Axes, own: pd.DataFrame) -> None:
         axes.scatter(margin[mask], time[mask], s=5, color=colour, marker=marker, alpha=0.45, lw=width, label=label)
     axes.axvline(1.0, color=style.INK, lw=0.8, ls="--")
     axes.set(xscale="log", yscale="log", xlim=(SHOWN[0], SHOWN[1] * 1.2), ylim=(0.08, SHOWN[1] * 1.2))
-
-
-def _spaced(name: object) -> str:
-    return str(name).replace("_", " ")

@@ -21,6 +21,7 @@ STYLES = {
     verdict.FAILED.word: "bold red",
 }
 MISSING = "–"
+SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
 
 
 def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None) -> None:
@@ -61,18 +62,31 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
     yield "fit_test_percent", "Fit on the test record", number("fit_test_percent", ".1f", " %")
     for name in sorted(key for key in record if key.startswith("score_test_")):
-        yield name, f"Benchmark score, record {name.removeprefix('score_test_')}", number(name, ".4g")
+        unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
+        yield name, f"Benchmark score, record {name.removeprefix('score_test_')}", number(name, ".4g", unit)
     interval = f"[{number('input_slope_lower')}, {number('input_slope_upper')}]"
     yield "input_slope_lower", "Slopes of S_u", f"{interval} ({number('bound_method')})"
     for side in ("controller", "observer"):
         shown = f"{number(f'rate_{side}')} asked, at most {number(f'{side}_rate_limit')}: {_certified(record, side)}"
         yield f"rate_{side}", f"{side.capitalize()} rate", shown
-    yield "mismatch_margin", "Mismatch margin", f"{number('mismatch_margin')} (above 1 predicts a stable plant)"
+    yield _prediction(record)
     yield "loop_on", "Closed loop on", _where(record)
     settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')}"
     yield "stable_count", "Initial conditions settled", settled
     controlled, alone = number("settling_time_mean_s", ".3f", " s"), number("settling_time_open_loop_s", ".3f", " s")
     yield "settling_time_open_loop_s", "Mean settling time", f"{controlled}, uncontrolled {alone}{_ratio(record)}"
+
+
+def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
+    """What model and validation record say of the plant; of an older record the margin alone."""
+    if record.get("predicted_stable") is None:
+        said = f"{record.get('mismatch_margin') or 0:.3g} (above 1 predicts a stable plant)"
+        return "mismatch_margin", "Mismatch margin", said
+    margin, radius = record.get("resolved_margin"), record.get("controller_radius")
+    said = "stays stable" if record["predicted_stable"] else "not sure to stay stable"
+    told = f"margin {margin:.3g} by frequency, " if margin is not None else ""
+    told += f"controller's own radius {radius:.3g}" if radius is not None else ""
+    return "predicted_stable", "Prediction for the plant", f"{said} ({told})"
 
 
 def _certified(record: Mapping[str, Any], side: str) -> str:

@@ -60,6 +60,14 @@ PANELS = (
         log_x=True,
         rule_x=1.0,
     ),
+    Panel(
+        question="Does the margin by frequency foretell the plant?",
+        note="Dashed: margin one; to its right every start should settle.",
+        x="resolved_margin",
+        y="stable_fraction",
+        log_x=True,
+        rule_x=1.0,
+    ),
     Panel(question="What does a faster rate cost?", x="rate_controller", y="controller_gain_norm", log_y=True),
 )
 
@@ -111,7 +119,7 @@ def _points(panel: Panel, table: pd.DataFrame) -> alt.Chart:
     colours, shapes = [v.colour for v in verdict.ALL], [SHAPES[word] for word in verdicts]
     return (
         alt.Chart()
-        .mark_point(filled=True, strokeWidth=2)
+        .mark_point(filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data"))
         .encode(
             x=_axis(alt.X, panel.x, table, panel.log_x),
             y=_axis(alt.Y, panel.y, table, panel.log_y),
@@ -120,7 +128,6 @@ def _points(panel: Panel, table: pd.DataFrame) -> alt.Chart:
             opacity=alt.condition(known, alt.value(0.85), alt.value(0.06)),
             size=alt.condition(here, alt.value(220), alt.value(45)),
             stroke=alt.condition(here, alt.value(style.INK), alt.value(None)),
-            tooltip=[alt.Tooltip("run:N"), alt.Tooltip("verdict:N"), *(_tooltip(f) for f in (panel.x, panel.y))],
         )
         .add_params(alt.selection_interval(name="brush"), mask, chosen)
     )
@@ -129,17 +136,23 @@ def _points(panel: Panel, table: pd.DataFrame) -> alt.Chart:
 def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
     found = []
     if panel.rule_x is not None:
-        found.append(alt.Chart().mark_rule(strokeDash=[4, 3], color=style.GREY).encode(x=alt.datum(panel.rule_x)))
+        found.append(_rule().encode(x=alt.datum(panel.rule_x)))
     if panel.rule_y_column and column(table, panel.rule_y_column).notna().any():
         height = float(column(table, panel.rule_y_column).median())
-        found.append(alt.Chart().mark_rule(strokeDash=[4, 3], color=style.GREY).encode(y=alt.datum(height)))
+        found.append(_rule().encode(y=alt.datum(height)))
     if panel.tick_column:
         tick = alt.Chart(alt.NamedData("ticks")).mark_tick(
-            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8
-        )
+            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8, aria=False,
+            tooltip=alt.TooltipContent("data"),
+        )  # fmt: skip
         x, y = alt.X(f"{panel.x}:Q"), alt.Y(f"{panel.tick_column}:Q")
-        found.append(tick.encode(x=x, y=y, tooltip=[_tooltip(panel.tick_column)]))
+        found.append(tick.encode(x=x, y=y))
     return found
+
+
+def _rule() -> alt.Chart:
+    """One line: on the data of the points it would be drawn once per run."""
+    return alt.Chart(alt.InlineData([{}])).mark_rule(strokeDash=[4, 3], color=style.GREY, aria=False)
 
 
 def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
@@ -150,7 +163,3 @@ def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
     spread = log and bool((values > 0).all()) and float(values.max()) > 10 * float(values.min())
     scale = alt.Scale(type="log", padding=8) if spread else alt.Scale(zero=False, padding=8)
     return kind(f"{name}:Q", title=words(name), scale=scale)
-
-
-def _tooltip(name: str) -> alt.Tooltip:
-    return alt.Tooltip(f"{name}:Q", title=words(name), format=".4g")

@@ -10,13 +10,16 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.report import answers, verdict
-from ssm_study.report.columns import WORDS, column, text, words
+from ssm_study.report.columns import CHOICES, WORDS, column, text, words
 from ssm_study.report.study_folder import RunFolder, Study
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
 PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores", "version_python",
               "version_ssm_study", "version_torch", "version_cvxpy", "version_clarabel")  # fmt: skip
+COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin", "stable_fraction",
+            "stable_count", "initial_conditions", "settling_time_mean_s", "settling_time_worst_s",
+            "input_peak_v", "reason")  # fmt: skip
 QUESTION = (
     "How do the fit of an identified model and the contraction rate certified for it relate to how its controller "
     "behaves on the true system?"
@@ -39,6 +42,8 @@ def page_data(study: Study) -> dict[str, Any]:
         "known_columns": list(WORDS),
         "parameters": answers.swept(table),
         "trajectories": trajectories(study, table),
+        "comparisons": comparisons(study, table),
+        "choices": CHOICES,
         "configuration": configuration(best),
         "provenance": provenance(table),
     }
@@ -75,6 +80,20 @@ def trajectories(study: Study, table: pd.DataFrame) -> dict[str, Any]:
     """`{run: {...}}` for the best runs that left recordings."""
     best = text(table, "run").head(MOST_TRAJECTORIES)
     return {name: found for name in best if name and (found := _recordings(study.run(name)))}
+
+
+def comparisons(study: Study, table: pd.DataFrame) -> dict[str, Any]:
+    """`{run: {column: [...]}}`: controllers and situations, or certified designs, that the best runs tried."""
+    best = set(text(table, "run").head(MOST_TRAJECTORIES))
+    compared = study.comparison
+    if compared.empty:
+        return {}
+    kept = [name for name in COMPARED if name in compared]
+    return {
+        str(run): {name: plain(rows[name]) for name in kept if rows[name].notna().any()}
+        for run, rows in compared.groupby("run")
+        if run in best
+    }
 
 
 def _recordings(run: RunFolder) -> dict[str, Any]:

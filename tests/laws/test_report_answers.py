@@ -27,9 +27,35 @@ def test_every_question_is_answered_whatever_the_table() -> None:
 def test_the_best_run_is_the_fastest_of_those_that_are_certified_and_settle() -> None:
     lost = row(run="lost", settling_time_mean_s=0.01, stable_fraction=0.5)
     text = said(pd.DataFrame([lost, row(run="slow", settling_time_mean_s=0.15), row(run="best")]), "best")
-    assert text.startswith("best:")
+    assert text.startswith("best. Both certificates hold and every start settles. Of the 2 such runs")
     assert "0.50 of the plant left alone" in text
     assert "at most 0.3 can be certified" in text
+
+
+def test_among_certified_runs_that_settle_the_margin_decides_before_the_plant_does() -> None:
+    lucky = row(run="lucky", settling_time_mean_s=0.05, mismatch_margin=0.4)
+    runs = pd.DataFrame([lucky, row(run="foretold", mismatch_margin=1.2)])
+    text = said(runs, "best")
+    assert text.startswith("foretold. ")
+    assert "predicted without the plant (mismatch margin 1.2, above one)" in text
+    assert "lucky was faster (0.050 s), yet only the plant itself could tell (mismatch margin 0.4)" in text
+
+
+def test_the_prediction_by_frequency_takes_the_place_of_the_margin_where_it_is_known() -> None:
+    by_frequency = {"resolved_margin": 1.3, "controller_radius": 0.9}
+    runs = [row(run="no", mismatch_margin=2.0, predicted_stable=False, settling_time_mean_s=0.05, **by_frequency)]
+    runs += [row(run="yes", mismatch_margin=0.5, predicted_stable=True, **by_frequency)]
+    table = pd.DataFrame(runs)
+    assert "yes. Both" in said(table, "best")
+    assert "(margin 1.3 by frequency, controller's own radius 0.9)" in said(table, "best")
+    assert "stable by itself, 1 of 1 runs" in said(table, "margin")
+
+
+def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
+    runs = [row(run="m", plant="DCMotor"), row(run="t", plant="CascadedTanks", settling_time_mean_s=70.0)]
+    text = said(pd.DataFrame(runs), "best")
+    assert "DC motor: m. Both" in text
+    assert "Cascaded tanks: t. Both" in text
 
 
 def test_without_a_certified_run_that_settles_none_is_called_best() -> None:
@@ -40,8 +66,20 @@ def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart()
     beyond = row(status="infeasible", rate_controller=0.4, controller_certified=None)
     missed = row(status="infeasible", rate_controller=0.2, controller_certified=None)
     text = said(pd.DataFrame([row(), beyond, missed]), "feasibility")
-    assert "1 of 3 requests lie beyond it, and 0 of those were certified" in text
+    assert "1 of 3 requests lie beyond it, and none of those was certified" in text
     assert "Inside it, 1 got no certificate" in text
+
+
+def test_the_observers_frontier_is_told_where_a_request_went_beyond_it() -> None:
+    inside = row(rate_observer=0.1, observer_rate_limit=0.5)
+    beyond = row(rate_observer=0.7, observer_rate_limit=0.5, observer_certified=None)
+    assert "observer" not in said(pd.DataFrame([inside]), "feasibility")
+    assert "any observer can be certified for is 0.5" in said(pd.DataFrame([inside, beyond]), "feasibility")
+
+
+def test_where_all_settle_fit_is_held_against_time() -> None:
+    runs = [row(fit_test_percent=80.0 + k, settling_time_mean_s=0.3 - 0.01 * k) for k in range(5)]
+    assert "fit and settling time have a rank correlation of -1.00" in said(pd.DataFrame(runs), "better fit")
 
 
 def test_the_margin_is_scored_on_both_sides_of_one() -> None:

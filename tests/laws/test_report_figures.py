@@ -1,5 +1,6 @@
-"""Every figure draws on a study with runs of every kind, on an empty one, and on one with failures only."""
+"""Every figure draws on the smoke study, on runs of every kind, on an empty study and on one with failures only."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,12 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return folders
 
 
+@pytest.fixture(scope="session")
+def smoke_copy(smoke_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The finished smoke study, its run and its table as they are, in a folder of one's own to draw into."""
+    return Path(shutil.copytree(smoke_study, tmp_path_factory.mktemp("figures") / "smoke"))
+
+
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(style._PAPER, "savefig.dpi", 40)  # rendering pixels is most of the time
@@ -36,6 +43,18 @@ def test_every_figure_draws_png_and_pdf(studies: dict[str, Path], name: str, kin
     png, pdf = figures.draw([name], studies[kind])
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
+
+
+NEEDS_A_COMPARISON = {"robustness"}  # which experiment=smoke does not make
+
+
+@pytest.mark.parametrize("name", figures.names())
+def test_every_figure_draws_what_the_smoke_study_found(smoke_copy: Path, name: str) -> None:
+    png, pdf = figures.draw([name], smoke_copy)
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    drawn_something = any(axes.axison for axes in drawn(name, smoke_copy).axes)
+    assert drawn_something == (name not in NEEDS_A_COMPARISON), "the study holds what this figure needs"
 
 
 @pytest.mark.parametrize("name", ["rates", "closed_loop_responses"])

@@ -39,7 +39,7 @@ def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
     assert len(settling.axes) == 2
     assert [text.get_text().split(",")[0] for text in roc.axes[0].get_legend().get_texts()] == [
         "cascaded tanks",
-        "dc motor",
+        "DC motor",
     ]
 
 

@@ -43,9 +43,17 @@ def test_every_number_of_the_argument_is_there() -> None:
 
 
 def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
-    text = printed(a_run("ok") | {"loop_on": "identified model", "score_test_1": 4.21})
+    text = printed(a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21})
     assert "the identified model; no plant was there to try it on" in " ".join(text.split())
-    assert "Benchmark score, record 1 4.21" in " ".join(text.split())
+    assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
+
+
+def test_the_prediction_says_what_it_rests_on_and_an_older_record_its_margin() -> None:
+    known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
+    for stable, words in ((True, "stays stable"), (False, "not sure to stay stable")):
+        text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
+        assert f"Prediction for the plant {words} (margin 1.24 by frequency, controller's own radius 0.931)" in text
+    assert "Mismatch margin" in printed(a_run("ok"))
 
 
 def test_a_path_is_never_broken() -> None:

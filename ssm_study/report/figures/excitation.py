@@ -26,8 +26,8 @@ def figure(excitation: Excitation, coverage: float | None) -> Figure:
     u, label = np.concatenate(excitation.u), excitation.input_label
     counts, edges = np.histogram(u, bins=40)
     amplitude.stairs(100 * counts / len(u), edges, fill=True, color=style.BLUE)
-    covered = "" if coverage is None else f"; training covers {100 * coverage:.0f} % of the range"
-    amplitude.set(xlabel=label, ylabel="Share of samples (%)", title=f"{excitation.records}{covered}")
+    covered = "" if coverage is None else f"; {100 * coverage:.0f} % of the range is trained on"
+    amplitude.set(xlabel=label, ylabel="Share of samples (%)", title=f"{excitation.records.capitalize()}{covered}")
     segment = min(LONGEST_SEGMENT, *(len(record) for record in excitation.u))
     powers = [welch(record - u.mean(), fs=1 / excitation.step_s, nperseg=segment) for record in excitation.u]
     frequency, power = powers[0][0], np.mean([density for _, density in powers], axis=0)

@@ -1,12 +1,12 @@
 """The ways to a controller beside each other: share of starts settled, settling time relative to the plant left alone,
-and peak input (one dot per run, bar at the median). From the runs' own comparisons where they made one."""
+and peak input (one dot per run, a bar at the median of several). From the runs' own comparisons where they made one."""
 
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ssm_study.report import style
-from ssm_study.report.columns import column, text, words
+from ssm_study.report.columns import column, spoken, text, words
 from ssm_study.report.study_folder import Study
 from ssm_study.report.verdict import counts
 
@@ -34,7 +34,7 @@ def figure(table: pd.DataFrame, method: pd.Series) -> Figure:
     for axes, (values, label, limits) in zip(fig.subplots(1, 3, sharey=True), panels, strict=True):
         _dots(axes, method, values, methods)
         axes.set(xlabel=label, xlim=limits, ylim=(len(methods) - 0.5, -0.5))
-        axes.set_yticks(range(len(methods)), [name.replace("_", " ") for name in methods])
+        axes.set_yticks(range(len(methods)), [spoken(name) for name in methods])
         axes.grid(axis="y", visible=False)
     return fig
 
@@ -42,6 +42,7 @@ def figure(table: pd.DataFrame, method: pd.Series) -> Figure:
 def _dots(axes: Axes, method: pd.Series, values: pd.Series, methods: list[str]) -> None:
     for row, name in enumerate(methods):
         own = values[method == name].dropna()
-        axes.scatter(own, [row] * len(own), s=14, color=style.BLUE, alpha=0.5, lw=0, zorder=3)
-        if len(own):
+        faint = 0.5 if len(own) > 1 else 1.0
+        axes.scatter(own, [row] * len(own), s=16, color=style.BLUE, alpha=faint, lw=0, zorder=3, clip_on=False)
+        if len(own) > 1:
             axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)

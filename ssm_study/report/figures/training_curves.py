@@ -2,6 +2,7 @@
 
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ssm_study.report import style
 from ssm_study.report.columns import column
@@ -24,9 +25,15 @@ def figure(curve: pd.DataFrame) -> Figure:
     x = column(curve, "epoch") if "epoch" in curve else pd.Series(range(len(curve)), index=curve.index)
     for name in shown:
         y = column(curve, str(name))
-        axes.plot(x[y.notna()], y.dropna(), label=str(name).removesuffix("_percent").replace("_", " "))
+        axes.plot(x[y.notna()], y.dropna(), label=_spoken(str(name)))
     if not fits:
         axes.set_yscale("log")
     axes.set(xlabel="Epoch", ylabel="Fit (%)" if fits else "Loss (scaled output units²)")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     style.above(axes)
     return fig
+
+
+def _spoken(name: str) -> str:
+    """`fit_validation_percent` -> `validation records`."""
+    return f"{name.removesuffix('_percent').removeprefix('fit_').removeprefix('loss_')} records".replace("_", " ")

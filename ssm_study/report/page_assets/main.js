@@ -4,7 +4,15 @@ function drawWords() {
   document.getElementById("question").textContent = DATA.question;
   document.getElementById("swept").textContent = `${DATA.counts}. ${DATA.swept}`;
   document.getElementById("answers").append(...DATA.answers.map(({ question, sentences }) =>
-    element("article", {}, element("h3", {}, question), ...sentences.map((text) => element("p", {}, text)))));
+    element("article", {}, element("h3", {}, question), ...sentences.map((text) => element("p", {}, ...linked(text))))));
+}
+
+/** A sentence whose run names open their run. */
+function linked(sentence) {
+  return sentence.split(/(\s+)/).flatMap((word) => {
+    const name = word.replace(/[.:,;]+$/, ""), i = name ? COLUMNS.run.indexOf(name) : -1;
+    return i < 0 ? [word] : [element("button", { type: "button", onclick: () => choose(i) }, name), word.slice(name.length)];
+  });
 }
 
 function tally(word) {

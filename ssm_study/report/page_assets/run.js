@@ -20,9 +20,10 @@ function closeRun() {
 
 /** Beside the page where there is room, over its foot on a phone; the plots take what width is left. */
 function dock(open) {
+  if (document.getElementById("run").hidden === !open) return;
   document.getElementById("run").hidden = !open;
   document.body.classList.toggle("with-run", open);
-  dispatchEvent(new Event("resize"));
+  allStale();
 }
 
 function step(by) {
@@ -37,12 +38,25 @@ function drawRun(i) {
   document.getElementById("run-title").textContent = printed(name);
   const content = document.getElementById("run-content");
   content.replaceChildren(element("p", {}, `${word}: ${verdict.sentence}.`), ...reasons(i).map((text) => element("p", { class: "reason" }, text)));
-  const found = DATA.trajectories[name];
-  if (found) drawTrajectories(content, found);
+  const found = DATA.trajectories[name], charts = [];
+  if (found) charts.push(...trajectoryCharts(content, found));
   else content.append(element("p", { class: "quiet" }, `No trajectories here; if the run left any they are in ${DATA.study}/${name}/closed_loop.mcap.`));
+  const compared = DATA.comparisons[name];
+  if (compared && compared.controller) content.append(controllersTable(compared));
+  if (compared && compared.design) charts.push(designsChart(content, compared));
   const known = Object.keys(COLUMNS).filter((column) => COLUMNS[column][i] !== null && COLUMNS[column][i] !== undefined);
   const named = known.filter((column) => DATA.known_columns.includes(column)), rest = known.filter((column) => !named.includes(column));
   content.append(facts(named, i), element("details", {}, element("summary", {}, "Everything else in the record"), facts(rest, i)));
+  drawOneByOne(charts, i);
+}
+
+/** Each chart in a task of its own, so that the page stays alive; none once another run is looked at. */
+async function drawOneByOne(charts, i) {
+  for (const draw of charts) {
+    await pause();
+    if (state.chosen !== i) return;
+    await draw();
+  }
 }
 
 function reasons(i) {
@@ -63,6 +77,7 @@ function lines(packed, step_s, kind) {
   return unpack(packed).flatMap((values, n) => values.map((value, k) => ({ t: k * step_s, value, case: n, kind })));
 }
 
+/** Puts the figure in its place and returns what draws it. */
 function chartOf(content, title, rows, { y, kinds, band, goal = 0, held = false }) {
   const colour = kinds ? { field: "kind", type: "nominal", title: null, scale: { domain: kinds, range: ["#6b6b6b", "#0072b2"] }, legend: { orient: "top" } }
     : { field: "case", type: "ordinal", legend: null, scale: { scheme: "viridis" } };
@@ -72,21 +87,22 @@ function chartOf(content, title, rows, { y, kinds, band, goal = 0, held = false 
   const layer = band ? [{ mark: { type: "rect", color: "#d9d9d9" }, encoding: { y: { datum: goal - band }, y2: { datum: goal + band } } }, line] : [line];
   const chart = element("div", { class: "chart" });
   content.append(element("figure", {}, element("figcaption", {}, title), chart));
-  const spec = { $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150, data: { values: rows }, layer,
-    description: `${title}: ${y} against time`, config: { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal" } } };
-  vegaEmbed(chart, spec, { ...EMBED, actions: false });
+  const spec = () => ({ $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150, data: { values: rows() }, layer,
+    description: `${title}: ${y} against time`, config: { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal" } } });
+  return () => vegaEmbed(chart, spec(), { ...EMBED, actions: false });
 }
 
-function drawTrajectories(content, found) {
-  if (found.loop) {
-    const { loop } = found;
-    chartOf(content, "Controlled", lines(loop.y, loop.step_s), { y: loop.output, band: loop.band, goal: loop.goal });
-    if (loop.alone) chartOf(content, "Left alone from the same starts", lines(loop.alone, loop.step_s), { y: loop.output, band: loop.band, goal: loop.goal });
-    chartOf(content, "Input of the controlled runs", lines(loop.u, loop.step_s), { y: loop.input, held: true });
+function trajectoryCharts(content, { loop, validation }) {
+  const charts = [];
+  if (loop) {
+    const speeds = { y: loop.output, band: loop.band, goal: loop.goal };
+    charts.push(chartOf(content, "Controlled", () => lines(loop.y, loop.step_s), speeds));
+    if (loop.alone) charts.push(chartOf(content, "Left alone from the same starts", () => lines(loop.alone, loop.step_s), speeds));
+    charts.push(chartOf(content, "Input of the controlled runs", () => lines(loop.u, loop.step_s), { y: loop.input, held: true }));
   }
-  if (found.validation) {
-    const { validation } = found;
-    const rows = [...lines(validation.y, validation.step_s, "measured"), ...lines(validation.model, validation.step_s, "model")];
-    chartOf(content, "Validation record (beginning)", rows, { y: validation.output, kinds: ["measured", "model"] });
+  if (validation) {
+    const rows = () => [...lines(validation.y, validation.step_s, "measured"), ...lines(validation.model, validation.step_s, "model")];
+    charts.push(chartOf(content, "Validation record (beginning)", rows, { y: validation.output, kinds: ["measured", "model"] }));
   }
+  return charts;
 }

@@ -40,16 +40,23 @@ function mask() {
 const listeners = [];
 let waiting = false;
 
-/** Redraw once per frame however fast the filters change: a brush fires with every pixel. */
+/** Redraw once per frame however fast the filters change: a brush fires with every pixel. Each listener hears which
+ * runs are shown and whether that is news. */
 function changed(keepPage = false) {
   if (!keepPage) state.page = 0;
   if (waiting) return;
   waiting = true;
   requestAnimationFrame(() => {
     waiting = false;
-    const shown = mask();
-    for (const listener of listeners) listener(shown);
+    const shown = mask(), news = !state.shown || shown.some((here, i) => here !== state.shown[i]);
+    if (news) state.shown = shown;
+    for (const listener of listeners) listener(state.shown, news);
   });
+}
+
+/** Let the page draw a frame and take a key or a click before the next piece of work. */
+function pause() {
+  return new Promise((done) => { setTimeout(done); });
 }
 
 function element(tag, attributes = {}, ...children) {

@@ -1,6 +1,6 @@
 // The table: sorted by a click on a heading, filtered with the plots, fifty runs at a time.
 const PAGE = 50;
-const FIRST = ["run", "verdict", "fit_test_percent", "rate_controller", "controller_rate_limit", "mismatch_margin", "stable_count",
+const FIRST = ["run", "verdict", "fit_test_percent", "rate_controller", "controller_rate_limit", "predicted_stable", "resolved_margin", "mismatch_margin", "stable_count",
   "settling_time_mean_s", "settling_time_open_loop_s", "controller_gain_norm", "input_slope_lower", "input_slope_upper"];
 
 function visibleColumns() {
