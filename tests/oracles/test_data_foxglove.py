@@ -1,0 +1,77 @@
+"""A recording through the libraries that Foxglove opens files with; runs where node and these are installed.
+
+npm install --prefix /tmp/foxglove @mcap/core@2.2.2 @mcap/nodejs@1.0.2 @mcap/support@1.1.0
+NODE_PATH=/tmp/foxglove/node_modules pytest tests/oracles/test_data_foxglove.py
+"""
+
+import json
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.signals import Channel
+
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "plants_foxglove.cjs"
+
+
+def node(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["node", *words], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def foxglove() -> None:
+    if shutil.which("node") is None or node("-e", "require('@mcap/core'); require('@mcap/support')").returncode != 0:
+        pytest.skip("needs node and Foxglove's packages in NODE_PATH, see above")
+
+
+def as_foxglove_reads(path: Path) -> Any:
+    read = node(str(SCRIPT), str(path))
+    assert read.returncode == 0, read.stderr
+    return json.loads(read.stdout)
+
+
+def test_foxglove_reads_what_was_written(tmp_path: Path) -> None:
+    """Topics, protobuf schemas, units, metadata, log times of the sampling clock, and every double to its last bit."""
+    rng = np.random.default_rng(0)
+    values = np.concatenate([[[0.0, -0.0], [np.inf, 5e-324]], rng.standard_normal((3000, 2))])
+    channels = (Channel(name="speed", unit="rad/s"), Channel(name="torque", unit="Nm"))
+    output = SignalGroup(topic="/output", time_s=np.arange(3002) * 0.01, channels=channels, values=values)
+    slow = SignalGroup(topic="/input", time_s=np.arange(9) * 0.5, channels=channels[:1], values=values[:9, :1])
+    write_mcap(tmp_path / "a.mcap", (output, slow), {"plant": "DCMotor", "seed": "0"})
+    seen = as_foxglove_reads(tmp_path / "a.mcap")
+    assert seen["metadata"] == {"ssm-study": {"plant": "DCMotor", "seed": "0"}}
+    assert set(seen["topics"]) == {"/output", "/input"}
+    topic = seen["topics"]["/output"]
+    assert (topic["message_encoding"], topic["schema_encoding"]) == ("protobuf", "protobuf")
+    assert topic["metadata"] == {"unit.speed": "rad/s", "unit.torque": "Nm"}
+    assert topic["log_times_ns"] == topic["publish_times_ns"] == [str(k * 10_000_000) for k in range(3002)]
+    digits = [[message[channel.name] for channel in channels] for message in topic["messages"]]
+    assert digits == [[struct.pack(">d", value).hex() for value in row] for row in values]
+    assert seen["topics"]["/input"]["log_times_ns"] == [str(k * 500_000_000) for k in range(9)]
+    assert seen["statistics"] == ["3011", "0", "30010000000"]
+    assert seen["chunks"] > 1
+
+
+def test_every_recording_of_a_run_opens(smoke_run: Path) -> None:
+    for path in sorted(smoke_run.glob("*.mcap")):
+        seen = as_foxglove_reads(path)
+        assert all(topic["messages"] for topic in seen["topics"].values()), path.name
+        assert seen["metadata"]["ssm-study"], path.name
+
+
+def test_foxglove_refuses_a_flipped_bit(tmp_path: Path) -> None:
+    """The check sums are there and are right: a damaged chunk does not pass for another number."""
+    values = np.random.default_rng(1).standard_normal((100, 1))
+    channel = Channel(name="speed", unit="rad/s")
+    group = SignalGroup(topic="/output", time_s=np.arange(100) * 0.01, channels=(channel,), values=values)
+    write_mcap(tmp_path / "a.mcap", (group,), {})
+    content = bytearray((tmp_path / "a.mcap").read_bytes())
+    content[len(content) // 3] ^= 1
+    (tmp_path / "a.mcap").write_bytes(content)
+    assert node(str(SCRIPT), str(tmp_path / "a.mcap")).returncode != 0
