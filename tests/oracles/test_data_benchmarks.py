@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hydra.errors import InstantiationException
 from plants_cases import from_yaml
-from scipy.io import loadmat
+from scipy.io import loadmat, savemat
 
+from ssm_study.data.csv_columns import read_csv
 from ssm_study.data.recording import Recording
 from ssm_study.data.scores import benchmark_rmse, position_rmse_mm
 from ssm_study.refusal import BadRequest
@@ -119,10 +120,6 @@ class TestWhereRecordsLie:
 
     def test_downloaded_as_mat(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, benchmark_data: Path) -> None:
         """The official package keeps MAT files; the yaml names the CSV twin."""
-        from scipy.io import savemat
-
-        from ssm_study.data.csv_columns import read_csv
-
         names = ["u11", "u12", "z11", "z12"]
         table = read_csv(benchmark_data / "ced" / "DATAUNIF.csv", names)
         savemat(tmp_path / "DATAUNIF.MAT", {n: table.columns[n][:, None] for n in names}, appendmat=False)
@@ -171,3 +168,36 @@ def test_a_fold_that_is_none() -> None:
     for wrong in ("fold=4", "fold=-1", "folds=1"):
         with pytest.raises(InstantiationException, match=r"data\.fold"):
             from_yaml("data", "ced", wrong)
+
+
+def test_the_official_package_splits_and_scores_as_we_do(
+    built, benchmark_data: Path, monkeypatch, tmp_path: Path
+) -> None:  # type: ignore[no-untyped-def]
+    """Its own loaders on the same files: equal samples in both parts. Start-up as it says, but for the tanks (50)."""
+    official = pytest.importorskip("nonlinear_benchmarks", reason="extra benchmarks")
+    mat_of_csv(benchmark_data / "ced" / "DATAUNIF.csv", ["u11", "u12", "z11", "z12"], tmp_path / "DATAUNIF.MAT")
+    tanks = tmp_path / "CascadedTanksFiles" / "dataBenchmark.mat"
+    names = ["uEst", "uVal", "yEst", "yVal"]
+    mat_of_csv(benchmark_data / "cascaded_tanks" / "dataBenchmark.csv", names, tanks, Ts=4.0)
+    places = {"EMPS": str(benchmark_data / "emps"), "CED": str(tmp_path), "Cascaded_Tanks": str(tmp_path)}
+    monkeypatch.setattr("nonlinear_benchmarks.benchmarks.cashed_download", lambda _, name, **__: places[name])
+    for name, ours in (("EMPS", "emps_position"), ("CED", "ced"), ("Cascaded_Tanks", "cascaded_tanks")):
+        data = built(ours)
+        for theirs, records in zip(as_tuples(getattr(official, name)()), (data.training, data.test), strict=True):
+            for one, record in zip(theirs, records, strict=True):
+                every = round(record.step_s / float(one.sampling_time))
+                np.testing.assert_array_equal(record.y[:, 0], np.ravel(one.y)[: every * len(record) : every])
+        window = theirs[0].state_initialization_window_length
+        assert (window, data.start_up_samples) == {"EMPS": (20, 0), "CED": (10, 10), "Cascaded_Tanks": (50, 5)}[name]
+
+
+def as_tuples(parts):  # type: ignore[no-untyped-def]
+    """Training and test, each a tuple of records, whether the package gives one record or several."""
+    return [part if isinstance(part, tuple) else (part,) for part in parts]
+
+
+def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> None:
+    """The MAT twin of a record that is at hand as CSV."""
+    columns = {name: values[:, None] for name, values in read_csv(source, names).columns.items()}
+    target.parent.mkdir(exist_ok=True)
+    savemat(target, columns | more, appendmat=False)
