@@ -2,8 +2,8 @@
 
 Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every single fault of `FAULTS` in the modules of
 a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and the group's tests
-run on it, first failure out, without the shape checker. A test run that takes more than `LIMIT_CPU_S` of processor
-time counts as caught (a loop that no longer ends). `--folder DIR` holds the copies, `--python` the project's interpreter,
+run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of processor time
+counts as caught (a loop that no longer ends). `--folder DIR` holds the copies, `--python` is the project's interpreter,
 `--cosmic-ray` the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
 `results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
 

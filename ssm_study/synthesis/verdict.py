@@ -2,8 +2,10 @@
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ssm_study.synthesis import exact
 from ssm_study.synthesis.certificate import Infeasible, Observer, StateFeedback
@@ -12,6 +14,7 @@ from ssm_study.synthesis.problem import NoSolution, Problem, Solution, condition
 from ssm_study.systems import JacobianBall
 
 CONTROLLER, OBSERVER = "state feedback", "observer"
+MOST_CONDITION = 1 / np.finfo(float).eps  # of a metric scaled to unit diagonal: beyond it, rounding alone decides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +86,7 @@ class Request:
     def first_certified(
         self, problem: Problem, attempts: Iterable[Callable[[], Solution]]
     ) -> StateFeedback | Observer | Infeasible:
-        """The first attempt that is certified; else the last that gave matrices; else why there is none."""
+        """The first attempt that is certified; else what the last one with matrices comes to; else why none did."""
         best: StateFeedback | Observer | None = None
         status = "no attempt"
         for attempt in attempts:
@@ -94,7 +97,19 @@ class Request:
                 continue
             if best.certified:
                 return best
-        return self.not_found(status) if best is None else best
+        return self.not_found(status) if best is None else self._not_certified(best)
+
+    def _not_certified(self, best: StateFeedback | Observer) -> StateFeedback | Observer | Infeasible:
+        """Matrices that floats could have held are handed on as found, not certified; hopeless ones are refused."""
+        limit, remedy = (
+            self.frontier.rate_limit,
+            "balance the model, drop states (reduction.truncate_to) or ask for less",
+        )
+        if best.condition > MOST_CONDITION:
+            reason = f"the rate is inside the frontier {limit:.6g}, yet its metric needs more digits than floats have"
+            return self.nothing(f"{reason}: its condition number is {best.condition:.1e}; {remedy}", best.solver_status)
+        told = f"not positive definite in exact arithmetic, condition number {best.condition:.1e}; {remedy}"
+        return replace(best, solver_status=f"{best.solver_status}; {told}")
 
 
 def _state_feedback(problem: Problem, solution: Solution, information: dict[str, Any], started: float) -> StateFeedback:

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import time
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from hypothesis import strategies as st
 
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis import exact
-from ssm_study.synthesis.certificate import Design, Infeasible, digest
+from ssm_study.synthesis.certificate import Design, Infeasible, StateFeedback, digest
 from ssm_study.synthesis.frontier import frontier, ratio_limit, unreached_modulus
 from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.problem import Problem
+from ssm_study.synthesis.problem import Problem, Solution
 from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.verdict import CONTROLLER, Request
 from ssm_study.synthesis.verify import broken_claims
 from ssm_study.systems import JacobianBall, StateSpace
 
@@ -191,6 +193,48 @@ def test_an_unobservable_slow_mode_is_refused_by_its_modulus() -> None:
 def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None:
     plant = system([[0.9, 0.0], [0.0, 0.9]], [1.0, 2.0], [1.0, 1.0])
     assert unreached_modulus(plant.a, plant.b) == pytest.approx(0.9)
+
+
+def clustered(order: int) -> StateSpace:
+    """Modes a thousandth apart under one input: the gain that moves them all is lost in rounding."""
+    return system(np.diag(0.9 + 1e-3 * np.arange(order)).tolist(), [1.0] * order, [1.0] * order)
+
+
+def test_an_ill_conditioned_model_is_refused_with_the_number_that_decides() -> None:
+    part = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.3).state_feedback(
+        clustered(12), JacobianBall.from_slopes(0.8, 1.0)
+    )
+    assert isinstance(part, Infeasible)
+    assert not part.proved
+    assert 0.4 < part.rate_limit < 0.5
+    assert float(part.reason.split("condition number is ")[1].split(";")[0]) > 1e15
+    assert "truncate_to" in part.reason
+
+
+def test_the_same_model_with_fewer_states_is_certified() -> None:
+    part = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.3).state_feedback(
+        clustered(3), JacobianBall.from_slopes(0.8, 1.0)
+    )
+    assert part.certified
+
+
+def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -> None:
+    """Far beyond the frontier the method's matrices are no certificate, whatever its status says."""
+    ball = BALLS[0]
+    problem = RiccatiSynthesis(**RATES).controller_problem(PLANT, ball)
+    request = Request(
+        side=CONTROLLER,
+        rate=problem.rate,
+        ball=ball,
+        frontier=frontier(PLANT.a, PLANT.b, ball),
+        method="any",
+        started=time.perf_counter(),
+    )
+    wrong = Solution(p=np.eye(2), y=np.eye(2), k=np.zeros((1, 2)), sigma=1.0, status="solved")
+    part = request.first_certified(problem, [lambda: wrong])
+    assert isinstance(part, StateFeedback)
+    assert not part.certified
+    assert part.solver_status.startswith("solved; not positive definite in exact arithmetic")
 
 
 def test_matrices_that_are_not_finite() -> None:
