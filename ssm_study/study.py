@@ -30,9 +30,9 @@ from ssm_study.results.durable import sha256_of_file
 from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, model_facts, opinion_facts
 from ssm_study.results.gather import gather
 from ssm_study.results.keys import code_version
-from ssm_study.results.naming import register_resolver, run_name
+from ssm_study.results.naming import plain, register_resolver, run_name
 from ssm_study.results.recordings import write_excitation, write_rollouts, write_simulation
-from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record
+from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record, storable
 from ssm_study.results.runs import Outcome, Run, execute
 from ssm_study.results.show import show
 from ssm_study.results.store import StageResult, Stages, Store
@@ -143,7 +143,7 @@ def dataset_stage(specification: Specification, stages: Stages) -> Kept[DataSet]
         save_file(arrays, folder / "records.safetensors")
         write_json(folder / "records.json", about)
         write_excitation(folder / "excitation.mcap", data)
-        write_json(folder / "facts.json", data_facts(data))
+        write_facts(folder, data_facts(data))
 
     def read(folder: Path) -> DataSet:
         return dataset_from_tensors(load_file(folder / "records.safetensors"), read_json(folder / "records.json"))
@@ -164,7 +164,7 @@ def model_stage(specification: Specification, stages: Stages, data: Kept[DataSet
         write_json(folder / "model.json", identified.model.to_json())
         write_json(folder / "training_curve.json", identified.curve)
         facts = {"training_seconds": identified.seconds, "training_ended": identified.ended}
-        write_json(folder / "facts.json", facts)
+        write_facts(folder, facts)
 
     settings = select(specification, "model", "training", "seed")
     version = code_version(*NOUNS, "models", "training", "torch")
@@ -177,7 +177,7 @@ def score_stage(stages: Stages, data: Kept[DataSet], model: Kept[Any]) -> Kept[N
 
     def compute(folder: Path) -> None:
         records = data.value
-        write_json(folder / "facts.json", fit_facts(model.value, records))
+        write_facts(folder, fit_facts(model.value, records))
         write_json(folder / "model.json", model.value.to_json())
         write_simulation(folder / "validation.mcap", model.value, records.validation, records)
         write_simulation(folder / "test.mcap", model.value, records.test, records)
@@ -193,7 +193,7 @@ def bounds_stage(specification: Specification, stages: Stages, data: Kept[DataSe
     def compute(folder: Path) -> None:
         records, reduced = data.value, specification.reduction.reduce(model.value)
         write_json(folder / "model.json", reduced.to_json())
-        write_json(folder / "facts.json", model_facts(reduced, model.value, records))
+        write_facts(folder, model_facts(reduced, model.value, records))
         write_simulation(folder / "validation.mcap", reduced, records.validation, records)
         write_simulation(folder / "test.mcap", reduced, records.test, records)
 
@@ -208,12 +208,12 @@ def synthesis_stage(
     """Controller and observer, decided in exact arithmetic; chosen from the model and the validation record alone."""
 
     def compute(folder: Path) -> None:
-        model, validation = bounded.value, data.value.validation
+        model, record = bounded.value, (data.value.validation, data.value.start_up_samples)
         balls = certified_balls(model)
-        design = specification.synthesis.design(model, *balls, validation)
+        design = specification.synthesis.design(model, *balls, *record)
         design.save(folder / "certificate.json")
-        facts = design_facts(design, model, balls, validation) | opinion_facts(design, model, balls)
-        write_json(folder / "facts.json", facts)
+        facts = design_facts(design, model, balls, *record) | opinion_facts(design, model, balls)
+        write_facts(folder, facts)
 
     version = code_version(*NOUNS, "models", "bounds", "synthesis", "results.facts", "cvxpy", "clarabel")
     result = stages.stage("synthesis", select(specification, "synthesis"), (data.key, bounded.key), version, compute)
@@ -228,7 +228,7 @@ def loop_stage(
     def compute(folder: Path) -> None:
         on = {"loop_on": "plant" if specification.plant else "identified model"}
         if not feasible(design.value):
-            write_json(folder / "facts.json", {})
+            write_facts(folder, {})
             return
         plant = specification.plant or stand_in(bounded.value, data.value)
         closed = specification.loop.run(plant, bounded.value, design.value, specification.loop_seed)
@@ -243,7 +243,7 @@ def loop_stage(
             )
             rows = specification.loop.comparison.rows(plant, known, specification.loop, specification.loop_seed)
             write_rows(folder / "comparison.csv", rows)
-        write_json(folder / "facts.json", on | behaviour(closed) | certified(closed, design.value))
+        write_facts(folder, on | behaviour(closed) | certified(closed, design.value))
 
     settings = select(specification, "loop", "loop_seed", *(("plant",) if specification.plant else ()))
     version = code_version(*NOUNS, "plants", "models", "synthesis", "loop", "results.recordings")
@@ -321,6 +321,11 @@ def read_model(folder: Path) -> Any:
 
 def read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write_facts(folder: Path, facts: Facts) -> None:
+    """As a record keeps them: an infinite gain is the text `inf`, for JSON has no infinities."""
+    write_json(folder / "facts.json", {name: storable(name, value) for name, value in facts.items()})
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -16,7 +16,7 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.auto import Auto, Candidates
-from ssm_study.synthesis.mismatch import Mismatch, mismatch_gain, sensitivity_peak
+from ssm_study.synthesis.mismatch import mismatch, predict
 
 if TYPE_CHECKING:
     from ssm_study.loop.regulation import Loop
@@ -83,10 +83,10 @@ def wide_grids() -> Auto:
 class DesignGrid(Table):
     """`designs` pairs drawn from the grids of `auto`, wide enough to fail, and the default choice as row 0.
 
-    A row holds rates, gains, mismatch gain and margin, the response area on the model, and what the true plant did over
-    `horizon_factor` times the run's horizon, so that slow is told from lost: `stable_count` of `initial_conditions`
-    with and without measurement noise, settling times, cases that left the bound, and the largest `|y - r|` in the
-    middle and the last fifth of the time.
+    A row holds rates, gains, what is predicted (`synthesis.mismatch`), the response area on the model, and what the
+    true plant did over `horizon_factor` times the run's horizon, so that slow is told from lost: `stable_count` of
+    `initial_conditions` with and without measurement noise, settling times, cases that left the bound, and the largest
+    `|y - r|` in the middle and the last fifth of the time.
     """
 
     designs: int = 150
@@ -123,18 +123,20 @@ class DesignGrid(Table):
     def _predicted(
         self, known: Identified, ks: Float[np.ndarray, "D m n"], ls: Float[np.ndarray, "D n p"]
     ) -> list[Row]:
-        gain = mismatch_gain(known.model, known.validation)
-        peaks = [sensitivity_peak(known.model.linear, k, l, *known.balls) for k, l in zip(ks, ls, strict=True)]  # noqa: E741
+        shown = mismatch(known.model, known.validation)
+        predictions = [predict(known.model, k, l_, *known.balls, shown) for k, l_ in zip(ks, ls, strict=True)]
         areas = relative_areas(known.model, ks, ls, _each(len(ks)), known.validation)
         return [
             {
                 "gain_norm": float(np.linalg.norm(k, 2)),
                 "observer_gain_norm": float(np.linalg.norm(l_, 2)),
-                "mismatch_gain": gain,
-                "mismatch_margin": Mismatch(gain=gain, peak=peak).margin,
+                "mismatch_gain": shown.gain,
+                "mismatch_margin": predicted.margin,
+                "resolved_margin": predicted.resolved_margin,
+                "controller_radius": predicted.controller_radius,
                 "model_area": float(area),
             }
-            for k, l_, peak, area in zip(ks, ls, peaks, areas, strict=True)
+            for k, l_, predicted, area in zip(ks, ls, predictions, areas, strict=True)
         ]
 
     def _closed(

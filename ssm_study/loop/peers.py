@@ -17,7 +17,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import Prediction, mismatch, predict
 from ssm_study.synthesis.riccati import RiccatiSynthesis
 
 INTEGRAL_WEIGHTS = (1e-4, 1e-3, 1e-2)
@@ -31,7 +31,7 @@ class Peer:
     name: str
     controller: Controller | None
     certified: bool = False
-    margin: float | None = None
+    prediction: Prediction | None = None
     reason: str = ""
 
 
@@ -94,8 +94,7 @@ def _record_limits(known: Identified) -> tuple[Float[np.ndarray, "m"], Float[np.
 
 
 def _of_gains(name: str, controller: ObserverFeedback, known: Identified) -> Peer:
-    found = mismatch(known.model, controller.k, controller.l, *known.balls, known.validation)
-    return Peer(name=name, controller=controller, margin=found.margin)
+    return Peer(name=name, controller=controller, prediction=_predicted(controller, known))
 
 
 def _of_design(name: str, design: Design, known: Identified) -> Peer:
@@ -103,5 +102,10 @@ def _of_design(name: str, design: Design, known: Identified) -> Peer:
         if isinstance(part, Infeasible):
             return Peer(name=name, controller=None, reason=part.reason)
     controller = ObserverFeedback.of(known.model, design)
-    found = mismatch(known.model, controller.k, controller.l, *known.balls, known.validation)
-    return Peer(name=name, controller=controller, certified=design.certified, margin=found.margin)
+    predicted = _predicted(controller, known)
+    return Peer(name=name, controller=controller, certified=design.certified, prediction=predicted)
+
+
+def _predicted(controller: ObserverFeedback, known: Identified) -> Prediction:
+    shown = mismatch(known.model, known.validation)
+    return predict(known.model, controller.k, controller.l, *known.balls, shown)

@@ -68,6 +68,9 @@ COLUMNS = (
     Column("certified_bound_violations", "Int64", "low"),
     Column("mismatch_gain", "Float64", "low"),
     Column("mismatch_margin", "Float64", "high", "margin"),
+    Column("resolved_margin", "Float64", "high", "resolved"),
+    Column("controller_radius", "Float64", "low", "ctl radius"),
+    Column("predicted_stable", "boolean", "high", "predicted"),
 )
 BY_NAME = {column.name: column for column in COLUMNS}
 # Best first, unless asked otherwise: settles everywhere, then faster, then the better model.

@@ -11,7 +11,7 @@ from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.signals import DataSet, Trajectory, rmse
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import mismatch, predict
 from ssm_study.synthesis.paper_lmis import paper_lmis
 from ssm_study.systems import JacobianBall
 from ssm_study.training.identification import mean_fit
@@ -102,16 +102,27 @@ def slope_facts(model: SSM) -> Facts:
 
 
 def design_facts(
-    design: Design, model: SSM, balls: tuple[JacobianBall, JacobianBall], validation: tuple[Trajectory, ...]
+    design: Design,
+    model: SSM,
+    balls: tuple[JacobianBall, JacobianBall],
+    validation: tuple[Trajectory, ...],
+    start_up_samples: int,
 ) -> Facts:
-    """Feasible, certified, how far from the frontier, how large, and how much model error the pair tolerates."""
+    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant."""
     feedback, observer = design.state_feedback, design.observer
     facts = part_facts("controller", feedback) | part_facts("observer", observer)
     if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
         reasons = (part.reason for part in (feedback, observer) if isinstance(part, Infeasible))
         return facts | {"infeasible_reason": "; ".join(reasons)}
-    predicted = mismatch(model, feedback.k, observer.l, *balls, validation)
-    return facts | {"mismatch_gain": predicted.gain, "mismatch_margin": predicted.margin}
+    shown = mismatch(model, validation, start_up_samples)
+    predicted = predict(model, feedback.k, observer.l, *balls, shown)
+    return facts | {
+        "mismatch_gain": shown.gain,
+        "mismatch_margin": predicted.margin,
+        "resolved_margin": predicted.resolved_margin,
+        "controller_radius": predicted.controller_radius,
+        "predicted_stable": predicted.keeps_the_plant(),
+    }
 
 
 def opinion_facts(design: Design, model: SSM, balls: tuple[JacobianBall, JacobianBall]) -> Facts:

@@ -108,8 +108,8 @@ def _certificate(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(
             claim=f"certificate.{side} at rate {part.rate:.6g}", holds=not wrong, found="; ".join(wrong) or found
         )
-    validation = read_simulation(run / "validation.mcap").records
-    facts = design_facts(design, model, balls, validation)
+    validation = read_simulation(run / "validation.mcap")
+    facts = design_facts(design, model, balls, validation.records, validation.start_up_samples)
     yield from _same(record, facts, ITERATED_AGREEMENT)
 
 

@@ -1,8 +1,8 @@
 """Rates and weights chosen from the model and its validation record alone: the fastest certified design that holds.
 
 Among guaranteed-cost designs on a grid of rates and weights, take the one with the smallest response area on the model
-(`synthesis.area`) whose mismatch margin exceeds one. Nothing of the closed-loop test enters.
-Source: THEORY sections 4 and 5.
+(`synthesis.area`) that is predicted to keep the plant (`synthesis.mismatch`): its resolved mismatch margin exceeds one
+and its controller is stable by itself. Nothing of the closed-loop test enters. Source: THEORY sections 4 and 5.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,13 +20,14 @@ from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import controller_frontier, observer_frontier
 from ssm_study.synthesis.integral import IntegralSynthesis, with_integrators
-from ssm_study.synthesis.mismatch import mismatch_gain, peaks_on_grid, sensitivity_peak
+from ssm_study.synthesis.mismatch import Mismatch, mismatch, predict
 from ssm_study.synthesis.problem import NoSolution, Problem
 from ssm_study.synthesis.riccati import RiccatiSynthesis, guaranteed_cost
+from ssm_study.synthesis.sensitivity import controller_radius, peaks_on_grid
 from ssm_study.systems import JacobianBall, StateSpace
 
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
-"""Frequencies (rad/sample) that rank the candidates; the chosen one is then judged by the exact norm."""
+"""Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid."""
 ATTEMPTS = 20
 """How many candidates are verified exactly before the search gives up: each costs two exact certificates."""
 
@@ -53,13 +54,13 @@ class Candidates:
 
 @dataclass(frozen=True, kw_only=True)
 class Auto:
-    """The fastest certified design whose mismatch margin exceeds `margin`.
+    """The fastest certified design with a stable controller whose resolved mismatch margin exceeds `margin`.
 
     The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
     model always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
     whose limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. A rate
     given as a number instead of "auto" is kept; `rate` stands for each side that is left at "auto". When no candidate
-    reaches the margin, the one with the largest is returned and `solver_status` says so. With `integral_weights`, the
+    passes, the one with the largest margin is returned and `solver_status` says so. With `integral_weights`, the
     controller also acts on integrators of the tracking error (`synthesis.integral`), and their weight is one more axis
     of the grid.
     """
@@ -107,16 +108,17 @@ class Auto:
         candidates = self.candidates(model, input_ball, output_ball)
         if candidates is None:
             return self._reported(self._slowest(model, input_ball, output_ball), "nothing on the grid is feasible")
-        gain = mismatch_gain(model, validation, start_up_samples)
-        peaks = peaks_on_grid(model.linear, candidates.ks, candidates.ls, input_ball, output_ball, GRID_ANGLES)
-        margins = 1 / np.maximum(gain * peaks, np.finfo(float).tiny)
-        for pair in self._in_order(model, candidates, margins, validation):
-            design = candidates.specification(pair).design(model, input_ball, output_ball)
-            if design.certified and self._margin(model, design, gain, input_ball, output_ball) > self.margin:
-                return self._reported(design, "fastest with margin above the bound")
+        balls, shown = (input_ball, output_ball), mismatch(model, validation, start_up_samples)
+        known = candidates.ks, candidates.ls
+        peaks = peaks_on_grid(model.linear, *known, *balls, GRID_ANGLES, shown.at(GRID_ANGLES))
+        for pair in self._in_order(model, candidates, balls, peaks, validation):
+            design = candidates.specification(pair).design(model, *balls)
+            if design.certified and self._passes(model, design, balls, shown):
+                return self._reported(design, "fastest that is predicted to keep the plant")
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
-        design = candidates.specification(best).design(model, input_ball, output_ball)
-        return self._reported(design, f"no margin above {self.margin:g}; largest margin taken")
+        design = candidates.specification(best).design(model, *balls)
+        status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
+        return self._reported(design, status)
 
     def candidates(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Candidates | None:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
@@ -177,23 +179,24 @@ class Auto:
         self,
         model: SSM,
         candidates: Candidates,
-        margins: Float[np.ndarray, "C O"],
+        balls: tuple[JacobianBall, JacobianBall],
+        peaks: Float[np.ndarray, "C O"],
         validation: tuple[Trajectory, ...],
     ) -> Iterator[Int[np.ndarray, "2"]]:
-        """Pairs whose margin on the grid exceeds the bound, fastest on the model first."""
-        pairs = np.argwhere(margins > self.margin)
+        """Pairs with a stable controller whose margin on the grid exceeds the bound, fastest on the model first."""
+        pairs = np.argwhere(self.margin * peaks < 1)
+        gains = candidates.ks[pairs[:, 0]], candidates.ls[pairs[:, 1]]
+        pairs = pairs[controller_radius(model.linear, *gains, *balls) < 1]
         if not len(pairs):
             return
         areas = relative_areas(model, candidates.ks, candidates.ls, pairs, validation)
         yield from pairs[np.argsort(areas, kind="stable")[:ATTEMPTS]]
 
-    def _margin(
-        self, model: SSM, design: Design, gain: float, input_ball: JacobianBall, output_ball: JacobianBall
-    ) -> float:
-        if isinstance(design.state_feedback, Infeasible) or isinstance(design.observer, Infeasible):
-            return 0.0
-        peak = sensitivity_peak(model.linear, design.state_feedback.k, design.observer.l, input_ball, output_ball)
-        return 0.0 if np.isinf(peak) else 1 / max(gain * peak, np.finfo(float).tiny)
+    def _passes(self, model: SSM, design: Design, balls: tuple[JacobianBall, JacobianBall], shown: Mismatch) -> bool:
+        feedback, observer = design.state_feedback, design.observer
+        if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
+            return False
+        return predict(model, feedback.k, observer.l, *balls, shown).keeps_the_plant(self.margin)
 
     def _slowest(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Design:
         """What the Riccati route says at the least demanding request, as the reason to report."""

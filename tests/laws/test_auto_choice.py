@@ -16,7 +16,7 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import Prediction, mismatch, predict
 from ssm_study.systems import JacobianBall
 
 SMALL = Auto(
@@ -27,9 +27,9 @@ SMALL = Auto(
 )
 
 
-def margin(design: Design, record: Trajectory) -> float:
+def predicted(design: Design, record: Trajectory) -> Prediction:
     gains = design.state_feedback.k, design.observer.l
-    return mismatch(motor_model(), *gains, INPUT_BALL, OUTPUT_BALL, (record,)).margin
+    return predict(motor_model(), *gains, INPUT_BALL, OUTPUT_BALL, mismatch(motor_model(), (record,)))
 
 
 @pytest.fixture(scope="module")
@@ -37,25 +37,29 @@ def chosen() -> Design:
     return SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
 
 
-def test_the_choice_is_certified_and_holds_the_margin(chosen):
+def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
     assert chosen.certified
     assert chosen.state_feedback.method == chosen.observer.method == "auto"
-    assert margin(chosen, motor_record()) > 1.0
+    assert predicted(chosen, motor_record()).keeps_the_plant()
     assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
 
 
-def test_no_candidate_with_margin_above_one_is_faster_on_the_model(chosen):
+def test_no_candidate_that_is_predicted_to_keep_the_plant_is_faster_on_the_model(chosen):
     candidates = SMALL.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     areas = relative_areas(motor_model(), candidates.ks, candidates.ls, pairs, (motor_record(),))
-    margins = [
-        mismatch(motor_model(), candidates.ks[i], candidates.ls[j], INPUT_BALL, OUTPUT_BALL, (motor_record(),)).margin
-        for i, j in pairs
-    ]
+    shown = mismatch(motor_model(), (motor_record(),))
+    keeps = np.array(
+        [
+            predict(motor_model(), candidates.ks[i], candidates.ls[j], INPUT_BALL, OUTPUT_BALL, shown).keeps_the_plant()
+            for i, j in pairs
+        ]
+    )
+    assert 0 < keeps.sum() < len(keeps)
     own = relative_areas(
         motor_model(), chosen.state_feedback.k[None], chosen.observer.l[None], np.zeros((1, 2), int), (motor_record(),)
     )
-    assert own[0] == pytest.approx(areas[np.array(margins) > 1.0].min(), rel=1e-9)
+    assert own[0] == pytest.approx(areas[keeps].min(), rel=1e-9)
 
 
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
@@ -84,7 +88,7 @@ def test_without_any_margin_the_largest_is_taken_and_said():
     useless = replace(record, y=record.y + 1e4)
     design = SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (useless,))
     assert design.certified
-    assert margin(design, useless) < 1.0
+    assert not predicted(design, useless).keeps_the_plant()
     assert "largest margin" in design.state_feedback.solver_status
 
 

@@ -19,8 +19,9 @@ from ssm_study.synthesis.exact import is_positive_definite, theorem_one
 from ssm_study.synthesis.frontier import ratio_limit
 from ssm_study.synthesis.hinf_norm import gains
 from ssm_study.synthesis.integral import IntegralSynthesis, controlled_system, with_integrators
-from ssm_study.synthesis.mismatch import mismatch, peaks_on_grid, sensitivity
+from ssm_study.synthesis.mismatch import mismatch, predict
 from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.sensitivity import peaks_on_grid, sensitivity
 
 LOADED = Loop(
     horizon_s=4.0,
@@ -133,8 +134,9 @@ def test_auto_chooses_with_integral_action():
     chosen = auto.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
     assert chosen.certified
     assert chosen.state_feedback.k.shape == (1, 3)
-    gains_of = chosen.state_feedback.k, chosen.observer.l
-    assert mismatch(motor_model(), *gains_of, INPUT_BALL, OUTPUT_BALL, (motor_record(),)).margin > 1.0
+    shown = mismatch(motor_model(), (motor_record(),))
+    balls = INPUT_BALL, OUTPUT_BALL
+    assert predict(motor_model(), chosen.state_feedback.k, chosen.observer.l, *balls, shown).keeps_the_plant()
     columns = behaviour(LOADED.run(motor(), motor_model(), chosen, seed=0))
     assert columns["final_error_worst"] < 1e-2
 

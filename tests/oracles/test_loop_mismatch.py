@@ -8,14 +8,8 @@ from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_design, motor_model, motor
 
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.hinf_norm import gains, hinf_norm
-from ssm_study.synthesis.mismatch import (
-    Mismatch,
-    mismatch,
-    mismatch_gain,
-    peaks_on_grid,
-    sensitivity,
-    sensitivity_peak,
-)
+from ssm_study.synthesis.mismatch import Mismatch, mismatch, predict
+from ssm_study.synthesis.sensitivity import peaks_on_grid, sensitivity, sensitivity_peak
 from ssm_study.systems import JacobianBall, StateSpace
 
 ANGLES = np.concatenate([np.linspace(0, np.pi, 4001), np.geomspace(1e-5, np.pi, 2000)])
@@ -110,15 +104,19 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
 def test_the_gain_is_the_ratio_of_what_the_record_shows():
     model, record = motor_model(), motor_record()
     error = (record.y - model.simulate(record.u)) / 5.0
-    assert mismatch_gain(model, (record,)) == pytest.approx(np.linalg.norm(error) / np.linalg.norm(record.u / 1.7))
-    assert mismatch_gain(model, (record, record)) == pytest.approx(mismatch_gain(model, (record,)))
+    assert mismatch(model, (record,)).gain == pytest.approx(np.linalg.norm(error) / np.linalg.norm(record.u / 1.7))
+    assert mismatch(model, (record, record)).gain == pytest.approx(mismatch(model, (record,)).gain)
     own = Trajectory(u=record.u, y=model.simulate(record.u), step_s=0.01)
-    assert mismatch_gain(model, (own,)) == 0.0
+    assert mismatch(model, (own,)).gain == 0.0
 
 
 def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     model, design = motor_model(), motor_design()
-    found = mismatch(model, 50 * design.state_feedback.k, design.observer.l, INPUT_BALL, OUTPUT_BALL, (motor_record(),))
-    assert found.margin == 0.0
-    assert Mismatch(gain=0.5, peak=4.0).margin == 0.5
-    assert Mismatch(gain=0.0, peak=4.0).margin == np.inf
+    balls, shown = (INPUT_BALL, OUTPUT_BALL), mismatch(model, (motor_record(),))
+    found = predict(model, 50 * design.state_feedback.k, design.observer.l, *balls, shown)
+    assert (found.margin, found.resolved_margin) == (0.0, 0.0)
+    own = predict(model, design.state_feedback.k, design.observer.l, *balls, shown)
+    peak = sensitivity_peak(model.linear, design.state_feedback.k, design.observer.l, *balls)
+    assert own.margin == pytest.approx(1 / (shown.gain * peak))
+    none = Mismatch(gain=0.0, angles=np.array([0.0, np.pi]), by_frequency=np.zeros(2))
+    assert predict(model, design.state_feedback.k, design.observer.l, *balls, none).margin == np.inf

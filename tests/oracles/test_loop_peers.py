@@ -22,7 +22,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.table import Identified, write_rows
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import mismatch, predict
 
 KNOWN = Identified(model=motor_model(), balls=(INPUT_BALL, OUTPUT_BALL), validation=(motor_record(),))
 SHORT = Loop(horizon_s=0.4, measurement_noise_variance=0.02, initial_conditions=3)
@@ -105,8 +105,9 @@ def test_the_design_grid_reports_each_designs_own_margin():
     assert len(rows) == 7
     assert {row["initial_conditions"] for row in rows} == {3}
     candidates = SMALL.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    shown = mismatch(motor_model(), (motor_record(),))
     margins = [
-        mismatch(motor_model(), k, l_, INPUT_BALL, OUTPUT_BALL, (motor_record(),)).margin
+        predict(motor_model(), k, l_, INPUT_BALL, OUTPUT_BALL, shown).margin
         for k in candidates.ks
         for l_ in candidates.ls
     ]

@@ -1,0 +1,187 @@
+"""What is predicted of a design on the plant: the margin by frequency, and the controller by itself."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.signal
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_design, motor_model, motor_record
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.regulation import Loop
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.plants.stribeck_drive import StribeckDrive
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.mismatch import Mismatch, mismatch, predict
+from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.sensitivity import controller_radius, weighted_peak
+from ssm_study.systems import JacobianBall, StateSpace
+
+ONE = JacobianBall(alpha=1.0, beta=0.0)
+
+
+def linear_model(seed: int, order: int = 3) -> SSM:
+    """A stable linear model in its own units: every statement below is exact for it."""
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((order, order))
+    a *= rng.uniform(0.6, 0.95) / np.abs(np.linalg.eigvals(a)).max()
+    linear = StateSpace(
+        a=a, b=rng.standard_normal((order, 1)), c=rng.standard_normal((1, order)), d=rng.standard_normal((1, 1))
+    )
+    unit = LinearScaffold(gain=np.eye(1))
+    return replace(
+        motor_model(),
+        linear=linear,
+        scaffold_in=unit,
+        scaffold_out=unit,
+        input_scale=np.ones(1),
+        output_scale=np.ones(1),
+    )
+
+
+def recorded(model: SSM, taps: np.ndarray, samples: int = 4_000) -> Trajectory:
+    """White input, and an output that misses the model by the finite impulse response `taps`."""
+    u = np.random.default_rng(0).standard_normal((samples, 1))
+    return Trajectory(u=u, y=model.simulate(u) + scipy.signal.lfilter(taps, [1.0], u[:, 0])[:, None], step_s=0.01)
+
+
+def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> float:
+    """Spectral radius of the loop of plant = model + taps, written out: states (x, past inputs, estimate)."""
+    a, b, c, d = model.linear.a, model.linear.b, model.linear.c, model.linear.d
+    n, t = len(a), len(taps) - 1
+    shift = np.eye(t, k=-1)
+    first = np.eye(t, 1)
+    injected = gain @ (c + d @ k) - gain @ (d + taps[:1, None]) @ k
+    return float(
+        np.abs(
+            np.linalg.eigvals(
+                np.block(
+                    [
+                        [a, np.zeros((n, t)), b @ k],
+                        [np.zeros((t, n)), shift, first @ k],
+                        [-gain @ c, -gain @ taps[None, 1:], a + b @ k + injected],
+                    ]
+                )
+            )
+        ).max()
+    )
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000), st.floats(0.01, 3.0), st.integers(1, 6))
+def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(seed, size, length):
+    """Small gain by frequency: `g(w) sigma_max(T_ue(w)) < 1` at all w keeps every linear mismatch of gain g(w)."""
+    model = linear_model(seed)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONE, ONE)
+    k, gain = design.state_feedback.k, design.observer.l
+    taps = size * np.random.default_rng(seed).standard_normal(length + 1)
+    found = predict(model, k, gain, ONE, ONE, mismatch(model, (recorded(model, taps),)))
+    if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
+        assert closed(model, k, gain, taps) < 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
+    model = linear_model(seed)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONE, ONE)
+    record = recorded(model, np.array([0.0, 0.3]))
+    found = predict(model, design.state_feedback.k, design.observer.l, ONE, ONE, mismatch(model, (record,)))
+    assert found.resolved_margin == pytest.approx(found.margin, rel=0.1)
+
+
+def test_a_resonance_that_the_total_gain_averages_away_is_seen():
+    """The record's mismatch sits in a tenth of the band, where the loop is most sensitive."""
+    model, design = motor_model(), motor_design()
+    k, gain = design.state_feedback.k, design.observer.l
+    angles = np.linspace(0, np.pi, 63)
+    sensitive = np.array([weighted_peak(model.linear, k, gain, INPUT_BALL, OUTPUT_BALL, near(w)) for w in angles])
+    worst = angles[sensitive.argmax()]
+    shown = Mismatch(gain=0.1, angles=angles, by_frequency=0.1 + 0.9 * near(worst)(angles))
+    found = predict(model, k, gain, INPUT_BALL, OUTPUT_BALL, shown)
+    assert found.resolved_margin == pytest.approx(0.1 * found.margin, rel=0.05)
+
+
+def near(centre: float):
+    return lambda angles: np.clip(1 - np.abs(angles - centre) / 0.1, 0, 1)
+
+
+def test_where_the_record_does_not_excite_the_total_gain_stands_in():
+    model, record = motor_model(), motor_record()
+    slow = scipy.signal.sosfiltfilt(scipy.signal.butter(8, 0.2, output="sos"), record.u, axis=0)
+    y = model.simulate(slow) + 0.01 * np.random.default_rng(0).standard_normal(record.y.shape)
+    shown = mismatch(model, (Trajectory(u=slow, y=y, step_s=0.01),))
+    assert shown.by_frequency[-1] == shown.gain
+    assert shown.by_frequency[0] < shown.gain * 2
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10_000))
+def test_the_radius_is_the_growth_of_the_controller_alone(seed):
+    """The plant held still: the controller's own memory grows or shrinks by the radius per sample."""
+    model = linear_model(seed)
+    rng = np.random.default_rng(seed)
+    k, gain = rng.standard_normal((1, 3)), rng.standard_normal((3, 1))
+    law = ObserverFeedback(model=model, k=k, l=gain)
+    memory, still = 1e-8 * rng.standard_normal((1, 3)), np.zeros((1, 1))
+    target, grown = law.targets(still)[0], []
+    for _ in range(200):
+        following = law.advance(memory, law.input(memory, still, target), still, target)
+        grown.append(np.log(np.linalg.norm(following) / np.linalg.norm(memory)))
+        memory = following * np.linalg.norm(memory) / np.linalg.norm(following)
+    radius = controller_radius(model.linear, k[None], gain[None], ONE, ONE)[0]
+    assert np.mean(grown[100:]) == pytest.approx(np.log(radius), abs=0.05)
+
+
+def test_the_integrator_does_not_count():
+    model, design = motor_model(), motor_design()
+    k, gain = design.state_feedback.k[None], design.observer.l[None]
+    balls = INPUT_BALL, OUTPUT_BALL
+    with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
+    assert controller_radius(model.linear, with_integral, gain, *balls) == controller_radius(
+        model.linear, k, gain, *balls
+    )
+
+
+def drive() -> StribeckDrive:
+    values = yaml.safe_load((Path(__file__).parents[2] / "conf" / "plant" / "stribeck_drive.yaml").read_text())
+    return StribeckDrive(**{name: value for name, value in values.items() if name != "_target_"})
+
+
+def drive_model() -> SSM:
+    """The drive without friction, exact but for it: the current's lag, then the inertia."""
+    plant, h = drive(), drive().step_s
+    lag, slip = np.exp(-h / plant.current_lag_s), np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2)
+    pushed = plant.torque_constant_nm_per_a * h / plant.inertia_kgm2
+    unit = LinearScaffold(gain=np.eye(1))
+    return replace(
+        motor_model(),
+        linear=StateSpace(
+            a=np.array([[lag, 0.0], [pushed, slip]]),
+            b=np.array([[1 - lag], [0.0]]),
+            c=np.array([[0.0, 1.0]]),
+            d=np.zeros((1, 1)),
+        ),
+        scaffold_in=unit, scaffold_out=unit, input_scale=np.ones(1), output_scale=np.ones(1),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("stable", [True, False])
+def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stable):
+    """Both designs are certified for the model. From rest, with an estimate off by a millionth: friction holds the
+    drive, so the controller runs alone. The stable one forgets; the other pushes until the drive breaks loose, and the
+    input never dies out."""
+    model, plant = drive_model(), drive()
+    weights = {"input_weight": 1.0, "output_noise": 1.0} if stable else {"input_weight": 1e-5, "output_noise": 1e-6}
+    design = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights).design(model, ONE, ONE)
+    assert design.certified
+    law = ObserverFeedback.of(model, design)
+    radius = controller_radius(model.linear, law.k[None], law.l[None], ONE, ONE)[0]
+    assert (radius < 1) == stable
+    run = Loop(initial_conditions=1, horizon_s=6.0).simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))
+    assert (np.abs(run.u[0, -100:]).max() < 1e-12) == stable
+    assert (np.abs(run.y[0, 300:]).max() == 0.0) == stable
