@@ -1,21 +1,27 @@
 """Kill a study at random moments until it is finished, and compare it with one that nobody touched.
 
-    python benchmarks/results_soak.py --kills 60
+    python benchmarks/results_soak.py --kills 60 --damage --in /tmp/soak
 
-Each attempt is the same command. Somewhere in it the sweep gets SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL.
-Between attempts a finished stage or record may in addition be truncated or have a bit flipped (--damage).
-At the end: the table equals the undisturbed one, every stage folder is intact, no process lives on.
+The study trains real models (experiment=smoke). Each attempt is the same command. Somewhere in it the sweep gets
+SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are at work. Between
+attempts a finished stage or record may in addition be truncated or have a bit flipped (--damage).
+Whenever a study is finished: its table equals the undisturbed one, every stage folder is intact, no process lives on.
+With `--in` the state is kept and the same command goes on (`--minutes` stops it between two kills). Edit nothing in the
+package meanwhile: its stages would rightly be computed anew. So run it from a copy: git archive HEAD | tar x -C DIR.
 """
 
 import argparse
+import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -24,19 +30,21 @@ from ssm_study.results.gather import gather
 from ssm_study.results.store import MANIFEST, intact_manifest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PROGRAM = [sys.executable, str(REPOSITORY / "tests" / "engine_study.py"), "-m"]
-SWEEP = ("seed=range(4)", "rate=range(4)", "work_s=0.05", "hydra.launcher.preload=[ssm_study.results.store]")
+PROGRAM = [sys.executable, "-m", "ssm_study.cli", "run", "-m", "experiment=smoke"]
+SWEEP = ("seed=0,1", "synthesis.rate_controller=0.1,0.2", "synthesis=riccati", "progress=false")
+AT_WORK = 0.75  # of the kills wait until jobs are at work
 # What a second attempt may change: when, where, how often.
+STUDY, STATE = "smoke", "state.json"
 VOLATILE = ("attempt", "ended_utc", "started_utc", "pid", "host", "seconds", "git_commit", "git_dirty", "threads")
 
 
 def start(folder: Path) -> "subprocess.Popen[bytes]":
-    (folder / "conf").mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     paths = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
-    variables = os.environ | {"ENGINE_CONF": str(folder / "conf"), "PYTHONPATH": paths, "HYDRA_FULL_ERROR": "1"}
-    command = [*PROGRAM, f"results_dir={folder / 'results'}", *SWEEP]
+    command = [*PROGRAM, *SWEEP, f"results_dir={folder / 'results'}"]
     log = (folder / "log").open("ab")
-    return subprocess.Popen(command, env=variables, stdout=log, stderr=log, start_new_session=True)
+    variables = os.environ | {"PYTHONPATH": paths}
+    return subprocess.Popen(command, env=variables, stdout=log, stderr=log, start_new_session=True, cwd=REPOSITORY)
 
 
 def processes_of(folder: Path) -> list[int]:
@@ -55,20 +63,39 @@ def processes_of(folder: Path) -> list[int]:
 
 def disturb(process: "subprocess.Popen[bytes]", folder: Path, rng: random.Random, longest_s: float) -> str:
     """Wait a random while, then kill something; what was killed, or `finished` if nothing was left to kill."""
-    time.sleep(rng.uniform(0.0, longest_s))
+    if rng.random() < AT_WORK:
+        while process.poll() is None and not jobs_of(folder):
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0.0, longest_s / 3))
+    else:
+        time.sleep(rng.uniform(0.0, longest_s))
     if process.poll() is not None:
         return "finished"
     target = rng.choice(["sweep KILL", "sweep KILL", "sweep TERM", "sweep INT", "job KILL", "job KILL"])
-    if target.startswith("job"):
-        jobs = [pid for pid in processes_of(folder / "results") if pid != process.pid]
-        if not jobs:
-            return "nothing"
-        os.kill(rng.choice(jobs), signal.SIGKILL)
-        process.wait(timeout=120)
-    else:
+    if not target.startswith("job"):
         process.send_signal(getattr(signal, f"SIG{target.split()[1]}"))
         process.wait(timeout=60)
+        return target
+    jobs = jobs_of(folder)
+    if not jobs:
+        process.wait(timeout=300)
+        return "nothing"
+    os.kill(rng.choice(jobs), signal.SIGKILL)
+    process.wait(timeout=300)
     return target
+
+
+def jobs_of(folder: Path) -> list[int]:
+    """The processes of jobs: those whose output is the log of a run."""
+    logs = str(folder / "results" / STUDY)
+    return [pid for pid in processes_of(folder) if str(readable_link(Path(f"/proc/{pid}/fd/1"))).startswith(logs)]
+
+
+def readable_link(path: Path) -> Path | None:
+    try:
+        return path.readlink()
+    except OSError:
+        return None
 
 
 def damage(folder: Path, rng: random.Random) -> str:
@@ -76,7 +103,7 @@ def damage(folder: Path, rng: random.Random) -> str:
     results = folder / "results"
     files = [
         path
-        for pattern in (".store/*/[!.]*/*", "study/*/record.json", "study/*/m*.json")
+        for pattern in (".store/*/[!.]*/*", f"{STUDY}/*/record.json", f"{STUDY}/*/m*.json")
         for path in results.glob(pattern)
     ]
     files = [path for path in files if path.is_file() and path.stat().st_size]
@@ -92,31 +119,60 @@ def damage(folder: Path, rng: random.Random) -> str:
 
 
 def stable_table(folder: Path) -> pd.DataFrame:
-    table = gather(folder / "results" / "study")
+    table = gather(folder / "results" / STUDY)
     volatile = [name for name in table if name in VOLATILE or name.endswith(("_seconds", "_reused"))]
     return table.drop(columns=volatile).dropna(axis=1, how="all").sort_values("run", ignore_index=True)
 
 
-def soak(folder: Path, kills: int, seed: int, damages: bool) -> Counter[str]:
+def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
     """Kill until `kills` have been dealt and the study is finished; raises AssertionError if a promise is broken."""
-    rng, dealt = random.Random(seed), Counter[str]()
-    undisturbed = folder / "undisturbed"
-    begun = time.monotonic()
-    assert start(undisturbed).wait(timeout=300) == 0
-    longest_s = 1.1 * (time.monotonic() - begun)
-    while dealt.total() - dealt["finished"] - dealt["nothing"] < kills:
-        round_folder = folder / f"round{dealt['finished']}"
-        process = start(round_folder)
-        dealt[disturb(process, round_folder, rng, longest_s)] += 1
-        if damages and rng.random() < 0.3:
-            dealt[damage(round_folder, rng)] += 1
-        if dealt["finished"] > len(list(folder.glob("checked*"))):
-            check(round_folder, undisturbed, damages)
-            (folder / f"checked{dealt['finished']}").touch()
-    last = folder / f"round{dealt['finished']}"
-    assert start(last).wait(timeout=300) == 0
-    check(last, undisturbed, damages)
-    return dealt
+    done, undisturbed = Soak.read(folder), folder / "undisturbed"
+    if not done.longest_s:
+        begun = time.monotonic()
+        assert start(undisturbed).wait(timeout=600) == 0
+        done.longest_s = 1.1 * (time.monotonic() - begun)
+    while done.kills < kills and time.monotonic() < until:
+        here = folder / f"round{done.rounds}"
+        process, rng = start(here), random.Random(done.counts.total())
+        done.counts[what := disturb(process, here, rng, done.longest_s)] += 1
+        if what == "finished":
+            assert process.returncode == 0
+            check(here, undisturbed, damages)
+            shutil.rmtree(here)
+            done.rounds += 1
+        elif damages and rng.random() < 0.3:
+            done.counts[damage(here, rng)] += 1
+        done.write(folder)
+    if done.kills >= kills:
+        check(folder / f"round{done.rounds}", undisturbed, damages)
+        done.rounds += 1
+    return done
+
+
+@dataclass
+class Soak:
+    """What has been dealt out so far; `longest_s` is how long the undisturbed study took, and a tenth more."""
+
+    counts: Counter[str]
+    rounds: int = 0
+    longest_s: float = 0.0
+
+    @property
+    def kills(self) -> int:
+        return sum(number for what, number in self.counts.items() if what.startswith(("sweep", "job")))
+
+    @classmethod
+    def read(cls, folder: Path) -> "Soak":
+        state = folder / STATE
+        known = json.loads(state.read_text()) if state.is_file() else {"counts": {}}
+        return cls(**known | {"counts": Counter(known["counts"])})
+
+    def write(self, folder: Path) -> None:
+        (folder / STATE).write_text(json.dumps(asdict(self)))
+
+    def lines(self) -> list[str]:
+        counts = [f"{what:<12}{number:>5}" for what, number in sorted(self.counts.items())]
+        return [*counts, f"{'studies':<12}{self.rounds:>5}  finished: tables equal, stages intact, no process left"]
 
 
 def check(folder: Path, undisturbed: Path, harmed: bool) -> None:
@@ -128,7 +184,7 @@ def check(folder: Path, undisturbed: Path, harmed: bool) -> None:
     pd.testing.assert_frame_equal(stable_table(folder), stable_table(undisturbed))
     for manifest in (folder / "results" / ".store").glob(f"[!.]*/[!.]*/{MANIFEST}"):
         assert harmed or intact_manifest(manifest.parent) is not None, manifest
-    for run in (folder / "results" / "study").glob("seed*"):
+    for run in (folder / "results" / STUDY).glob("order*"):
         assert intact_manifest(run) is not None, run
     deadline = time.monotonic() + 10
     while left := processes_of(folder):
@@ -139,13 +195,15 @@ def check(folder: Path, undisturbed: Path, harmed: bool) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--damage", action="store_true")
+    parser.add_argument("--in", dest="folder", type=Path)
+    parser.add_argument("--minutes", type=float, default=1e6)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        begun = time.monotonic()
-        dealt = soak(Path(scratch), options.kills, options.seed, options.damage)
-        print(f"{dict(dealt)} in {time.monotonic() - begun:.0f} s: tables equal, stages intact, no process left")
+        folder = (options.folder or Path(scratch)).absolute()
+        done = soak(folder, options.kills, options.damage, time.monotonic() + 60 * options.minutes)
+    print("\n".join(done.lines()))
+    raise SystemExit(0 if done.kills >= options.kills else 3)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from ssm_study.results.durable import (
 from ssm_study.results.keys import stage_key
 
 MANIFEST = "manifest.json"
+CHECKPOINT = "last.ckpt"  # what a computation may save to go on from; checked by itself, of the same key by its place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +78,7 @@ class Store(Stages):
         with locked(self.root / ".locks" / f"{name}-{key}.lock"):
             if found := self.find(name, key):  # another process was faster
                 return found
-            self._clear(name, key)
+            self._set_damaged_aside(name, key)
             note = {"stage": name, "key": key, "upstream": list(upstream), "code_version": code_version}
             return self._compute(name, key, note, compute)
 
@@ -103,13 +104,14 @@ class Store(Stages):
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{secrets.token_hex(4)}")
         temporary.mkdir(parents=True)
+        _take_over(temporary, final)
         try:
             started = time.perf_counter()
             compute(temporary)
             seconds = time.perf_counter() - started
             seal_folder(temporary, note | {"seconds": seconds})
             self._place(temporary, final)
-        except BaseException:
+        except (Exception, SystemExit):
             shutil.rmtree(temporary, ignore_errors=True)
             raise
         return StageResult(path=final, key=key, seconds=seconds, reused=False, name=name)
@@ -123,15 +125,24 @@ class Store(Stages):
             shutil.rmtree(temporary)  # someone placed the same result without our lock: theirs is as good
         sync_folder(final.parent)
 
-    def _clear(self, name: str, key: str) -> None:
-        """Make room for a new computation: damaged results go to `root/.corrupt/`, leftovers of the killed away."""
+    def _set_damaged_aside(self, name: str, key: str) -> None:
         folder = self.folder(name, key)
-        for leftover in folder.parent.glob(f".tmp-{folder.name}-*"):
-            shutil.rmtree(leftover, ignore_errors=True)
         if folder.exists():
             aside = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
             aside.parent.mkdir(parents=True, exist_ok=True)
             folder.rename(aside)
+
+
+def _take_over(temporary: Path, final: Path) -> None:
+    """Clear up after the killed; what they had saved to go on from (`CHECKPOINT`) moves to their successor."""
+    for leftover in final.parent.glob(f".tmp-{final.name}-*"):
+        if leftover == temporary:
+            continue
+        for saved in leftover.rglob(CHECKPOINT):
+            heir = temporary / saved.relative_to(leftover)
+            heir.parent.mkdir(parents=True, exist_ok=True)
+            saved.replace(heir)
+        shutil.rmtree(leftover, ignore_errors=True)
 
 
 def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()) -> None:

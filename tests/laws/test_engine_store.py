@@ -206,6 +206,28 @@ def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None
     assert not leftover.exists()
 
 
+def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    folder = store.folder("model", stage_key("model", 1, (), "v"))
+    leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
+    (leftover / "start_1").mkdir(parents=True)
+    for name in ("last.ckpt", "start_1/last.ckpt", "half.json"):
+        (leftover / name).write_text(name)
+
+    def going_on(folder: Path) -> None:
+        assert sorted(content_of(folder)) == ["last.ckpt", "start_1/last.ckpt"]
+        (folder / "model.json").write_text((folder / "last.ckpt").read_text())
+
+    def stopped(folder: Path) -> None:
+        (folder / "last.ckpt").write_text("more")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        store.stage("model", 1, [], "v", stopped)
+    assert content_of(store.stage("model", 1, [], "v", going_on).path)["model.json"] == b"more"
+    assert not leftover.exists()
+
+
 HOLDING = """
 import sys, time
 from pathlib import Path

@@ -1,5 +1,11 @@
 """An interrupted training goes on where it stopped; numbers that leave the finite end it in good order."""
 
+import errno
+import itertools
+import os
+import random
+import signal
+import time
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -7,6 +13,7 @@ import pytest
 import torch
 from lightning.pytorch.callbacks import Callback
 from models_cases import data_set
+from test_engine_faults import FailingDisk
 from test_training_identify import LBFGS, spec, training
 
 from ssm_study.training import training as room
@@ -56,6 +63,63 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
     assert "not finite" in found.ended
     assert "learning rate" in found.ended
     assert found.fit_training_percent > 50.0
+
+
+def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, settings = data_set(samples=100, noise=0.05), training(LBFGS, max_epochs=2, checkpoint_every_s=0.0)
+    whole = settings.identify(spec(), data, 0, tmp_path / "whole").model.to_json()
+    failed: set[str] = set()
+    for nth, code in zip((2, 3, 4, 5, 9, 11), itertools.cycle((errno.ENOSPC, errno.EIO))):
+        disk, folder = FailingDisk(nth, code), tmp_path / f"{nth}"
+        with pytest.raises(OSError, match=os.strerror(code)), disk.inserted(monkeypatch):  # no error of torch's own
+            settings.identify(spec(), data, 0, folder)
+        failed.add(disk.failed)
+        for path in folder.glob("*"):
+            DurableCheckpointIO().load_checkpoint(path)  # whatever is there is whole
+        assert settings.identify(spec(), data, 0, folder).model.to_json() == whole
+    assert failed == {"open", "write", "fsync", "replace"}
+
+
+def test_a_checkpoint_is_whole_whenever_its_writer_is_killed(tmp_path: Path) -> None:
+    path, rng, seen = tmp_path / "last.ckpt", random.Random(0), set()
+    DurableCheckpointIO().save_checkpoint({"epoch": 0, "weights": torch.zeros(100_000)}, path)
+    for _ in range(12):
+        writer = os.fork()
+        if writer == 0:
+            for epoch in range(10_000):
+                DurableCheckpointIO().save_checkpoint({"epoch": epoch, "weights": torch.full((100_000,), epoch)}, path)
+            os._exit(0)
+        before = path.stat().st_ino
+        while path.stat().st_ino == before:  # it is at work
+            time.sleep(0.001)
+        time.sleep(rng.uniform(0.0, 0.03))
+        os.kill(writer, signal.SIGKILL)
+        os.waitpid(writer, 0)
+        found = DurableCheckpointIO().load_checkpoint(path)
+        assert (found["weights"] == found["epoch"]).all()
+        seen.add(found["epoch"])
+    assert len(seen) > 1
+    DurableCheckpointIO().save_checkpoint({}, path)
+    assert [left.name for left in tmp_path.iterdir()] == ["last.ckpt"]
+
+
+def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> None:
+    io, path, rng, silent = DurableCheckpointIO(), tmp_path / "last.ckpt", random.Random(0), 0
+    io.save_checkpoint({"weights": torch.linspace(0, 1, 1000)}, path)
+    whole = path.read_bytes()
+    assert len(torch.load(path, weights_only=True)["weights"]) == 1000  # the sum at its end is in nobody's way
+    for trial in range(200):
+        harmed = bytearray(whole)
+        harmed[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
+        path.write_bytes(harmed if trial % 2 else whole[: rng.randrange(len(whole))])
+        try:
+            io.load_checkpoint(path)
+            silent += 1
+        except ValueError:
+            pass
+    assert silent == 0
 
 
 def test_a_write_that_fails_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Bad requests to models and training are one sentence, before any epoch runs."""
 
+import pickle
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from test_training_identify import LBFGS, spec, training
 
 from ssm_study.models.scaffold_specs import Mlp, Residual
 from ssm_study.refusal import BadRequest
+from ssm_study.training.checkpoint import DurableCheckpointIO
 from ssm_study.training.optimisers import Adam, Lbfgs
 from ssm_study.training.saving import load_state
 
@@ -102,10 +104,14 @@ def test_a_damaged_or_evil_checkpoint_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="unreadable"):
         settings.identify(spec(), data, 0, tmp_path)
     marker = tmp_path / "ran"
-    torch.save({"state": Evil(str(marker))}, last)
+    DurableCheckpointIO().save_checkpoint({"state": Evil(str(marker))}, last)  # in good order but for its content
+    with pytest.raises(pickle.UnpicklingError, match="weights_only"):
+        DurableCheckpointIO().load_checkpoint(last, weights_only=False)
     with pytest.raises(BadRequest, match="unreadable"):
         settings.identify(spec(), data, 0, tmp_path)
     assert not marker.exists()
+    torch.load(last, weights_only=False)
+    assert marker.exists(), "the trap does not work"
 
 
 class Evil:
