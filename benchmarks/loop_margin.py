@@ -32,7 +32,8 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 MODEL = ["plant", "order", "seed"]
 EXCEPTION = [
     *(*MODEL, "design", "rate_controller", "rate_observer", "gain_norm", "observer_gain_norm"),
-    *("mismatch_gain", "mismatch_margin", "stable_count", "stable_count_noise_free"),
+    *("mismatch_gain", "mismatch_margin", "resolved_margin", "controller_radius"),
+    *("stable_count", "stable_count_noise_free"),
     *("left_bound_count", "middle_spread", "final_spread", "kind"),
 ]
 GROUPS = ("plant", "excitation", "data", "model", "training", "reduction", "loop")
@@ -62,6 +63,21 @@ def designs(plant: str, order: int, seed: int) -> pd.DataFrame:
     return rows.assign(**about)
 
 
+def stable(table: pd.DataFrame) -> pd.Series:
+    """The controller is stable by itself."""
+    return table.controller_radius < 1
+
+
+RULES = {
+    "margin": lambda table: table.mismatch_margin > 1,
+    "margin_stable": lambda table: (table.mismatch_margin > 1) & stable(table),
+    "resolved": lambda table: table.resolved_margin > 1,
+    "resolved_stable": lambda table: (table.resolved_margin > 1) & stable(table),
+    "stable": stable,
+}
+"""What may be known before the plant is tried; `resolved_stable` is what `auto` asks for."""
+
+
 def outcome(table: pd.DataFrame) -> pd.Series:
     """`settled`: all cases; `noisy`: all cases but for the noise; `slow`: still decaying; `lost`: none of these.
 
@@ -84,16 +100,21 @@ def area_under_roc(score: pd.Series, good: pd.Series) -> float:
 
 
 def summary(table: pd.DataFrame) -> dict:
-    """One group of designs as one row: confusion at margin one, and the area under the ROC curve."""
-    kind, above = outcome(table), table.mismatch_margin > 1
+    """One group of designs as one row: areas under the ROC curve, and for each rule what it admits and leaves out."""
+    kind = outcome(table)
     settled = kind == "settled"
+    admitted = {name: rule(table) for name, rule in RULES.items()}
+    ordered = table.resolved_margin.rank() - len(table) * ~stable(table)  # every unstable controller below the rest
     return {
         "models": table[["plant", "order", "seed"]].drop_duplicates().shape[0],
         "designs": len(table),
         "roc_settled": area_under_roc(table.mismatch_margin, settled),
         "roc_not_lost": area_under_roc(table.mismatch_margin, kind != "lost"),
-        **{f"above_one_{k}": int((above & (kind == k)).sum()) for k in ("settled", "noisy", "slow", "lost")},
-        **{f"below_one_{k}": int((~above & (kind == k)).sum()) for k in ("settled", "noisy", "slow", "lost")},
+        "roc_resolved_settled": area_under_roc(table.resolved_margin, settled),
+        "roc_resolved_stable_settled": area_under_roc(ordered, settled),
+        **{f"{kind_}": int((kind == kind_).sum()) for kind_ in ("settled", "noisy", "slow", "lost")},
+        **{f"{name}_settled": int((inside & settled).sum()) for name, inside in admitted.items()},
+        **{f"{name}_not": int((inside & ~settled).sum()) for name, inside in admitted.items()},
     }
 
 
@@ -105,11 +126,11 @@ def hindsight(model: pd.DataFrame) -> dict:
     own = chosen.settling_time_mean_s / chosen.settling_time_open_loop_s
     return {
         "fit_test_percent": chosen.fit_test_percent,
-        "auto_margin": chosen.mismatch_margin,
+        "auto_margin": chosen.resolved_margin,
         "auto_stable_count": int(chosen.stable_count),
         "auto_relative_time": own,
         "hindsight_relative_time": best,
-        "hindsight_margin": all_settle.loc[all_settle.settling_time_mean_s.idxmin(), "mismatch_margin"]
+        "hindsight_margin": all_settle.loc[all_settle.settling_time_mean_s.idxmin(), "resolved_margin"]
         if len(all_settle)
         else None,
     }
@@ -136,7 +157,8 @@ def pool(arguments: argparse.Namespace) -> None:
     written = {"margin_summary.csv": pd.DataFrame(rows)}
     models = [dict(zip(MODEL, key, strict=True)) | hindsight(own) for key, own in table.groupby(MODEL)]
     written["hindsight.csv"] = pd.DataFrame(models)
-    written["margin_exceptions.csv"] = table.loc[(table.mismatch_margin > 1) & (table.kind != "settled"), EXCEPTION]
+    either = (table.mismatch_margin > 1) | (table.resolved_margin > 1)
+    written["margin_exceptions.csv"] = table.loc[either & (table.kind != "settled"), EXCEPTION]
     relative = table.settling_time_mean_s / table.settling_time_open_loop_s
     written["margin_designs.csv.gz"] = table.assign(relative_time=relative)[[*MODEL, "design", *NEEDED[1:]]]
     for name, content in written.items():

@@ -15,6 +15,8 @@ def designs(count: int = 60) -> pd.DataFrame:
         {
             "plant": np.where(np.arange(count) % 2, "dc_motor", "cascaded_tanks"),
             "mismatch_margin": margin,
+            "resolved_margin": margin,
+            "controller_radius": rng.uniform(0.5, 1.3, count),
             "kind": np.where(settled, "settled", "lost"),
             "relative_time": np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count)),
         }
@@ -28,6 +30,15 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
     pairs = np.sign(score[good == 1][:, None] - score[good == 0][None, :])
     assert np.trapezoid(true, false) == pytest.approx((0.5 + 0.5 * pairs).mean(), rel=1e-12)
     assert (false[-1], true[-1]) == (1.0, 1.0)
+
+
+def test_the_score_puts_stable_controllers_first_and_then_the_larger_margin():
+    table = designs()
+    score, kept = margin_figures.prediction_score(table), (table.resolved_margin > 1) & (table.controller_radius < 1)
+    assert ((score > 0.5) == kept).all()
+    stable = table.controller_radius < 1
+    assert score[stable].min() >= score[~stable].max()
+    assert (np.argsort(score[stable], kind="stable") == np.argsort(table.resolved_margin[stable], kind="stable")).all()
 
 
 def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
