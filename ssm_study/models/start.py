@@ -82,7 +82,8 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     """The balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`; fast modes fill what it lacks."""
     half = len(h) // 2
     p, m = h.shape[1:]
-    hankel = np.block([[h[1 + i + j] for j in range(half - 1)] for i in range(half)])
+    lags = 1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]
+    hankel = h[lags].transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
     left, values, right = linalg.svd(hankel, full_matrices=False)
     kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
     root = np.sqrt(values[:kept])

@@ -12,7 +12,7 @@ FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorte
 
 
 class Lift(nn.Module):
-    """`S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact ways.
+    """`S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact ways; all may have a leading axis of models.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a piecewise-linear
     map with h kinks: the sorted samples fall into h + 1 runs, each an affine map, so the cost does not grow with h.
@@ -41,16 +41,26 @@ class Lift(nn.Module):
 
     def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:
         if self.levels:
-            return scaffold(self.values)[self.where]
+            if self.where.dim() == 2:
+                return scaffold(self.values)[self.where]
+            first = torch.arange(len(self.where), device=self.where.device) * self.values.shape[1]
+            return scaffold(self.values).flatten(0, 1)[self.where + first[:, None, None]]
         pieces = scaffold.pieces() if self.sorts else None
         if pieces is None:
             return scaffold(self.u)
         points, slopes, offsets = pieces
         inner = torch.searchsorted(self.values, points.detach())
-        cuts = torch.nn.functional.pad(inner, (1, 0))
-        cuts = torch.cat([cuts, cuts.new_tensor([len(self.values)])])
-        y = _AffineRuns.apply(slopes, offsets, cuts.diff(), self.values, self.order, self.back)
+        cuts = torch.nn.functional.pad(torch.nn.functional.pad(inner, (1, 0)), (0, 1), value=self.values.shape[-1])
+        counts, order, back = cuts.diff().flatten(), self._joined(self.order), self._joined(self.back)
+        y = _AffineRuns.apply(slopes.flatten(), offsets.flatten(), counts, self.values.flatten(), order, back)
         return y.view(self.u.shape)
+
+    def _joined(self, positions: Int[Tensor, "*models N"]) -> Int[Tensor, "MN"]:
+        """Positions within each model to positions in all of them, one after the other."""
+        if positions.dim() == 1:
+            return positions
+        models, count = positions.shape
+        return (positions + torch.arange(models, device=positions.device)[:, None] * count).flatten()
 
 
 class _AffineRuns(torch.autograd.Function):
@@ -69,7 +79,7 @@ class _AffineRuns(torch.autograd.Function):
         ctx.save_for_backward(counts, ranked, order)
         slope = torch.repeat_interleave(slopes, counts, output_size=len(ranked))
         offset = torch.repeat_interleave(offsets, counts, output_size=len(ranked))
-        return torch.addcmul(offset, slope, ranked)[back]
+        return (offset + slope * ranked)[back]
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:

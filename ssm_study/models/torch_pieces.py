@@ -18,20 +18,21 @@ def home_offsets(points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]) 
 
 
 def evaluate(pieces: Pieces, v: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """`S(v)` for every number of the batch."""
+    """`S(v)` for every number of the batch; pieces `(members, h)` go with `v (members, ...)`."""
     points, slopes, offsets = pieces
-    piece = torch.searchsorted(points.detach(), v.detach().contiguous(), right=True)
-    return slopes[piece] * v + offsets[piece]
+    flat = v.flatten(points.dim() - 1).contiguous()
+    piece = torch.searchsorted(points.detach(), flat.detach(), right=True)
+    return (slopes.gather(-1, piece) * flat + offsets.gather(-1, piece)).view(v.shape)
 
 
-def roughness(slopes: Float[Tensor, "h1"]) -> Float[Tensor, ""]:
+def roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
     """Total variation of the slope along v, relative to the largest slope; rounded off at one percent of it.
 
     A step from flat to steep costs the same however many pieces it takes; spikes between two levels of the data, which
     fit noise and widen the slope interval that a certificate must cover, cost extra.
     """
-    relative = slopes / slopes.detach().max()
-    return (torch.sqrt(relative.diff() ** 2 + ROUNDING**2) - ROUNDING).sum()
+    relative = slopes / slopes.detach().amax(-1, keepdim=True)
+    return (torch.sqrt(relative.diff() ** 2 + ROUNDING**2) - ROUNDING).sum(-1)
 
 
 ROUNDING = 0.01

@@ -6,7 +6,7 @@ Modes are complex numbers; a real mode is one with zero imaginary part, and the 
 already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]` with `g[0] = D` and
 `g[k] = Re(C lambda^(k-1) B)`.
 Shapes: `decay (n,)` complex, the logarithm of lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)` real; `u (e, T, m)`;
-`x0 (e, n)` complex.
+`x0 (e, n)` complex. Convolution takes a leading axis of models on all of them at once.
 """
 
 import math
@@ -15,6 +15,9 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
+
+from ssm_study.models.torch_convolution import Convolution, PowerSum
+from ssm_study.models.torch_rows import product, whole_lanes
 
 FEW_POWERS = 4096  # below this the many small operations of doubling cost more than the exponentials
 CHUNK = 64  # samples per chunk: products of this size keep one core's caches warm
@@ -31,36 +34,36 @@ class Modes:
 
 
 def power_sum(
-    weights: Complex[Tensor, "*lead n"], decay: Complex[Tensor, "n"], samples: int
+    weights: Complex[Tensor, "*lead n"], decay: Complex[Tensor, "*models n"], samples: int
 ) -> Float[Tensor, "*lead T"]:
     """`Re sum_i weights_i lambda_i^k`, k = 0 ... samples - 1, without a table of samples x n.
 
     Two levels, `k = q s + r`: `lambda^k = lambda^(q s) lambda^r`, so two tables of about sqrt(T) rows and one real
     product. The powers are taken in complex128; the product runs in the precision of `weights`.
     """
-    short = max(1, math.isqrt(samples - 1) + 1)
-    rows = -(-samples // short)
-    rate = decay.to(torch.complex128)
+    short = whole_lanes(math.isqrt(samples - 1) + 1)
+    rows = whole_lanes(-(-samples // short))
+    rate = decay.detach().to(torch.complex128)  # `PowerSum` differentiates the tables itself
     fine, coarse = powers(rate, short).to(weights.dtype), powers(rate * short, rows).to(weights.dtype)
-    left = weights[..., None, :] * coarse
-    product = torch.cat([left.real, -left.imag], -1) @ torch.cat([fine.real, fine.imag], 1).T
-    return product.flatten(-2)[..., :samples]
+    between = (1,) * (weights.dim() - decay.dim())
+    fine, coarse = (table.view(*decay.shape[:-1], *between, *table.shape[-2:]) for table in (fine, coarse))
+    return PowerSum.apply(weights, decay, fine, coarse).flatten(-2)[..., :samples]
 
 
-def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
+def powers(rate: Complex[Tensor, "*models n"], count: int) -> Complex[Tensor, "*models count n"]:
     """Rows `exp(rate)^k`, k = 0 ... count - 1; large tables by doubling, nine times cheaper than the exponentials."""
-    if count * len(rate) <= FEW_POWERS:
-        return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
-    step = torch.exp(rate)
-    table = torch.ones_like(step)[None]
-    while len(table) < count:
-        table, step = torch.cat([table, table * step]), step * step
-    return table[:count]
+    if count * rate.shape[-1] <= FEW_POWERS:
+        return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate[..., None, :])
+    step = torch.exp(rate)[..., None, :]
+    table = torch.ones_like(step)
+    while table.shape[-2] < count:
+        table, step = torch.cat([table, table * step], -2), step * step
+    return table[..., :count, :]
 
 
-def kernel(modes: Modes, samples: int) -> Float[Tensor, "p m T"]:
+def kernel(modes: Modes, samples: int) -> Float[Tensor, "*models p m T"]:
     """`g[0] = D`, `g[k] = Re(C lambda^(k-1) B)`: the impulse response."""
-    weights = modes.c[:, None, :] * modes.b.T[None, :, :]
+    weights = product(modes.c[..., :, None, :], modes.b.mT[..., None, :, :])
     tail = power_sum(weights, modes.decay, max(samples - 1, 1))[..., : samples - 1]
     return torch.cat([modes.d[..., None], tail], -1)
 
@@ -85,13 +88,14 @@ def by_convolution(
     modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
 ) -> Float[Tensor, "e T p"]:
     """Product of spectra with zero padding; O(T log T), the cost nearly independent of n."""
-    samples = u.shape[1]
-    length = fast_length(2 * samples - 1)
-    spectrum = torch.fft.rfft(kernel(modes, samples), n=length)
-    lifted = torch.fft.rfft(u.transpose(1, 2), n=length)
-    mixed = spectrum[0] * lifted if spectrum.shape[:2] == (1, 1) else torch.einsum("pmf,emf->epf", spectrum, lifted)
-    y = torch.fft.irfft(mixed, n=length)[..., :samples].transpose(1, 2)
-    return y if x0 is None else y + free_response(modes, x0, samples)
+    y = convolve(kernel(modes, u.shape[-2]), u)
+    return y if x0 is None else y + free_response(modes, x0, u.shape[-2])
+
+
+def convolve(g: Float[Tensor, "*models p m T"], u: Float[Tensor, "*models e T m"]) -> Float[Tensor, "*models e T p"]:
+    """`y[k] = sum_j g[k-j] u[j]` of impulse responses and the inputs from rest."""
+    samples = u.shape[-2]
+    return Convolution.apply(g, u, fast_length(2 * samples - 1))[0]
 
 
 def fast_length(samples: int) -> int:

@@ -15,6 +15,7 @@ class Identification:
 
     Fits are recomputed from `model` itself (float64, `free_run`), never taken from training. `curve` holds one
     row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why training stopped.
+    `trained_together` is the number of trainings that shared the program; `seconds` is then this one's share.
     """
 
     model: Simulator
@@ -23,6 +24,7 @@ class Identification:
     seconds: float
     curve: list[dict[str, float]]
     ended: str
+    trained_together: int = 1
 
 
 def mean_fit(model: Simulator, records: tuple[Trajectory, ...], data: DataSet) -> float:

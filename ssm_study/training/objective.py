@@ -24,6 +24,7 @@ class Records(nn.Module):
     y: Tensor
     weight: Tensor
     scored: Tensor
+    sum_spread: Tensor
 
     def __init__(
         self,
@@ -45,7 +46,8 @@ class Records(nn.Module):
         for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
             self.register_buffer(name, torch.from_numpy(values))
         start, outputs = torch.from_numpy(scored), torch.from_numpy(np.stack(y))
-        self.sum_spread = float(((start * outputs).cumsum(1) * start).square().sum()) if integrated_share else 1.0
+        summed = ((start * outputs).cumsum(1) * start).square().sum() if integrated_share else torch.ones(())
+        self.register_buffer("sum_spread", summed.double(), persistent=False)
         self.register_buffer("scored", start)
         self.lift = Lift(self.u, sorts)
 

@@ -1,0 +1,26 @@
+"""Numbers of a row that do not depend on how many rows there are: so that models trained together equal each alone.
+
+Vector instructions and the loop over what they leave at the end round some operations differently (products of complex
+numbers, the logistic function). Which numbers are left over depends on where a tensor ends.
+"""
+
+import torch
+from jaxtyping import Complex
+from torch import Tensor
+
+LANES = 8  # complex numbers, or pairs of real ones, that one turn of a vector loop takes
+
+
+def apart(rows: Tensor) -> Tensor:
+    """The same numbers with a gap after each row: no row is then computed in one go with its neighbours."""
+    return torch.nn.functional.pad(rows, (0, 1))[..., :-1]
+
+
+def product(a: Complex[Tensor, "*a n"], b: Complex[Tensor, "*b n"]) -> Complex[Tensor, "*c n"]:
+    """`a b` in real operations, which round alike everywhere, their derivatives too: for a few numbers."""
+    return torch.complex(a.real * b.real - a.imag * b.imag, a.real * b.imag + a.imag * b.real)
+
+
+def whole_lanes(count: int) -> int:
+    """The next multiple of the lanes: tables with so many rows leave nothing over."""
+    return -(-count // LANES) * LANES
