@@ -10,6 +10,7 @@ from ssm_study.signals import DataSet
 BINS = 20
 RANK_TOLERANCE = 4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding
 SAMPLES_FOR_ORDER = 2000
+HIGHEST_ORDER = 50  # looked no further: a model of order 24 is identifiable by then
 
 
 class SlopesNotIdentifiable(UserWarning):
@@ -59,7 +60,7 @@ def input_spectrum(
     return np.fft.rfftfreq(samples, step_s), spectrum
 
 
-def persistency_order(u: Float[np.ndarray, "T m"], highest: int = 50) -> int:
+def persistency_order(u: Float[np.ndarray, "T m"], highest: int = HIGHEST_ORDER) -> int:
     """The largest L <= `highest` for which the block Hankel matrix of L rows of u has full row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et al. 2005). Judged on
