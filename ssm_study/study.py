@@ -8,7 +8,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from safetensors.numpy import load_file, save_file
 
 from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.data.simulated import SimulatedData
 from ssm_study.data.tensors import dataset_from_tensors, dataset_to_tensors
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.metrics import behaviour, certified
@@ -29,8 +30,10 @@ from ssm_study.report.outcome import print_outcome
 from ssm_study.results.durable import sha256_of_file
 from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, model_facts, opinion_facts
 from ssm_study.results.gather import gather
+from ssm_study.results.groups import Sharing, attempt
 from ssm_study.results.keys import code_version
-from ssm_study.results.naming import plain, register_resolver, run_name
+from ssm_study.results.naming import register_resolver, run_name
+from ssm_study.results.plan import PlannedStages
 from ssm_study.results.recordings import write_excitation, write_rollouts, write_simulation
 from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record, storable
 from ssm_study.results.runs import Outcome, Run, execute
@@ -39,13 +42,18 @@ from ssm_study.results.store import StageResult, Stages, Store
 from ssm_study.signals import DataSet
 from ssm_study.specification import Specification, plain
 from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.training.identification import Identification
+from ssm_study.training.together import Member, may_train_together, records_gain, train_together
 
 NOUNS = ("refusal", "signals", "systems", "study")
 register_resolvers = register_resolver  # each fresh process asks the task's module for it
 
 RUN_FIGURES = ("validation_trajectory", "closed_loop_responses")  # the paper's two
 
+MAY_DIFFER = frozenset({"slope_lower", "slope_upper", "start", "real_modes", "ring_radius", "ring_frequency"})
+
 T = TypeVar("T")
+Train = Callable[[Path], Identification]
 
 
 @dataclass(frozen=True)
@@ -134,6 +142,55 @@ def line(specification: Specification, stages: Stages, done: Callable[[Kept[Any]
     return design
 
 
+def sharing(config: DictConfig, stages: Stages) -> Sharing | None:
+    """Runs that differ in seed, slope bounds or starting point alone may be trained in one program.
+
+    None where the settings forbid it or the model is there.
+    """
+    specification = Specification.from_config(config)
+    if not may_train_together(specification.training, specification.model) or not short(specification):
+        return None
+    model = model_stage(specification, stages, dataset_stage(specification, stages))
+    if model.result.reused:
+        return None
+    alike = select(specification, "data", "training", *(("plant", "excitation") if specification.plant else ()))
+    settings = {name: value for name, value in specification.configuration["model"].items() if name not in MAY_DIFFER}
+    return Sharing(kind=json.dumps(alike | {"model": settings}, sort_keys=True, default=str), key=model.key)
+
+
+def short(specification: Specification) -> bool:
+    """Whether the records are of the kind that gains, see `records_gain`."""
+    data = specification.data
+    if isinstance(data, SimulatedData):
+        return records_gain(max(data.samples, data.validation_samples), data.start_up_samples)
+    found = specification.dataset()
+    return records_gain(max(len(record) for record in (*found.training, *found.validation)), found.start_up_samples)
+
+
+def train_members(configs: list[DictConfig]) -> None:
+    """The models of these runs into the store, trained together as far as they can be."""
+    members: dict[Member, tuple[Specification, Kept[DataSet]]] = {}
+
+    def prepare(config: DictConfig) -> None:
+        made = Specification.from_config(config)
+        data = dataset_stage(made, Store(made.store))
+        key = model_stage(made, PlannedStages(Store(made.store)), data).key
+        if key not in known:
+            known.add(key)
+            member = Member(spec=made.model, data=data.value, seed=made.seed, training=made.training)
+            members[member] = made, data
+
+    def keep(member: Member, number: int) -> None:
+        made, data = members[member]
+        store = Store(made.store)
+        attempt(lambda: model_stage(made, store, data, lambda folder: member.conclude(folder, number)), "keeping")
+
+    known: set[str] = set()
+    for config in configs:
+        attempt(partial(prepare, config), "preparing")
+    train_together(list(members), keep)
+
+
 def dataset_stage(specification: Specification, stages: Stages) -> Kept[DataSet]:
     """Simulate or read the records; kept as tensors."""
 
@@ -155,16 +212,22 @@ def dataset_stage(specification: Specification, stages: Stages) -> Kept[DataSet]
     return Kept(result, read, ("excitation.mcap",))
 
 
-def model_stage(specification: Specification, stages: Stages, data: Kept[DataSet]) -> Kept[Any]:
-    """Train; kept as explicit numbers."""
+def model_stage(
+    specification: Specification, stages: Stages, data: Kept[DataSet], member: Train | None = None
+) -> Kept[Any]:
+    """Train; kept as explicit numbers. `member` has trained already, together with others."""
 
-    def compute(folder: Path) -> None:
+    def alone(folder: Path) -> Identification:
         training, spec = specification.training, specification.model
-        identified = training.identify(spec, data.value, specification.seed, folder, specification.progress)
+        return training.identify(spec, data.value, specification.seed, folder, specification.progress)
+
+    def compute(folder: Path) -> float:
+        identified = (member or alone)(folder)
         write_json(folder / "model.json", identified.model.to_json())
         write_json(folder / "training_curve.json", identified.curve)
         facts = {"training_seconds": identified.seconds, "training_ended": identified.ended}
-        write_facts(folder, facts)
+        write_facts(folder, facts | {"trained_together": identified.trained_together})
+        return identified.seconds
 
     settings = select(specification, "model", "training", "seed")
     version = code_version(*NOUNS, "models", "training", "torch")

@@ -51,6 +51,17 @@ def run_in_this_process(
         sys.exit(1)
 
 
+def train_in_this_process(
+    folder: Path, configs: list[DictConfig], task_function: TaskFunction, singletons: dict[Any, Any]
+) -> None:
+    """The main function of a process that trains models together: the task's `train_members`, logged as a job is."""
+    _become_own_group()
+    _die_with_the_sweep()
+    _speak_into(folder)
+    _adopt(task_function, singletons)
+    sys.modules[task_function.__module__].train_members(configs)
+
+
 def _adopt(task_function: TaskFunction, singletons: dict[Any, Any]) -> None:
     """Hydra's state as the sweep has it, and the resolvers that its task's module registers."""
     setup_globals()

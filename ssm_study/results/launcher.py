@@ -1,6 +1,7 @@
 """One fresh process per job: a job may raise, exit, crash, hang or be killed, and the others do not notice."""
 
 import contextlib
+import math
 import os
 import signal
 import time
@@ -10,6 +11,7 @@ from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, setup_globals
@@ -19,8 +21,9 @@ from ssm_study.refusal import require
 from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.compose import Composer
 from ssm_study.results.deaths import GRACE_S, conclude, kill_group, stop_hanging
-from ssm_study.results.jobs import run_in_this_process
-from ssm_study.results.plan import plan
+from ssm_study.results.groups import close, next_to_start, training_programs
+from ssm_study.results.jobs import run_in_this_process, train_in_this_process
+from ssm_study.results.plan import PlannedStages, plan
 from ssm_study.results.progress import Progress
 from ssm_study.results.runs import Outcome, is_to_run, outcome_of, standing
 from ssm_study.results.server import Server
@@ -78,17 +81,20 @@ class Processes:
         return [_returned(job, ends[job.folder]) for job in jobs]
 
     def _run_all(self, sweep: Sweep, server: Server, jobs: list[Job]) -> None:
-        waiting = [job for job in jobs if job.outcome is None]
-        running: list[Job] = []
+        to_do = [job for job in jobs if job.outcome is None]
+        waiting, running = [*self._programs(sweep, to_do), *to_do], list[Job]()
         with Progress(total=len(jobs)) as progress, _stopped_by_signals(running):
             for job in jobs:
                 if job.outcome is not None:
                     progress.done(job.outcome.status, reused=True)
             while waiting or running:
-                while waiting and len(running) < self.jobs:
-                    running.append(self._start(sweep, server, waiting.pop(0)))
+                while len(running) < self.jobs and (ready := next_to_start(waiting, running)):
+                    running.append(self._start(sweep, server, ready))
                 for job in self._ended(running, progress):
                     running.remove(job)
+                    if job.members:
+                        close(job)
+                        continue
                     job.outcome = conclude(job)
                     progress.done(job.outcome.status)
             progress.tick(running=0)
@@ -98,14 +104,23 @@ class Processes:
         walk = task_hook(sweep.task_function, "walk")
         to_do = [job for job in jobs if job.outcome is None]
         walks = [partial(walk, job.config) for job in to_do] if walk else []
-        store = Store(Path(sweep.config.results_dir) / ".store")
-        told = plan(store, walks, runs=len(jobs), finished=len(jobs) - len(to_do), jobs_at_once=self.jobs)
+        finished, programs = len(jobs) - len(to_do), [job.models for job in self._programs(sweep, to_do)]
+        store = _store(sweep)
+        told = plan(store, walks, runs=len(jobs), finished=finished, jobs_at_once=self.jobs, together=programs)
         print("\n".join(told.lines()))
+
+    def _programs(self, sweep: Sweep, jobs: list[Job]) -> list[Job]:
+        return training_programs(sweep.task_function, jobs, PlannedStages(_store(sweep)), self.jobs)
 
     def _start(self, sweep: Sweep, server: Server, job: Job) -> Job:
         singletons = Singleton.get_state()["instances"]
-        arguments = (job.folder, job.config, sweep.hydra_context, sweep.task_function, singletons)
-        job.process = server.fork(run_in_this_process, arguments, name=job.name)
+        if job.members:
+            configs = [member.config for member in job.members]
+            arguments: tuple[Any, ...] = (job.folder, configs, sweep.task_function, singletons)
+            job.process = server.fork(train_in_this_process, arguments, name=job.name)
+        else:
+            arguments = (job.folder, job.config, sweep.hydra_context, sweep.task_function, singletons)
+            job.process = server.fork(run_in_this_process, arguments, name=job.name)
         job.started = time.monotonic()
         return job
 
@@ -115,10 +130,15 @@ class Processes:
         ended = [sentinels[ready] for ready in wait(list(sentinels), timeout=0.5) if isinstance(ready, int)]
         progress.tick(running=len(running))
         for job in running:
-            if job not in ended and self.timeout_s and time.monotonic() - job.started > self.timeout_s:
+            limit = self.timeout_s * job.models if self.timeout_s else math.inf
+            if job not in ended and time.monotonic() - job.started > limit:
                 stop_hanging(job)
                 ended.append(job)
         return ended
+
+
+def _store(sweep: Sweep) -> Store:
+    return Store(Path(sweep.config.results_dir) / ".store")
 
 
 def _returned(job: Job, outcome: Outcome | None) -> JobReturn:

@@ -20,7 +20,12 @@ class PlannedStages(Stages):
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def stage(
-        self, name: str, config: Any, upstream: Sequence[str], code_version: str, compute: Callable[[Path], None]
+        self,
+        name: str,
+        config: Any,
+        upstream: Sequence[str],
+        code_version: str,
+        compute: Callable[[Path], float | None],
     ) -> StageResult:
         del compute  # a plan computes nothing
         key = stage_key(name, config, tuple(upstream), code_version)
@@ -47,12 +52,13 @@ class StageForecast:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a sweep would do now."""
+    """What a sweep would do now; `together` holds the number of models of each training program."""
 
     runs: int
     finished: int
     stages: tuple[StageForecast, ...]
     jobs_at_once: int = 1
+    together: tuple[int, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -67,11 +73,19 @@ class Plan:
             lines.append(f"{stage.name:<14}{stage.needed:>8}{stage.there:>8}{stage.missing:>9}{each:>10}")
         unknown = any(stage.missing and stage.seconds_each is None for stage in self.stages)
         bound = "at least " if unknown else "about "
+        if self.together:
+            members = "+".join(str(models) for models in self.together)
+            lines.append(f"trained together: {len(self.together)} groups ({members} models)")
         return [*lines, "", f"estimated time: {bound}{duration(self.seconds)} with {self.jobs_at_once} at a time"]
 
 
 def plan(
-    store: Store, walks: Sequence[Callable[[Stages], object]], runs: int, finished: int, jobs_at_once: int = 1
+    store: Store,
+    walks: Sequence[Callable[[Stages], object]],
+    runs: int,
+    finished: int,
+    jobs_at_once: int = 1,
+    together: Sequence[int] = (),
 ) -> Plan:
     """The plan of `runs` runs; `walks` take the stages of each unfinished one down the line."""
     planned = PlannedStages(store)
@@ -90,7 +104,9 @@ def plan(
         )
         for name, results in by_name.items()
     ]
-    return Plan(runs=runs, finished=finished, stages=tuple(forecasts), jobs_at_once=jobs_at_once)
+    return Plan(
+        runs=runs, finished=finished, stages=tuple(forecasts), jobs_at_once=jobs_at_once, together=tuple(together)
+    )
 
 
 def stage_seconds(store: Store) -> defaultdict[str, list[float]]:

@@ -44,7 +44,12 @@ class Stages(ABC):
 
     @abstractmethod
     def stage(
-        self, name: str, config: Any, upstream: Sequence[str], code_version: str, compute: Callable[[Path], None]
+        self,
+        name: str,
+        config: Any,
+        upstream: Sequence[str],
+        code_version: str,
+        compute: Callable[[Path], float | None],
     ) -> StageResult:
         """The stage of these inputs. Its files may be read inside a later `compute` only: a plan has no files."""
 
@@ -66,11 +71,12 @@ class Store(Stages):
         config: Any,
         upstream: Sequence[str],
         code_version: str,
-        compute: Callable[[Path], None],
+        compute: Callable[[Path], float | None],
     ) -> StageResult:
         """The stage's folder, computed by `compute(folder)` if it is not there or no longer intact.
 
-        Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
+        Whatever `compute` raises is raised; nothing half-written is ever seen under the final name. It may return the
+        seconds the stage took, where part of the work was done before.
         """
         key = stage_key(name, config, tuple(upstream), code_version)
         if found := self.find(name, key):
@@ -100,15 +106,17 @@ class Store(Stages):
         )
         return self.root / name / key[:32]
 
-    def _compute(self, name: str, key: str, note: dict[str, Any], compute: Callable[[Path], None]) -> StageResult:
+    def _compute(
+        self, name: str, key: str, note: dict[str, Any], compute: Callable[[Path], float | None]
+    ) -> StageResult:
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{secrets.token_hex(4)}")
         temporary.mkdir(parents=True)
         _take_over(temporary, final)
         try:
             started = time.perf_counter()
-            compute(temporary)
-            seconds = time.perf_counter() - started
+            spent = compute(temporary)
+            seconds = time.perf_counter() - started if spent is None else spent
             seal_folder(temporary, note | {"seconds": seconds})
             self._place(temporary, final)
         except (Exception, SystemExit):

@@ -27,7 +27,10 @@ class Sweep:
 
 @dataclass(kw_only=True)
 class Job:
-    """One configuration of the sweep and, once started, its process."""
+    """One configuration of the sweep and, once started, its process.
+
+    One with `members` is no run: it trains their `models` (several runs may need the same) before they start.
+    """
 
     overrides: list[str]
     config: DictConfig
@@ -35,6 +38,8 @@ class Job:
     outcome: Outcome | None = None
     process: ForkServerProcess | None = None
     started: float = field(default=0.0)
+    members: tuple["Job", ...] = ()
+    models: int = 1
 
     @property
     def name(self) -> str:
