@@ -3,11 +3,14 @@
 Both support backward, forward (`torch.func.jvp`) and vectorised (`vmap`) differentiation once; not twice.
 """
 
+import inspect
 from typing import Any
 
 import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
+
+from ssm_study.models.torch_rows import apart
 
 
 class PowerSum(torch.autograd.Function):
@@ -39,36 +42,42 @@ class PowerSum(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         weights, fine, coarse = ctx.saved_tensors
-        both = torch.cat([fine, _numbered(fine)], -1)
-        reached = upstream[0] @ torch.cat([both.real, both.imag], -1)
-        plain, ranked = torch.complex(*reached.chunk(2, -1)).chunk(2, -1)
-        d_weights = (coarse * plain).sum(-2)
-        ranked = (_numbered(coarse, fine.shape[-2]) * plain + coarse * ranked).sum(-2)
+        both = torch.stack([upstream[0], _ranks(upstream[0]) * upstream[0]], -3)
+        reached = both @ _interleaved(fine)[..., None, :, :]
+        plain, ranked = (
+            (torch.view_as_complex(reached.unflatten(-1, (-1, 2))) * coarse[..., None, :, :]).sum(-2).unbind(-2)
+        )
         d_decay = weights * ranked
         lead = tuple(range(ctx.models, d_decay.dim() - 1))
-        return d_weights.conj(), (d_decay.sum(lead) if lead else d_decay).conj(), None, None
+        return plain.conj(), (d_decay.sum(lead) if lead else d_decay).conj(), None, None
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Tensor | None) -> Tensor:
         weights, fine, coarse = ctx.saved_tensors
-        d_weights = torch.zeros_like(weights) if tangents[0] is None else tangents[0]
-        if tangents[1] is None:
-            return _real_product(d_weights[..., None, :] * coarse, fine)
-        d_decay = tangents[1].view(*tangents[1].shape[:-1], *(1,) * (weights.dim() - ctx.models - 1), -1)
-        turned = (weights * d_decay)[..., None, :]
-        left = d_weights[..., None, :] * coarse + turned * _numbered(coarse, fine.shape[-2])
-        return _real_product(left, fine) + _real_product(turned * coarse, _numbered(fine))
+        moved = torch.zeros((), device=weights.device)
+        if tangents[0] is not None:
+            moved = moved + _real_product(tangents[0][..., None, :] * coarse, fine)
+        if tangents[1] is not None:
+            d_decay = tangents[1].view(*tangents[1].shape[:-1], *(1,) * (weights.dim() - ctx.models - 1), -1)
+            turned = _real_product((weights * d_decay)[..., None, :] * coarse, fine)
+            moved = moved + _ranks(turned) * turned
+        return moved
 
 
 def _real_product(left: Complex[Tensor, "*c q n"], fine: Complex[Tensor, "*b s n"]) -> Float[Tensor, "*c q s"]:
     """`Re(left fine^T)` as one real product."""
-    return torch.cat([left.real, -left.imag], -1) @ torch.cat([fine.real, fine.imag], -1).mT
+    return _interleaved(left) @ _interleaved(fine.conj_physical()).mT
 
 
-def _numbered(table: Complex[Tensor, "*b k n"], step: int = 1) -> Complex[Tensor, "*b k n"]:
-    """Row k times `step k`."""
-    numbers = torch.arange(0, step * table.shape[-2], step, dtype=table.real.dtype, device=table.device)
-    return numbers[:, None] * table
+def _interleaved(table: Complex[Tensor, "*b k n"]) -> Float[Tensor, "*b k n2"]:
+    """Real and imaginary parts side by side, without a copy."""
+    return torch.view_as_real(table).flatten(-2)
+
+
+def _ranks(table: Float[Tensor, "*c q s"]) -> Float[Tensor, "q s"]:
+    """The power `q s + r` that stands in each place."""
+    rows, columns = table.shape[-2:]
+    return torch.arange(rows * columns, dtype=table.dtype, device=table.device).view(rows, columns)
 
 
 class Convolution(torch.autograd.Function):
@@ -84,7 +93,7 @@ class Convolution(torch.autograd.Function):
     def forward(
         g: Float[Tensor, "*models p m T"], u: Float[Tensor, "*models e T m"], length: int
     ) -> tuple[Float[Tensor, "*models e T p"], Complex[Tensor, "*models p m f"], Complex[Tensor, "*models e m f"]]:
-        spectrum, lifted = torch.fft.rfft(g, n=length), torch.fft.rfft(u.mT, n=length)
+        spectrum, lifted = apart(torch.fft.rfft(g, n=length)), apart(torch.fft.rfft(u.mT, n=length))
         y = torch.fft.irfft(_mixed(spectrum, lifted), n=length)[..., : u.shape[-2]].mT
         return y, spectrum, lifted
 
@@ -93,21 +102,22 @@ class Convolution(torch.autograd.Function):
         _, u, ctx.length = inputs
         _, spectrum, lifted = output
         ctx.mark_non_differentiable(spectrum, lifted)
+        ctx.set_materialize_grads(False)  # or the spectra get gradients of zeros
         ctx.samples = u.shape[-2]
         ctx.save_for_backward(spectrum, lifted)
         ctx.save_for_forward(spectrum, lifted)
 
     @staticmethod
-    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
+    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, Tensor | None, None]:
+        if upstream[0] is None:
+            return None, None, None
         spectrum, lifted = ctx.saved_tensors
         error = torch.fft.rfft(upstream[0].mT, n=ctx.length)
         d_g = d_u = None
         if ctx.needs_input_grad[0]:
-            d_g = torch.fft.irfft(torch.einsum("...epf,...emf->...pmf", error, lifted.conj()), n=ctx.length)[
-                ..., : ctx.samples
-            ]
+            d_g = torch.fft.irfft(_correlated(error, lifted), n=ctx.length)[..., : ctx.samples]
         if ctx.needs_input_grad[1]:
-            mixed = _mixed(spectrum.conj().transpose(-3, -2), error)
+            mixed = _mixed(spectrum.transpose(-3, -2), error.conj()).conj()
             d_u = torch.fft.irfft(mixed, n=ctx.length)[..., : ctx.samples].mT
         return d_g, d_u, None
 
@@ -120,6 +130,15 @@ class Convolution(torch.autograd.Function):
         return y[..., : ctx.samples].mT, None, None
 
 
+def _correlated(
+    error: Complex[Tensor, "*models e p f"], lifted: Complex[Tensor, "*models e m f"]
+) -> Complex[Tensor, "*models p m f"]:
+    """Summed over the records; a plain product for one channel each."""
+    if error.shape[-2] == lifted.shape[-2] == 1:
+        return (error.conj() * lifted).sum(-3, keepdim=True).conj()  # a conjugate of `lifted` would lose its gaps
+    return torch.einsum("...epf,...emf->...pmf", error, lifted.conj())
+
+
 def _mixed(
     spectrum: Complex[Tensor, "*models p m f"], lifted: Complex[Tensor, "*models e m f"]
 ) -> Complex[Tensor, "*models e p f"]:
@@ -127,3 +146,7 @@ def _mixed(
     if spectrum.shape[-3:-1] == (1, 1):
         return spectrum * lifted
     return torch.einsum("...pmf,...emf->...epf", spectrum, lifted)
+
+
+for _function in (PowerSum, Convolution):  # `apply` reads the signature at every call: 30 microseconds, if not kept
+    vars(_function.forward)["__signature__"] = inspect.signature(_function.forward)

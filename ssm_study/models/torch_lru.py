@@ -20,6 +20,7 @@ class LRU(nn.Module):
     """
 
     flip: Tensor
+    pairs: Tensor
 
     def __init__(self, start: "Start", feedthrough: bool) -> None:
         super().__init__()
@@ -29,6 +30,7 @@ class LRU(nn.Module):
         self.nu = nn.Parameter(torch.log(-torch.log(radius)))
         self.theta = nn.Parameter(modes[self.reals :].angle())
         self.register_buffer("flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64))
+        self.register_buffer("pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False)
         single = start.b.shape[1] == 1
         b, c = torch.from_numpy(start.b), torch.from_numpy(start.c)
         gain = torch.sqrt(1 - radius**2)[:, None]
@@ -49,12 +51,10 @@ class LRU(nn.Module):
     def modes(self) -> Modes:
         """Free to explicit parameters: the only place that knows how stability is kept."""
         damping = torch.exp(self.nu)
-        decay = torch.complex(-damping, torch.cat([self.flip, self.theta]))
-        gain = torch.sqrt(-torch.expm1(-2 * damping))[:, None]
-        b = gain * _join(self.b_real, self.b_imag)
-        pairs = torch.ones_like(self.nu)
-        pairs[self.reals :] = 2.0
-        return Modes(decay=decay, b=b, c=(pairs[:, None] * _join(self.c_real, self.c_imag)).mT, d=self.d)
+        decay = torch.complex(-damping, torch.cat([self.flip, self.theta], -1))
+        gain = torch.sqrt(-torch.expm1(-2 * damping))[..., None]
+        b = _join(gain * self.b_real, gain[..., self.reals :, :] * self.b_imag)
+        return Modes(decay=decay, b=b, c=_join(self.pairs[..., None] * self.c_real, 2.0 * self.c_imag).mT, d=self.d)
 
     def to_state_space(self) -> StateSpace:
         """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per pair."""
@@ -113,5 +113,5 @@ def _parts(values: Complex[Tensor, "n k"], reals: int, trained: bool) -> tuple[n
     return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
 
 
-def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex[Tensor, "n k"]:
-    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, len(real) - len(imag), 0)))
+def _join(real: Float[Tensor, "*c n k"], imag: Float[Tensor, "*c pairs k"]) -> Complex[Tensor, "*c n k"]:
+    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, real.shape[-2] - imag.shape[-2], 0)))

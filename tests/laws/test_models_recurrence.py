@@ -111,3 +111,26 @@ def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
     direct = (weights @ np.exp(decay[:, None] * np.arange(samples))).real
     fast = recurrence.power_sum(torch.from_numpy(weights), torch.from_numpy(decay), samples)
     np.testing.assert_allclose(fast.numpy(), direct, atol=1e-10)
+
+
+@pytest.mark.parametrize(("m", "p", "samples"), [(1, 1, 17), (2, 3, 50), (1, 1, 1), (2, 1, 2)])
+def test_the_derivatives_written_out_are_those_of_the_law(m: int, p: int, samples: int) -> None:
+    """Backward against finite differences; forward and vectorised against autograd through the scan."""
+    rng = torch.Generator().manual_seed(m + p + samples)
+    real = torch.rand(3, generator=rng, dtype=torch.float64)
+    shapes = {"b": (3, m), "c": (p, 3), "x0": (2, 3)}
+    parts = [torch.randn(*shape, generator=rng, dtype=torch.complex128) for shape in shapes.values()]
+    decay = torch.complex(-0.5 * real - 0.01, 3 * torch.rand(3, generator=rng, dtype=torch.float64))
+    d, u = (torch.randn(*shape, generator=rng, dtype=torch.float64) for shape in ((p, m), (2, samples, m)))
+    at = (decay, *parts, d, u)
+
+    def run(law: Evaluation) -> Callable[..., torch.Tensor]:
+        return lambda decay, b, c, x0, d, u: law(recurrence.Modes(decay=decay, b=b, c=c, d=d), u, x0)
+
+    torch.autograd.gradcheck(run(recurrence.by_convolution), [part.clone().requires_grad_() for part in at])
+    push = [torch.randn(4, *part.shape, generator=rng, dtype=part.dtype) for part in at]
+
+    def pushed(law: Evaluation) -> torch.Tensor:
+        return torch.func.vmap(lambda *tangents: torch.func.jvp(run(law), at, tangents)[1])(*push)
+
+    torch.testing.assert_close(pushed(recurrence.by_convolution), pushed(recurrence.by_scan), rtol=1e-9, atol=1e-9)
