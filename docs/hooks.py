@@ -67,13 +67,13 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def _answers(study: str) -> str:
-    path = ROOT / "results" / "reference" / study / "runs.parquet"
-    if not path.is_file():
-        return f"!!! note\n    No table of `{study}` is committed. Make your own with the command above.\n"
-    table = pd.read_parquet(path)
+    """A study named on a page and not committed is an error of the page."""
+    table = pd.read_csv(ROOT / "results" / "reference" / study / "runs.csv")
     lines = [f"*{counts(table)}.*", ""]
     for answer in answers(table):
-        lines += [f"**{answer.question}** {' '.join(answer.sentences)}", ""]
+        one, *more = answer.sentences
+        said = [f"**{answer.question}** {one}"] if not more else [f"**{answer.question}**", ""]
+        lines += [*said, *(f"- {sentence}" for sentence in answer.sentences if more), ""]
     return "\n".join(lines)
 
 

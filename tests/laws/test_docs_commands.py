@@ -1,103 +1,185 @@
-"""Every command that README and docs show is executed, or composed and parsed; what nothing recognises is an error."""
+"""Every command that README and docs show is executed, made short by the one rule in `docs_commands.py`."""
 
-import re
+import os
+import runpy
 import shlex
+import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import DictConfig, OmegaConf
+from docs_commands import (
+    ELSEWHERE,
+    ROOT,
+    composed,
+    every_command,
+    files_to_write,
+    maker,
+    place,
+    small,
+    small_benchmark,
+)
+from filelock import FileLock
 
+import ssm_study.plants
+import ssm_study.synthesis
 from ssm_study import cli
-from ssm_study.results.naming import register_resolver
+from ssm_study.report import figures, style
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = [*ROOT.glob("*.md"), *sorted((ROOT / "docs").glob("*.md"))]
-FENCE = re.compile(r"^```(?:console|bash|sh|shell)\n(.*?)^```", re.M | re.S)
-ELSEWHERE = {"git", "pip", "cd", "source", ".", "python3.11", "apt-get", "export", "tensorboard", "slurm_local.sh"}
-EXTRAS = ("submitit", "ray")  # launchers that live in extras: their groups exist only where those are installed
-
-
-def commands(page: Path) -> Iterator[str]:
-    for block in FENCE.findall(page.read_text()):
-        for line in block.replace("\\\n", " ").splitlines():
-            command = re.sub(r"\s+#.*$", "", line.strip().removeprefix("$ "))
-            if command and not command.startswith("#"):
-                yield command
+COMMANDS = every_command()
+ROOMS = {
+    "ssm_study/plants": ssm_study.plants,
+    "ssm_study/synthesis": ssm_study.synthesis,
+    "ssm_study/report/figures": figures,
+}
 
 
-ALL = [pytest.param(command, id=f"{page.name}: {command[:70]}") for page in PAGES for command in commands(page)]
+@pytest.fixture(scope="session")
+def clone(tmp_path_factory: pytest.TempPathFactory, smoke_study: Path) -> Path:
+    """One place with one store for all commands and workers: what two of them share is computed once."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "clone"
+    with FileLock(f"{folder}.lock"):
+        if not (folder / "log.csv").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            place(folder)
+            (folder / "results" / ".store").symlink_to(smoke_study.parent / ".store")
+            log().to_csv(folder / "log.csv", index=False)
+    return folder
 
 
-def test_there_are_commands_to_check() -> None:
-    assert len(ALL) > 15
+def log() -> pd.DataFrame:
+    """A record with the columns that the pages name."""
+    rng = np.random.default_rng(0)
+    power = np.repeat(rng.uniform(-3, 3, 60), 8)
+    temperature = np.zeros(len(power))
+    for k in range(len(power) - 1):
+        temperature[k + 1] = 0.93 * temperature[k] + 0.4 * (power[k] + 0.5 * np.tanh(power[k]))
+    noisy = temperature + 0.02 * rng.standard_normal(len(power))
+    return pd.DataFrame({"power": power, "temperature": noisy, "voltage": power, "speed": noisy})
 
 
-@pytest.mark.parametrize("command", ALL)
-def test_every_command_is_recognised(command: str) -> None:
-    words = [word for word in shlex.split(command) if not re.fullmatch(r"[A-Z_]+=\S*", word)]
-    words = words[1:] if words[0] in ("unshare", "time") else words
-    program, arguments = Path(words[0]).name, words[1:]
-    if program == "make":
-        targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M))
-        assert set(arguments) <= targets
-    elif program == "ssm-study" and arguments[:1] == ["run"]:
-        composed(arguments[1:])
+@pytest.fixture(autouse=True)
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(style._PAPER, "savefig.dpi", 40)  # rendering pixels is most of a report's time
+    monkeypatch.setattr(time, "perf_counter", time.perf_counter)  # one benchmark puts its own clock there
+    monkeypatch.setattr(sys, "path", list(sys.path))
+
+
+def test_there_are_commands_of_every_kind() -> None:
+    assert len(COMMANDS) > 50
+    for beginning in ("ssm-study run -m", "ssm-study report", "ssm-study export", "python benchmarks/", "make "):
+        assert any(command.startswith(beginning) for command in COMMANDS), beginning
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: f"{COMMANDS[command]}: {command[:70]}")
+def test_it_runs(
+    command: str, clone: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    for word, reason in ELSEWHERE.items():
+        if word in command:
+            pytest.skip(reason)
+    if "experiment=benchmarks" in command or "results/benchmarks" in command:
+        monkeypatch.setenv("SSM_STUDY_DATA", str(request.getfixturevalue("benchmark_data")))
+    monkeypatch.chdir(clone)
+    written = files_to_write(ROOT / "docs" / COMMANDS[command]) if "my_" in command else {}
+    for path, text in written.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text)
+    for folder, package in ROOMS.items():
+        monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path / folder)])
+    conf = tmp_path / "conf"
+    with FileLock(clone.parent / f"{lock_of(command)}.lock"):
+        executed(command, clone, conf if conf.is_dir() else None)
+
+
+def lock_of(command: str) -> str:
+    """Commands on one study, or of one benchmark, one after the other."""
+    words = command.split()
+    named = [word.split("=")[1] for word in words if word.startswith(("study=", "experiment="))]
+    read = [word.split("/")[1] for word in words if word.startswith("results/")]
+    script = [Path(word).stem for word in words if word.endswith(".py")]
+    return (script + read + named + ["none"])[0]
+
+
+def executed(command: str, clone: Path, written: Path | None = None) -> None:
+    words = [word for word in shlex.split(command) if "=" not in word or not word.split("=")[0].isupper()]
+    program, *arguments = words
+    if program == "ssm-study" and arguments[0] == "run":
+        more = [] if written is None else ["--config-dir", str(written)]
+        assert status(["run", *more, *small(arguments[1:], written)]) == cli.DONE
     elif program == "ssm-study":
-        cli._parser().parse_args(arguments)
+        assert status(reading(arguments, clone)) == cli.DONE
+        if arguments[0] == "report":
+            left = f"figures/{arguments[3]}.pdf" if "--only" in arguments else "report.html"
+            assert (clone / arguments[1] / left).is_file()
     elif program == "python":
-        assert (ROOT / arguments[0]).is_file() or arguments[0] == "-m", f"{arguments[0]} is not there"
-        if arguments[0] == "experiments/run.py":
-            composed(arguments[1:])
+        benchmark(arguments, clone)
+    elif program == "make":  # what its recipe installs needs a network; what else it does is in this suite
+        subprocess.run(["make", "--dry-run", *arguments], cwd=ROOT, check=True, stdout=subprocess.PIPE)
     else:
-        assert program in ELSEWHERE or words[0] in ELSEWHERE, f"nothing here knows {program}"
+        assert program in (".", "source"), f"no rule for {program}"
+        if not (ROOT / arguments[0]).exists():
+            pytest.skip(f"{arguments[0]} was not made here (`make study` makes it)")
+        subprocess.run(["bash", "-c", f"{command} && ssm-study --help"], cwd=ROOT, check=True, stdout=subprocess.PIPE)
 
 
-def composed(arguments: list[str]) -> None:
-    """The configuration of the first job of the request: unknown groups, options and values do not compose."""
-    options = {word for word in arguments if word.startswith("-")}
-    assert options <= {"-m", "--multirun", "--help", "--dry-run", "--retry-failed"}
-    arguments = [word for word in arguments if word not in options]
-    chosen = [first_value(word) for word in arguments if not is_from_an_extra(word)]
-    named = [word for word in chosen if not word.split("=")[1].startswith("my_")]  # files the reader is to write
-    register_resolver()
-    with initialize_config_dir(str(cli.configuration_folder()), version_base="1.3"):
-        config = compose("study", named, return_hydra_config=True)
-    assert isinstance(config, DictConfig)
-    OmegaConf.resolve(OmegaConf.masked_copy(config, [key for key in config if key not in ("hydra", "data")]))
+def status(arguments: list[str]) -> int:
+    """The exit status of `ssm-study`."""
+    try:
+        return cli.main(arguments)
+    except SystemExit as end:
+        return int(end.code or 0)
 
 
-def is_from_an_extra(word: str) -> bool:
-    chosen = "launcher" in word and any(extra in word for extra in EXTRAS)
-    return chosen or word.lstrip("+").startswith("hydra.launcher")
+def reading(arguments: list[str], clone: Path) -> list[str]:
+    """A command on a study: made first by the command that the pages give for it; RUN is one of its runs."""
+    if arguments[1:] in ([], ["--help"]):
+        return [arguments[0], "--help"]  # a page speaks of the command, not of a study
+    study = arguments[1].split("/")[1]
+    if not (clone / "results" / study / "runs.parquet").exists():
+        found = maker(study)
+        assert found is not None, f"no page says how to make the study {study}"
+        executed(found, clone)
+    runs = sorted(path.parent.name for path in (clone / "results" / study).glob("*/record.json"))
+    return [word.replace("/RUN", f"/{runs[0]}") for word in arguments]
 
 
-def first_value(word: str) -> str:
-    override = OverridesParser.create().parse_override(word)
-    if not override.is_sweep_override():
-        return word
-    if override.is_interval_sweep():
-        return f"{override.input_line.split('=')[0]}={override.value().start}"
-    return f"{override.input_line.split('=')[0]}={next(iter(override.sweep_string_iterator()))}"
+def benchmark(arguments: list[str], clone: Path) -> None:
+    """As `python benchmarks/x.py` runs it, without a new interpreter; what it reads of others is made first."""
+    for word in arguments:
+        if word.startswith("results/") and "reference" not in word:
+            reading(["show", word], clone)
+        if word.endswith(".csv") and "pool" in arguments and not (clone / word).exists():
+            if not (clone / "dc_motor.csv").exists():
+                benchmark([arguments[0], "run", "--plant", "dc_motor", "--to", "dc_motor.csv"], clone)
+            table = pd.read_csv(clone / "dc_motor.csv")  # as if it were the other plant's: pooling is what runs here
+            table.assign(plant=word.removesuffix(".csv")).to_csv(clone / word, index=False)
+    for name in [name for name, module in sys.modules.items() if is_benchmark(module)]:
+        del sys.modules[name]
+    sys.path.insert(0, str(clone / "benchmarks"))
+    sys.argv = small_benchmark(arguments)
+    runpy.run_path(arguments[0], run_name="__main__")
+
+
+def is_benchmark(module: object) -> bool:
+    return (Path(getattr(module, "__file__", None) or "/").parent.name) == "benchmarks"
 
 
 @pytest.mark.parametrize("wrong", ["modle.order=4", "model.ordre=4", "synthesis=ricati", "experiment=papr"])
-def test_a_misspelt_request_does_not_pass_this_check(wrong: str) -> None:
+def test_a_misspelt_request_does_not_pass(wrong: str) -> None:
     with pytest.raises(Exception, match=r"Could not|not in|In 'study'"):
         composed([wrong])
+    assert status(["run", wrong]) == cli.WRONG_REQUEST
 
 
-def test_the_tutorial_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for command in commands(ROOT / "docs" / "tutorial.md"):
-        program, *arguments = shlex.split(command)
-        if program == "ssm-study":
-            words = [sys.executable, "-m", "ssm_study.cli", *arguments]
-            done = subprocess.run(words, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, f"{command}: {done.stderr[-2000:]}"
-    assert (tmp_path / "results" / "first_sweep" / "report.html").is_file()
-    assert (tmp_path / "results" / "first_sweep" / "figures" / "rates.pdf").is_file()
+def test_the_rule_shortens_and_changes_nothing_else() -> None:
+    asked = ["-m", "experiment=paper", "study=seeds", "seed=0,1,2"]
+    short = small(asked)
+    assert short[:4] == ["-m", "experiment=paper", "study=seeds", "seed=0"]
+    assert {word.split("=")[0].split(".")[0] for word in short[4:]} <= {"data", "training", "loop", "hydra", "progress"}
+    assert small(["experiment=smoke", "seed=1,2"]) == ["experiment=smoke", "seed=1,2"]

@@ -1,0 +1,188 @@
+"""The commands that README and docs show, and the one rule by which a test makes a long one short."""
+
+import os
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
+
+from ssm_study.cli import configuration_folder
+from ssm_study.results.naming import register_resolver
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+SHELL = re.compile(r"^```(?:console|bash|sh|shell)\n(.*?)^```", re.M | re.S)
+FENCED = re.compile(r"^( *)```.*?^\1```", re.M | re.S)
+WRITTEN = re.compile(r'^( *)```\w+ title="([^"]+)"\n(.*?)^\1```', re.M | re.S)
+OURS = r"(?:ssm-study|python|make) [^`\n]+"
+INLINE, INDENTED = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`"), re.compile(rf"^    ({OURS})$", re.M)
+
+# The rule. The same command with these settings appended (or in place of its own), where its configuration has them;
+# of every swept list the first value, of a search two trials. `experiment=smoke` is small as it is and stays whole.
+SMALL = {
+    "data.trajectories": 2,
+    "data.samples": 200,
+    "data.validation_samples": 200,
+    "data.test_samples": 200,
+    "training.max_epochs": 2,
+    "loop.initial_conditions": 2,
+    "loop.horizon_s": 0.3,
+    "loop.comparison.designs": 2,
+    "loop.comparison.spread_plants": 1,
+    "loop.comparison.situations": "[nominal,delay]",
+    "hydra.sweeper.trials": 2,
+    "hydra.launcher.n_jobs": 1,
+    "progress": "false",
+}
+# A benchmark runs as a copy, its tables go beside the copy, with these options or this source instead of its own.
+SMALL_OPTIONS = {
+    "loop_batch.py": "--cases 3 --samples 20 --one-by-one 1",
+    "loop_margin.py run": "--order 2 --seed 0",
+    "report_page.py": "--runs 60 --rounds 1",
+    "results_gather.py": "--runs 20",
+    "synthesis_agreement.py": "--count 2",
+    "synthesis_certified.py": "--count 2 --gaps 0.1 -0.01",
+    "synthesis_times.py": "--orders 2",
+    "training_optimisers.py": "1",
+}
+SMALL_SOURCE = {  # pattern: what stands in its place
+    "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
+    "loop_margin.py": {
+        r'"study=margin"': '"study=margin", "experiment=smoke", "loop.initial_conditions=2"',
+        r"DesignGrid\(\)": "DesignGrid(designs=3)",
+    },
+    "plants_mcap.py": {r"^SAMPLES, ROUNDS = .*": "SAMPLES, ROUNDS = 500, 1"},
+    "plants_simulation.py": {
+        r"^CASES, SAMPLES = .*": "CASES, SAMPLES = 2, 40",
+        r"^PART = .*": "PART = 20",
+        r"^ROUNDS = .*": "ROUNDS = 1",
+    },
+    "report_page.py": {r"^FRAME_S, REST_S = .*": "FRAME_S, REST_S = 0.001, 0.05"},
+    "synthesis_maps.py": {
+        r"^FLOORS = .*": "FLOORS = (0.1, 0.5)",
+        r"^RATES = .*": "RATES = (0.05, 0.3)",
+        r"for share in \(.*\)": "for share in (0.5,)",
+    },
+    "synthesis_times.py": {r"^REPETITIONS = .*": "REPETITIONS = {}"},
+    "synthesis_trained.py": {r"^MOST = .*": "MOST = 1"},
+    "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
+}
+ELSEWHERE = {  # what a test cannot have, by name
+    "hydra/launcher=slurm": "needs a Slurm cluster",
+    "hydra/launcher=ray": "needs a Ray cluster",
+}
+
+
+def commands(page: Path) -> Iterator[str]:
+    """Every command of the page: in a shell block, in an indented line of its own, in a code span."""
+    text = page.read_text()
+    for block in SHELL.findall(text):
+        for line in block.replace("\\\n", " ").splitlines():
+            command = re.sub(r"\s+#.*$", "", line.strip().removeprefix("$ "))
+            if command and not command.startswith("#"):
+                yield " ".join(command.split())
+    text = FENCED.sub("", text)
+    yield from (" ".join(found.split()) for found in INLINE.findall(text) + INDENTED.findall(text))
+
+
+def every_command() -> dict[str, str]:
+    """Command: the first page that shows it."""
+    return {command: page.name for page in reversed(PAGES) for command in reversed([*commands(page)])}
+
+
+def files_to_write(page: Path) -> dict[str, str]:
+    """What the reader is told to write: blocks with a path as their title."""
+    return {path: dedent(text) for _, path, text in WRITTEN.findall(page.read_text())}
+
+
+def maker(study: str) -> str | None:
+    """The documented command that makes this study."""
+    runs = [command for command in every_command() if command.startswith("ssm-study run ") and "--" not in command]
+    runs = [command for command in runs if not any(word in command for word in ELSEWHERE)]
+    named = [command for command in runs if f"study={study}" in command.split()]
+    return next(iter(named + [c for c in runs if f"experiment={study}" in c.split() and " study=" not in c]), None)
+
+
+def small(arguments: list[str], written: Path | None = None) -> list[str]:
+    """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the reader's own."""
+    if "experiment=smoke" in arguments or "--help" in arguments:
+        return arguments
+    searching = "hydra/sweeper=search" in arguments
+    words = [word if word.startswith("-") or searching else first_value(word) for word in arguments]
+    config = composed([*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])])
+    given = {word.split("=")[0] for word in words}
+    swept = {} if searching else OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]
+    words += [first_value(f"{key}={values}") for key, values in swept.items() if key not in given]
+    config = composed(words) if swept else config
+    replaced = {key: value for key, value in SMALL.items() if has(config, key)}
+    if has(config, "data.benchmark"):  # the launcher's processes may be older than this test's environment
+        replaced["data.folder"] = f"{os.environ['SSM_STUDY_DATA']}/{config.data.benchmark}"
+    return [word for word in words if word.split("=")[0] not in replaced] + [f"{k}={v}" for k, v in replaced.items()]
+
+
+def has(config: DictConfig, key: str) -> bool:
+    parent, _, name = key.rpartition(".")
+    node = OmegaConf.select(config, parent) if parent else config
+    return isinstance(node, DictConfig) and name in node
+
+
+def composed(words: list[str]) -> DictConfig:
+    """The configuration of the first job, nothing run: unknown groups, options and values do not compose."""
+    register_resolver()
+    words = [first_value(word) for word in words if not word.startswith("-")]
+    with initialize_config_dir(str(configuration_folder()), version_base="1.3"):
+        config = compose("study", words, return_hydra_config=True)
+    assert isinstance(config, DictConfig)
+    return config
+
+
+def first_value(word: str) -> str:
+    override = OverridesParser.create().parse_override(word)
+    if not override.is_sweep_override():
+        return word
+    key = override.input_line.split("=")[0]
+    if override.is_interval_sweep():
+        return f"{key}={override.value().start}"
+    return f"{key}={next(iter(override.sweep_string_iterator()))}"
+
+
+def small_copy(script: Path, to: Path) -> None:
+    """The benchmark, shortened; a pattern that it no longer has is an error of the table above."""
+    text = script.read_text()
+    for pattern, instead in SMALL_SOURCE.get(script.name, {}).items():
+        text, found = re.subn(pattern, instead, text, flags=re.M)
+        assert found == 1, f"{script.name}: {pattern} stands {found} times in it"
+    to.write_text(text)
+
+
+def small_benchmark(words: list[str]) -> list[str]:
+    """`benchmarks/x.py [act] ...` with the options that shorten it in place of its own."""
+    name = Path(words[0]).name
+    options = SMALL_OPTIONS.get(f"{name} {words[1]}" if words[1:] else name, SMALL_OPTIONS.get(name, ""))
+    flags = {word for word in options.split() if word.startswith("--")}
+    return [*without(words, flags), *shlex.split(options)]
+
+
+def without(words: list[str], flags: set[str]) -> list[str]:
+    kept, dropping = [], False
+    for word in words:
+        dropping = word in flags or (dropping and not word.startswith("--"))
+        kept += [] if dropping else [word]
+    return kept
+
+
+def place(folder: Path) -> None:
+    """A clone as far as the commands need one: benchmarks, the committed tables, the configuration, a log."""
+    folder.mkdir(parents=True)
+    (folder / "benchmarks").mkdir()
+    for script in (ROOT / "benchmarks").glob("*.py"):
+        small_copy(script, folder / "benchmarks" / script.name)
+    shutil.copytree(ROOT / "results" / "reference", folder / "results" / "reference")
+    for name in ("conf", "tests", "experiments", "Makefile"):
+        (folder / name).symlink_to(ROOT / name)
