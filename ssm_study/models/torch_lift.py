@@ -39,7 +39,7 @@ class Lift(nn.Module):
             self.register_buffer("order", order)
             self.register_buffer("back", order.argsort())
 
-    def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:
+    def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "*models e T k"]:
         if self.levels:
             if self.where.dim() == 2:
                 return scaffold(self.values)[self.where]

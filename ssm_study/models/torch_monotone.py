@@ -46,7 +46,7 @@ class TorchMonotone(TorchScaffold):
             return None
         return points[..., 0, :], slopes[..., 0, :], home_offsets(points, slopes)[..., 0, :]
 
-    def roughness(self) -> Float[Tensor, ""]:
+    def roughness(self) -> Float[Tensor, "*models"]:
         return roughness(self.explicit()[1]).sum(-1)
 
     def freeze(self) -> MonotoneScaffold:

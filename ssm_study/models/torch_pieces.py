@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-Pieces = tuple[Float[Tensor, "h"], Float[Tensor, "h1"], Float[Tensor, "h1"]]
+Pieces = tuple[Float[Tensor, "*models h"], Float[Tensor, "*models h1"], Float[Tensor, "*models h1"]]
 """`(points (h,), slopes (h + 1,), offsets (h + 1,))`: `S(v) = slopes_j v + offsets_j` from point j - 1 to j."""
 
 

@@ -27,10 +27,10 @@ CHUNK = 64  # samples per chunk: products of this size keep one core's caches wa
 class Modes:
     """The recurrence in explicit modal parameters; `decay = log(lambda)` with negative real part."""
 
-    decay: Complex[Tensor, "n"]
-    b: Complex[Tensor, "n m"]
-    c: Complex[Tensor, "p n"]
-    d: Float[Tensor, "p m"]
+    decay: Complex[Tensor, "*models n"]
+    b: Complex[Tensor, "*models n m"]
+    c: Complex[Tensor, "*models p n"]
+    d: Float[Tensor, "*models p m"]
 
 
 def power_sum(
@@ -85,8 +85,8 @@ def end_state(
 
 
 def by_convolution(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "e T p"]:
+    modes: Modes, u: Float[Tensor, "*models e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Float[Tensor, "*models e T p"]:
     """Product of spectra with zero padding; O(T log T), the cost nearly independent of n."""
     y = convolve(kernel(modes, u.shape[-2]), u)
     return y if x0 is None else y + free_response(modes, x0, u.shape[-2])
@@ -188,8 +188,8 @@ CHUNKS_FROM_SAMPLES = 4096
 
 
 def respond(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "e T p"]:
+    modes: Modes, u: Float[Tensor, "*models e T m"], x0: Complex[Tensor, "e n"] | None = None
+) -> Float[Tensor, "*models e T p"]:
     """The faster of convolution and chunks for this length and order; both are the same law."""
-    chunked = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
+    chunked = modes.decay.shape[-1] <= CHUNKS_UP_TO_MODES and u.shape[-2] >= CHUNKS_FROM_SAMPLES
     return (by_chunks if chunked else by_convolution)(modes, u, x0)

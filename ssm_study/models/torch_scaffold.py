@@ -25,7 +25,7 @@ class TorchScaffold(nn.Module, ABC):
         """The pieces of a one-channel piecewise-linear map; None for others."""
         return None
 
-    def roughness(self) -> Float[Tensor, ""]:
+    def roughness(self) -> Float[Tensor, "*models"]:
         """Total variation of the slopes, see `torch_pieces.roughness`; zero where slopes are not explicit."""
         return torch.zeros((), dtype=torch.float64)
 

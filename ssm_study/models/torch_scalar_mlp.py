@@ -77,7 +77,7 @@ class TorchScalarMlp(TorchScaffold):
         layers = self._kinks()
         return layers[0].pieces() if len(layers) == 1 else None
 
-    def roughness(self) -> Float[Tensor, ""]:
+    def roughness(self) -> Float[Tensor, "*models"]:
         return torch.stack([roughness(layer.pieces()[1]) for layer in self._kinks()]).sum(0)
 
     def freeze(self) -> MlpScaffold:

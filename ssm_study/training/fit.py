@@ -130,8 +130,12 @@ class Keeper(Callback):
         self.ended = ""
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        self.begin(pl_module)
+
+    def begin(self, module: nn.Module) -> None:
+        """Until an epoch has ended, the starting point is the state to return."""
         if self.kept is None:
-            self.kept = _copy(pl_module)
+            self.kept = _copy(module)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         if trainer.sanity_checking:

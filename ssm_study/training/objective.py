@@ -51,7 +51,7 @@ class Records(nn.Module):
         self.register_buffer("scored", start)
         self.lift = Lift(self.u, sorts)
 
-    def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
+    def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "*models e T p"]:
         """Free run of the model over all records."""
         if isinstance(model, TorchSSM):
             return model.respond(self.lift(model.scaffold_in), x0)

@@ -21,7 +21,7 @@ class Penalties:
     roughness_weight: float
     hankel_weight: float
 
-    def of(self, model: TorchSSM) -> Float[Tensor, ""]:
+    def of(self, model: TorchSSM) -> Float[Tensor, "*models"]:
         total = torch.zeros((), dtype=model.lru.nu.dtype, device=model.lru.nu.device)
         if self.roughness_weight > 0:
             total = total + self.roughness_weight * (model.scaffold_in.roughness() + model.scaffold_out.roughness())

@@ -142,7 +142,7 @@ class Program:
 
     def run(self) -> None:
         for member in self.members:
-            member.keeper.on_train_epoch_start(None, member.fit)  # type: ignore[arg-type] # it asks no trainer
+            member.keeper.begin(member.fit)
         self._stack()
         while self.members:
             began = time.perf_counter()
