@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
 
-from ssm_study.models.torch_rows import apart
+from ssm_study.models.torch_rows import apart, product
 
 
 class PowerSum(torch.autograd.Function):
@@ -47,7 +47,7 @@ class PowerSum(torch.autograd.Function):
         plain, ranked = (
             (torch.view_as_complex(reached.unflatten(-1, (-1, 2))) * coarse[..., None, :, :]).sum(-2).unbind(-2)
         )
-        d_decay = weights * ranked
+        d_decay = product(weights, ranked)
         lead = tuple(range(ctx.models, d_decay.dim() - 1))
         return plain.conj(), (d_decay.sum(lead) if lead else d_decay).conj(), None, None
 
