@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,23 @@ def conclude(job: Job) -> Outcome:
     assert job.process is not None
     job.process.join()
     kill_group(job)  # what the job started and left behind
-    record = read_record(job.folder)
+    death = _cause_of_death(job)
+    return note_death(job.folder, death, _log_tail(job.folder) or death["error_message"])
+
+
+def note_death(folder: Path, death: Mapping[str, Any], text: str) -> Outcome:
+    """What the run's record says; if it says nothing final and nobody is at it, a failure with `text` as traceback."""
+    record = read_record(folder)
     if record is not None and record["status"] in (OK, INFEASIBLE, FAILED):
         return Outcome(
-            folder=job.folder, status=record["status"], did="ran", message=str(record.get("error_message") or "")
+            folder=folder, status=record["status"], did="ran", message=str(record.get("error_message") or "")
         )
-    with locked_or_none(job.folder / LOCK) as mine:
+    with locked_or_none(folder / LOCK) as mine:
         if not mine:
-            return outcome_of(job.folder, record)
-        facts = {"study": job.folder.parent.name, "run": job.folder.name} | (record or {})
-        death = _cause_of_death(job)
-        write_failure(job.folder, facts, death, _log_tail(job.folder) or death["error_message"])
-    return Outcome(folder=job.folder, status=FAILED, did="ran", message=death["error_message"])
+            return outcome_of(folder, record)
+        facts = {"study": folder.parent.name, "run": folder.name} | (record or {})
+        write_failure(folder, facts, death, text)
+    return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
 
 
 def _cause_of_death(job: Job) -> dict[str, Any]:

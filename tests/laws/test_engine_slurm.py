@@ -1,0 +1,99 @@
+"""A job that the scheduler ends is a row of the table; its results are otherwise what it returned."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra.core.utils import JobReturn, JobStatus
+from omegaconf import OmegaConf
+
+from ssm_study.results.gather import gather
+from ssm_study.results.records import read_record
+from ssm_study.results.runs import execute
+from ssm_study.results.sweep import Job
+
+submitit = pytest.importorskip("submitit", reason="the extra `slurm` is not installed")
+
+from ssm_study.results.slurm import executor, settled  # noqa: E402
+
+
+def begun(folder: Path, how: str) -> JobReturn:
+    """What a node runs: a whole run, or one that is killed in the middle of it."""
+
+    def work(_: Any) -> dict[str, float]:
+        if how == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        while how == "waits":
+            time.sleep(0.1)
+        return {"fit_test_percent": 50.0}
+
+    returned = JobReturn(status=JobStatus.COMPLETED)
+    returned.return_value = execute(folder, {"seed": 1}, work)
+    return returned
+
+
+def submitted(folder: Path, how: str) -> Any:
+    """submitit's own local scheduler: real processes that return, die and are cancelled as Slurm's do."""
+    local = submitit.AutoExecutor(cluster="local", folder=folder / "logs")
+    local.update_parameters(timeout_min=1)
+    return local.submit(begun, folder / "study" / how, how)
+
+
+def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # where the jobs find `begun`
+    jobs = {how: submitted(tmp_path, how) for how in ("returns", "killed", "waits")}
+    deadline = time.monotonic() + 60
+    while read_record(tmp_path / "study" / "waits") is None:
+        assert time.monotonic() < deadline, "the job never began"
+        time.sleep(0.05)
+    jobs["waits"].cancel(check=False)
+    for how, running in jobs.items():
+        job = Job(overrides=[], config=OmegaConf.create(), folder=tmp_path / "study" / how)
+        assert settled(job, running).return_value.status == ("ok" if how == "returns" else "failed")
+    rows = gather(tmp_path / "study").set_index("run")
+    assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
+    assert rows.loc[["killed", "waits"], "failure_transient"].all()
+    assert rows.loc[["killed", "waits"], "error_message"].str.startswith("Slurm ended job").all()
+    assert (tmp_path / "study" / "killed" / "traceback.txt").read_text().strip()
+    assert begun(tmp_path / "study" / "killed", "returns").return_value.status == "ok"
+
+
+class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
+    """A job cancelled while it waited, where Slurm keeps no accounts."""
+
+    job_id, state = "1_3", "UNKNOWN"
+
+    def __init__(self) -> None:
+        self._cancel_at_deletion = False
+
+    def done(self, force_check: bool = False) -> bool:
+        del force_check
+        return False
+
+
+def test_a_job_that_slurm_has_forgotten_is_a_row(tmp_path: Path) -> None:
+    job = Job(overrides=["seed=3"], config=OmegaConf.create(), folder=tmp_path / "study" / "never")
+    settled(job, Unheard(), patience_s=0.0)
+    record = read_record(job.folder)
+    assert record is not None
+    assert (record["status"], record["error_type"], record["failure_transient"]) == ("failed", "Forgotten", True)
+
+
+def test_the_settings_go_where_submitit_wants_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "srun").touch(mode=0o755)
+    (tmp_path / "sbatch").touch(mode=0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    params = {"submitit_folder": str(tmp_path / "%j"), "max_num_timeout": 0, "cpus_per_task": 2, "partition": "debug"}
+    made = executor(params | {"array_parallelism": 3, "timeout_min": 9, "setup": ["export A=1"]})
+    assert made._executor.parameters == {
+        "cpus_per_task": 2,
+        "partition": "debug",
+        "array_parallelism": 3,
+        "time": 9,
+        "setup": ["export A=1"],
+    }
