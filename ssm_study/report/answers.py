@@ -186,7 +186,8 @@ def _fit_of(table: pd.DataFrame) -> str:
                 f"Over {int(known.sum())} certified runs, fit and {said} have a rank correlation of {rank:.2f} "
                 f"({meaning}; 0: unrelated)."
             )
-    return f"This study cannot tell: its certified runs ({int(certified.sum())}) are too few or too alike."
+    fits, runs = fit[certified].nunique(), int(certified.sum())
+    return f"This study cannot tell: number of different fits among its {runs} certified runs: {fits}."
 
 
 def _margin(table: pd.DataFrame) -> tuple[str, ...]:
@@ -210,12 +211,21 @@ def _at_rest(share: pd.Series) -> str:
 
 def _failed(table: pd.DataFrame) -> tuple[str, ...]:
     word = verdict.verdicts(table)
-    failed, infeasible = int((word == verdict.FAILED.word).sum()), int((word == verdict.INFEASIBLE.word).sum())
-    if not failed:
-        return (f"Nothing: no run ended with an error ({infeasible} are infeasible, which is a result).",)
-    reasons = text(table, "error_message")[word == verdict.FAILED.word].value_counts()
+    failed, lost, infeasible = (int((word == v.word).sum()) for v in (verdict.FAILED, verdict.LOST, verdict.INFEASIBLE))
+    sentences = [_errors(table[word == verdict.FAILED.word], len(table)) if failed else "No run ended with an error."]
+    if lost:
+        sentences.append(
+            f"{lost} lose the plant: both certificates hold for the model, yet some start does not settle."
+        )
+    if infeasible:
+        sentences.append(f"{infeasible} are infeasible, which is a result: the record says how much was possible.")
+    return tuple(sentences)
+
+
+def _errors(failed: pd.DataFrame, runs: int) -> str:
+    reasons = text(failed, "error_message").value_counts()
     most = reasons.index[0] or "no message was left"
-    return (f"{failed} of {len(table)} runs ended with an error, {int(reasons.iloc[0])} of them with: {most}",)
+    return f"{len(failed)} of {runs} runs ended with an error, {int(reasons.iloc[0])} of them with: {most}"
 
 
 def parameters_line(table: pd.DataFrame) -> str:

@@ -78,9 +78,22 @@ def message(text: str, width_in: float = COLUMN_IN, height_in: float = 1.2) -> F
     return figure
 
 
-def above(axes: Axes, columns: int = 3) -> None:
-    """The legend in one row over the axes: never on top of the data."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2)
+def above(axes: Axes, columns: int = 3, others: tuple[Axes, ...] = ()) -> None:
+    """The legend in one row over the axes, with what only the `others` show: never on top of the data."""
+    shown = {
+        label: handle
+        for part in (axes, *others)
+        for handle, label in zip(*part.get_legend_handles_labels(), strict=True)
+    }
+    axes.legend(
+        shown.values(),
+        shown.keys(),
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=columns,
+        borderaxespad=0.2,
+        columnspacing=1.2,
+    )
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

@@ -163,7 +163,11 @@ def benchmark(arguments: list[str], clone: Path) -> None:
         del sys.modules[name]
     sys.path.insert(0, str(clone / "benchmarks"))
     sys.argv = small_benchmark(arguments)
-    runpy.run_path(arguments[0], run_name="__main__")
+    try:
+        runpy.run_path(arguments[0], run_name="__main__")
+    except SystemExit as end:
+        if end.code:
+            raise
 
 
 def is_benchmark(module: object) -> bool:

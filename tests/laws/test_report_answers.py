@@ -91,6 +91,14 @@ def test_the_margin_is_scored_on_both_sides_of_one() -> None:
     assert "at or below one, 1 of 2 runs" in text
 
 
+def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:
+    lost, broken = row(stable_fraction=0.5), row(status="failed", error_message="model.order = 0: too small; use 8.")
+    text = said(pd.DataFrame([row(), lost, broken]), "What failed")
+    assert "1 of 3 runs ended with an error, 1 of them with: model.order = 0" in text
+    assert "1 lose the plant" in text
+    assert said(pd.DataFrame([row()]), "What failed") == "No run ended with an error."
+
+
 def test_what_differs_between_runs_is_named_with_its_values() -> None:
     table = pd.DataFrame([row(order=4, seed=0), row(order=8, seed=0)])
     assert swept(table) == ["order"]

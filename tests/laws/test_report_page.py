@@ -22,8 +22,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table["error_message"] = None
     table.loc[table.status == "failed", "error_message"] = HOSTILE
     folder = report_tables.write_study(tmp_path_factory.mktemp("study") / "sweep", table)
-    best = best_first(table).iloc[0]["run"]
+    best, second = best_first(table)["run"].head(2)
     write_recordings(random_run(folder / best, kind="mlp", channels=1, seed=1))
+    designs = [f"{k},{0.3 + 0.2 * k},{int(k > 2)}.0" for k in range(6)]
+    (folder / second / "comparison.csv").write_text("design,mismatch_margin,stable_fraction\n" + "\n".join(designs))
     return write_page(folder)
 
 
@@ -112,6 +114,27 @@ def test_a_run_opens_and_closes_from_the_keyboard(opened: Any) -> None:
     opened.switch_to.active_element.send_keys(Keys.ESCAPE)
     wait_for(opened, "document.getElementById('run').hidden")
     assert opened.execute_script("return document.activeElement.textContent") == name, "focus returns to where it was"
+
+
+def test_a_run_shows_the_controllers_and_the_designs_that_it_compared(opened: Any) -> None:
+    opened.execute_script("choose(0)")
+    wait_for(opened, "document.querySelectorAll('#run .compared tbody tr').length === 2")
+    text = opened.execute_script("return document.querySelector('#run .compared').textContent")
+    for words in ("PI", "auto", "delay", "90 %", "0.1 s"):
+        assert words in text
+    opened.execute_script("choose(1)")
+    wait_for(opened, "document.querySelectorAll('#run canvas').length === 1")
+    text = opened.execute_script("return document.querySelector('#run-content').textContent")
+    assert "6 certified designs for this model" in text
+    assert "Above margin one 2 of 2 bring every start to rest, at or below it 1 of 4" in text
+
+
+def test_the_best_run_of_the_answers_opens_by_its_name(opened: Any) -> None:
+    button = opened.find_element("css selector", "#answers button")
+    name = button.text
+    opened.execute_script("arguments[0].click()", button)
+    wait_for(opened, "!document.getElementById('run').hidden")
+    assert opened.execute_script("return document.getElementById('run-title').textContent") == name
 
 
 def test_two_thousand_runs_follow_a_drag(browser: Any, tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def figure(table: pd.DataFrame) -> Figure:
         axes.set_ylabel(words(name))
     if column(table, ALONE).notna().any():
         time.axhline(column(table, ALONE).median(), color=style.GREY, lw=0.9, ls=":", label="uncontrolled")
-    style.above(time, columns=2)
+    style.above(time, columns=2, others=(gain,))
     time.set_ylim(bottom=0)
     if (column(table, GAIN) > 0).any():
         gain.set_yscale("log")

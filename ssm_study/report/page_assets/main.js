@@ -69,18 +69,24 @@ function listen() {
   document.addEventListener("keydown", (event) => { if (event.key === "Escape" && state.chosen >= 0) closeRun(); });
 }
 
+function why(i, word) {
+  if (word === "certified, plant lost") return `${printed(COLUMNS.stable_count[i])} of ${printed(COLUMNS.initial_conditions[i])} starts settle`;
+  return reasons(i).join(" ") || "no reason was recorded";
+}
+
 /** Runs that did not end well, grouped by reason: the same cause is told once. */
 function drawFailures() {
   const groups = new Map();
   for (let i = 0; i < RUNS; i += 1) {
     const word = COLUMNS.verdict[i];
-    if (word !== "failed" && word !== "infeasible") continue;
-    const key = `${word}: ${reasons(i).join(" ") || "no reason was recorded"}`;
+    if (!["failed", "infeasible", "certified, plant lost"].includes(word)) continue;
+    const key = `${word}: ${why(i, word)}`;
     groups.set(key, [...(groups.get(key) || []), i]);
   }
   const box = document.getElementById("failures");
-  if (!groups.size) box.append(element("p", {}, "Nothing failed, and every request was feasible."));
-  const ordered = [...groups].sort((a, b) => a[0].localeCompare(b[0]) * (a[0][0] === b[0][0]) || (a[0][0] === "f" ? -1 : 1));
+  if (!groups.size) box.append(element("p", {}, "Nothing failed, every request was feasible, and no certified controller lost its plant."));
+  const severity = ([key]) => ["failed", "certified", "infeasible"].findIndex((word) => key.startsWith(word));
+  const ordered = [...groups].sort((a, b) => severity(a) - severity(b) || a[0].localeCompare(b[0]));
   for (const [reason, runs] of ordered.slice(0, 40)) {
     const buttons = runs.slice(0, 12).map((i) => element("li", {}, element("button", { type: "button", onclick: () => choose(i) }, printed(COLUMNS.run[i]))));
     const more = runs.length > 12 ? [element("li", {}, `and ${runs.length - 12} more`)] : [];
@@ -101,4 +107,4 @@ drawFailures();
 drawProvenance();
 listeners.push(drawTable);
 changed();
-drawPlots().then(() => { document.body.dataset.ready = "yes"; });
+drawPlots().then(() => requestAnimationFrame(() => { document.body.dataset.ready = "yes"; })); // after the first table

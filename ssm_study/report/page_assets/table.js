@@ -28,7 +28,9 @@ function sortBy(column) {
 }
 
 function drawHead() {
-  const names = visibleColumns();
+  const names = visibleColumns(), said = JSON.stringify([names, state.sort]);
+  if (said === drawHead.said) return; // a drag filters with every pixel and leaves the headings alone
+  drawHead.said = said;
   document.getElementById("head").replaceChildren(element("tr", {}, ...names.map((name) => {
     const here = state.sort.column === name;
     const arrow = here ? (state.sort.descending ? " ▼" : " ▲") : "";
