@@ -3,6 +3,7 @@
 import ctypes
 import json
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.refusal import require
+from ssm_study.results.groups import Sharing
 from ssm_study.results.keys import code_version
 from ssm_study.results.runs import Run, execute
 from ssm_study.results.store import StageResult, Stages, Store
@@ -25,6 +27,7 @@ CONF = {
     "do": "work",
     "rate": 1,
     "work_s": 0.0,
+    "together": "no",
 }
 
 
@@ -60,6 +63,23 @@ def walk(config: DictConfig, stages: Stages) -> tuple[StageResult, StageResult]:
     data = stages.stage("data", {"seed": config.seed}, [], version, lambda f: _compute(f, config, "data"))
     model = stages.stage("model", {"rate": config.rate}, [data.key], version, lambda f: _compute(f, config, "model"))
     return data, model
+
+
+def sharing(config: DictConfig, stages: Stages) -> Sharing | None:
+    """One kind of model per rate; `together` says what the program that trains them does."""
+    model = walk(config, stages)[1]
+    return None if config.together == "no" or model.reused else Sharing(kind=str(config.rate), key=model.key)
+
+
+def train_members(configs: list[DictConfig]) -> None:
+    with (Path(configs[0].results_dir) / "programs").open("a") as stream:
+        stream.write(" ".join(str(config.seed) for config in configs) + "\n")
+    for config in configs[: 1 if configs[0].together == "killed" else None]:
+        walk(config, Store(Path(config.results_dir) / ".store"))
+    if configs[0].together == "killed":
+        os.kill(os.getpid(), 9)
+    if configs[0].together == "hangs":
+        time.sleep(86399)
 
 
 def _compute(folder: Path, config: DictConfig, name: str) -> None:
@@ -99,7 +119,16 @@ def _segfault(_: Run) -> None:
 
 
 def _exhaust(_: Run) -> None:
-    raise MemoryError("no room for 1e12 numbers")
+    """The system refuses more memory: Python raises MemoryError."""
+    resource.setrlimit(resource.RLIMIT_AS, (1 << 33, 1 << 33))
+    bytearray(1 << 34)
+
+
+def _devour(_: Run) -> None:
+    """The system grants more memory than there is, and kills when it is used."""
+    taken = []
+    while True:
+        taken.append(b"x" * (1 << 24))
 
 
 def _infeasible(run: Run) -> None:
@@ -117,6 +146,7 @@ BEHAVIOUR = {
     "interrupt": lambda _: os.kill(os.getpid(), 2),
     "segfault": _segfault,
     "memory": _exhaust,
+    "devour": _devour,
     "hang": _hang,
     "wait": _wait,
     "infeasible": _infeasible,

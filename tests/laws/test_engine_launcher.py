@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,11 @@ def environment(folder: Path) -> dict[str, str]:
     return base | {"ENGINE_CONF": str(folder / "conf"), "PYTHONPATH": path, "HYDRA_FULL_ERROR": "1"}
 
 
-def start(folder: Path, *words: str) -> "subprocess.Popen[str]":
+def start(folder: Path, *words: str, into: Path | None = None) -> "subprocess.Popen[str]":
     ours = not any(word.startswith(("hydra/launcher", "hydra.launcher.preload")) for word in words)
     light = ["hydra.launcher.preload=[ssm_study.results.store]"] if ours else []
     command = [*PROGRAM, f"results_dir={folder / 'results'}", *light, *words]
+    command = ["sh", "-c", 'echo $$ >"$0/cgroup.procs"; exec "$@"', str(into), *command] if into else command
     return subprocess.Popen(command, env=environment(folder), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
@@ -76,7 +78,7 @@ BAD = {
     "terminate": ("SIGTERM", "stopped by SIGTERM", True),
     "interrupt": ("SIGINT", "stopped by SIGINT", True),
     "segfault": ("SIGSEGV", "a crash in native code", False),
-    "memory": ("MemoryError", "no room", True),
+    "memory": ("MemoryError", "MemoryError", True),
     "hang": ("Timeout", "timeout_s", False),
 }
 
@@ -99,6 +101,40 @@ def test_the_failure_matrix(tmp_path: Path) -> None:
     assert "in _segfault" in segfault.read_text()
     hang = tmp_path / "results" / "study" / by_label["Timeout"]["run"] / "traceback.txt"
     assert "in _hang" in hang.read_text()
+    assert living(tmp_path) == []
+
+
+MEMORY = {"/sys/fs/cgroup/memory": "memory.limit_in_bytes", "/sys/fs/cgroup": "memory.max"}
+
+
+@pytest.fixture
+def small_memory() -> Iterator[Path]:
+    """A control group of 700 MB: enough for the sweep, not for a job that devours all it can get."""
+    found = [(Path(root) / f"ssm-study-{os.getpid()}", limit) for root, limit in MEMORY.items() if Path(root).is_dir()]
+    for group, limit in found:
+        try:
+            group.mkdir()
+            (group / limit).write_text(f"{700 << 20}")
+            yield group
+            group.rmdir()
+            return
+        except OSError:
+            continue
+    pytest.skip("making a control group needs more rights")
+
+
+def test_when_memory_runs_out_a_job_is_killed_and_neither_the_sweep_nor_another_job(
+    tmp_path: Path, small_memory: Path
+) -> None:
+    """The kernel's own choice: the jobs have told it to prefer them."""
+    process = start(tmp_path, "do=work,devour", "seed=0,1", "work_s=0.5", into=small_memory)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors + output
+    by_status = {status: [r for r in records(tmp_path) if r["status"] == status] for status in ("ok", "failed")}
+    assert {status: len(runs) for status, runs in by_status.items()} == {"ok": 2, "failed": 2}
+    for record in by_status["failed"]:
+        assert (record["error_type"], record["failure_transient"]) == ("SIGKILL", True)
+        assert "memory runs out" in record["error_message"]
     assert living(tmp_path) == []
 
 
