@@ -3,9 +3,9 @@
 Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every single fault of `FAULTS` in the modules of
 a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and the group's tests
 run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of processor time
-counts as caught (a loop that no longer ends). `--folder DIR` holds the copies, `--python` is the project's interpreter,
-`--cosmic-ray` the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
-`results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
+counts as caught (a loop that no longer ends). `--folder DIR` holds the copies and a socket: start `mutation_server.py
+DIR/server` first. `--cosmic-ray` is the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second
+call goes on). Writes `results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
 
 The tests that verify a run share one, made before any fault is planted.
 """
@@ -71,15 +71,15 @@ GROUPS = {
 }
 
 
-def plant(name: str, folder: Path, tool: Path, python: str, minutes: float) -> None:
+def plant(name: str, folder: Path, tool: Path, minutes: float) -> None:
     """Go on with the group's session for so many minutes."""
     session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
     fresh_copy(tree)
+    (folder / "shared").mkdir(exist_ok=True)
     group = GROUPS[name]
-    # Named as a worker, pytest looks for the shared run beside its own folder.
-    settings = f"PYTHONPATH={tree} OMP_NUM_THREADS=1 PYTEST_XDIST_WORKER=gw0"
-    pytest = f"{python} -m pytest -p no:xdist -p no:randomly -o addopts= --basetemp={folder}/shared/{name} -q -x"
-    command = json.dumps(f'bash -c "ulimit -t {LIMIT_CPU_S}; {settings} {pytest} {group.tests}"')
+    server, socket = Path(__file__).with_name("mutation_server.py"), folder / "server"
+    options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/shared/{name} -q -x"
+    command = json.dumps(f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}")
     modules = json.dumps([f"ssm_study/{module}" for module in group.modules])
     config.write_text(
         f"[cosmic-ray]\nmodule-path = {modules}\ntimeout = {LIMIT_S}.0\nexcluded-modules = []\n"
@@ -158,13 +158,12 @@ def report(folder: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=Path("/tmp/mutation"))
-    parser.add_argument("--python", default=sys.executable)
     parser.add_argument("--cosmic-ray", type=Path, default=Path(sys.executable).parent)
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--minutes", type=float, default=60.0)
     arguments = parser.parse_args()
     for name in filter(None, arguments.groups.split(",")):
-        plant(name, arguments.folder, arguments.cosmic_ray, arguments.python, arguments.minutes)
+        plant(name, arguments.folder, arguments.cosmic_ray, arguments.minutes)
     report(arguments.folder)
 
 

@@ -192,6 +192,32 @@ def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
     np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("side", ["in", "out"])
+def test_channels_of_different_gain_keep_their_map(side: str) -> None:
+    """One channel steeper than one, one flatter, one falling: pieces are turned around for the falling one alone."""
+    inner = MonotoneScaffold(
+        breakpoints=np.array([[-0.3, 0.8], [0.2, 0.9]]), slopes=np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]])
+    )
+    for scaffold in (inner, replace(inner, slopes=np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]]))):
+        model = two_channel(scaffold) if side == "in" else two_channel(LinearScaffold.identity(2), scaffold)
+        turned = absorbed(model)
+        assert turned is not model
+        u = np.random.default_rng(2).normal(size=(200, 2))
+        np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
+
+
+def test_reduction_absorbs_unless_told_not_to() -> None:
+    model = two_channel(LinearScaffold(gain=np.array([[0.0, -2.0], [2.0, 0.0]])))
+    assert certified_balls(Reduction(balanced=False).reduce(model))[0].relative_radius == 0
+    assert Reduction(balanced=False, absorb=False).reduce(model) is model
+
+
+def test_a_scalar_gain_is_an_exact_bound() -> None:
+    bound = jacobian_ball(LinearScaffold(gain=np.array([[-0.3]])))
+    assert bound.exact
+    assert bound.lower == bound.upper == -0.3
+
+
 def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
     folding = MonotoneScaffold(breakpoints=np.zeros((2, 1)), slopes=np.array([[-1.0, 1.0], [1.0, 1.0]]))
     assert certified_balls(absorbed(two_channel(folding)))[0].relative_radius >= 1

@@ -19,7 +19,7 @@ from ssm_study.synthesis.closed_form import (
     minimum_energy_solution,
     whole_solution,
 )
-from ssm_study.synthesis.doubling import solve_riccati
+from ssm_study.synthesis.doubling import doubled, solve_riccati
 from ssm_study.synthesis.frontier import fast_part, frontier, minimum_energy, ratio_limit
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
 from ssm_study.synthesis.modal_gain import modal_energy, modal_gain
@@ -197,6 +197,13 @@ def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem
     weight = linear.c.T @ linear.c + 1e-2 * np.eye(4)
     ball = ball or JacobianBall.from_slopes(0.4, 1.0)
     return Problem(a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.5)
+
+
+def test_doubling_gives_up_where_a_step_is_singular() -> None:
+    """`I + G H = 0`: no solution by this route, said without an exception."""
+    one = np.ones((1, 1))
+    assert doubled(one, -one, one) is None
+    assert doubled(one, 0.5 * one, one) is not None
 
 
 def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
