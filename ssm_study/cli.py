@@ -12,18 +12,15 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.refusal import BadRequest
+from ssm_study.refusal import BadRequest, require
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
-THREADS = {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
+COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one `ssm-study` command; returns its exit status."""
-    for variable, value in THREADS.items():
-        os.environ.setdefault(
-            variable, value
-        )  # before torch is imported: two default-threaded processes are 20x slower
+    limit_threads()
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         if arguments[:1] == ["run"]:
@@ -37,6 +34,22 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # `ssm-study show STUDY | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+
+
+def limit_threads() -> None:
+    """Before torch is imported: one thread, unless the environment says otherwise (two processes with as many threads
+    as cores each are 20 times slower). Single runs and Hydra's basic launcher work in this very process."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    for variable in COUNTS:
+        os.environ.setdefault(variable, "1")
+
+
+def refuse_more_threads_than_cores() -> None:
+    cores = len(os.sched_getaffinity(0))
+    for variable in COUNTS:
+        asked = os.environ[variable]
+        fits = asked.isdigit() and 1 <= int(asked) <= cores
+        require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
 
 
 def configuration_folder() -> Path:
@@ -54,6 +67,7 @@ def run(overrides: list[str]) -> int:
     from ssm_study import study
     from ssm_study.results.request import check_request, translate
 
+    refuse_more_threads_than_cores()
     overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = (
         "1"  # Hydra then raises instead of printing, so that one sentence can be made of it

@@ -25,8 +25,6 @@ from ssm_study.loop.table import Identified, write_rows
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.plants.plant import Plant
-from ssm_study.report.figures import draw
-from ssm_study.report.outcome import print_outcome
 from ssm_study.results.durable import sha256_of_file
 from ssm_study.results.facts import Facts, data_facts, design_facts, fit_facts, model_facts, opinion_facts
 from ssm_study.results.gather import gather
@@ -92,6 +90,9 @@ def job(config: DictConfig) -> Outcome:
 
 def conclude_run(config: DictConfig) -> bool:
     """Gather the study, draw the run's figures and print how it went; True if the run failed."""
+    from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
+    from ssm_study.report.outcome import print_outcome
+
     study = study_folder(config)
     gather(study)
     name = run_name(config)

@@ -1,6 +1,8 @@
 """A wrong request: one sentence with field, value and remedy, exit status 2, nothing computed and no folder left."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +91,31 @@ def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
     path.write_text("time,u,y\n" + "".join(f"{t},{t % 3},{t}\n" for t in range(50)) + "50,1\n")
     said = refused([*RECORDED, f"data.path={path}"], tmp_path / "results", capfd)
     assert "log.csv" in said
+
+
+@pytest.mark.parametrize("asked", ["4096", "0", "many"])
+def test_more_threads_than_cores(
+    asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A single run and Hydra's basic launcher work in this process: its threads are the whole budget."""
+    monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    assert f"OMP_NUM_THREADS = {asked}" in refused(["experiment=smoke"], tmp_path / "results", capfd)
+
+
+def test_one_thread_unless_asked(tmp_path: Path) -> None:
+    """What torch itself says in a fresh process, after a request that is refused before any work."""
+    program = (
+        "import sys; from ssm_study.cli import main\n"
+        "try: status = main(['run', 'experiment=smoke', 'model.order=-1', *sys.argv[1:]])\n"
+        "except SystemExit as end: status = end.code\n"
+        "import torch, numpy\n"
+        "print(status, torch.get_num_threads())"
+    )
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    words = ["-m", "hydra/launcher=basic", "seed=0,1"]
+    command = [sys.executable, "-c", program, f"results_dir={tmp_path}", *words]
+    said = subprocess.run(command, env=clean, capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["2", "1"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0 and not Path("/proc").is_dir(), reason="needs a folder nobody can write to")
