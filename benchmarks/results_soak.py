@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -31,7 +31,13 @@ from ssm_study.results.store import MANIFEST, intact_manifest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PROGRAM = [sys.executable, "-m", "ssm_study.cli", "run", "-m", "experiment=smoke"]
-SWEEP = ("seed=0,1", "synthesis.rate_controller=0.1,0.2", "synthesis=riccati", "progress=false")
+SWEEP = (
+    "seed=0,1",
+    "synthesis=riccati",
+    "synthesis.rate_controller=0.1,0.2",
+    "+training.checkpoint_every_s=0",
+    "progress=false",
+)
 AT_WORK = 0.75  # of the kills wait until jobs are at work
 # What a second attempt may change: when, where, how often.
 STUDY, STATE = "smoke", "state.json"
@@ -168,7 +174,7 @@ class Soak:
         return cls(**known | {"counts": Counter(known["counts"])})
 
     def write(self, folder: Path) -> None:
-        (folder / STATE).write_text(json.dumps(asdict(self)))
+        (folder / STATE).write_text(json.dumps(vars(self)))
 
     def lines(self) -> list[str]:
         counts = [f"{what:<12}{number:>5}" for what, number in sorted(self.counts.items())]

@@ -15,7 +15,7 @@ from ssm_study.results.sweep import Job, job_of
 
 AUTO = frozenset({"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"})
 """What submitit's executor knows for every scheduler; all else is Slurm's own."""
-FORGOTTEN, FORGOTTEN_S = "FORGOTTEN", 60.0  # a new job is in Slurm's books within seconds
+FORGOTTEN, FORGOTTEN_S = "FORGOTTEN", 30.0
 
 
 def launch(launcher: Any, overrides: list[list[str]], first_number: int) -> list[JobReturn]:
@@ -59,11 +59,13 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
 
 def ended(submitted: submitit.Job, patience_s: float) -> str:
     """Wait for the end; Slurm's word for it. Without accounting it forgets a job that is cancelled while it waits."""
-    heard_of = time.monotonic()
+    asked, unheard = time.monotonic(), 0
     while not submitted.done():
-        if submitted.state != "UNKNOWN":
-            heard_of = time.monotonic()
-        elif time.monotonic() - heard_of > patience_s:
-            return FORGOTTEN
         time.sleep(0.5)
+        if time.monotonic() - asked > patience_s:
+            submitted.watcher.clear()  # it remembers for ever what Slurm once said
+            unknown = submitted.watcher.get_state(submitted.job_id, mode="force") == "UNKNOWN"
+            asked, unheard = time.monotonic(), unheard + 1 if unknown else 0
+        if unheard == 2:  # once may be a hiccup
+            return FORGOTTEN
     return submitted.state.split()[0]  # "CANCELLED by 0"

@@ -66,17 +66,21 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
 class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
     """A job cancelled while it waited, where Slurm keeps no accounts."""
 
-    job_id, state = "1_3", "UNKNOWN"
+    job_id, state = "1_3", "PENDING"
 
     def __init__(self) -> None:
         self._cancel_at_deletion = False
+        self.watcher = submitit.slurm.slurm.SlurmInfoWatcher()
 
     def done(self, force_check: bool = False) -> bool:
         del force_check
         return False
 
 
-def test_a_job_that_slurm_has_forgotten_is_a_row(tmp_path: Path) -> None:
+def test_a_job_that_slurm_has_forgotten_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sacct").write_text("#!/bin/sh\necho 'JobID|State|NodeList'\necho '1_0|RUNNING|n1'\n")
+    (tmp_path / "sacct").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     job = Job(overrides=["seed=3"], config=OmegaConf.create(), folder=tmp_path / "study" / "never")
     settled(job, Unheard(), patience_s=0.0)
     record = read_record(job.folder)
