@@ -15,10 +15,11 @@
 import os
 from pathlib import Path
 
-from IPython.display import Image, display
+from IPython.display import Image, Markdown, display
 
 from ssm_study.cli import main
 from ssm_study.report import answers, figures, verdict
+from ssm_study.report.columns import words
 from ssm_study.report.page import write_page
 from ssm_study.report.study_folder import Study
 
@@ -32,9 +33,8 @@ SWEEP = [
     "synthesis.rate_controller=0.1,0.6",
     "synthesis.rate_observer=0.2",
 ]
-_ = main(
-    ["run", "-m", f"experiment={EXPERIMENT}", f"study={STUDY}", f"results_dir={RESULTS}", "progress=false", *SWEEP]
-)
+WHERE = [f"study={STUDY}", f"results_dir={RESULTS}", "progress=false"]
+_ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %% [markdown]
 # Four runs, but only two trainings: a rate is asked of a model that exists already. The table has a row per run,
@@ -43,15 +43,17 @@ _ = main(
 # %%
 study = Study(folder=RESULTS / STUDY)
 table = verdict.best_first(study.table).assign(verdict=verdict.verdicts(study.table))
-seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit", "mismatch_margin", "stable_count"]
-table[["run", *seen, "settling_time_mean_s"]]
+seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit"]
+seen += ["mismatch_margin", "stable_count", "settling_time_mean_s"]
+shown = table[seen].round(4).set_index(table.run.str.rsplit("-", n=1).str[-1].rename("run"))
+shown.rename(columns={name: words(name).split(" (")[0] for name in seen})
 
 # %% [markdown]
 # ## The questions, answered from the table
 
 # %%
 for answer in answers.answers(study.table):
-    print(answer.question, *answer.sentences, sep="\n  ", end="\n\n")
+    display(Markdown(f"**{answer.question}** {' '.join(answer.sentences)}"))
 
 # %% [markdown]
 # ## Where feasibility ends
@@ -62,8 +64,7 @@ for answer in answers.answers(study.table):
 # %%
 for name in ("feasibility_map", "rates", "fit_against_stability"):
     png, _ = figures.draw([name], study.folder)
-    print(figures.caption(name))
-    display(Image(filename=str(png)))
+    display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
 
 # %% [markdown]
 # ## Why is a run infeasible?

@@ -20,7 +20,7 @@ import json
 import os
 from pathlib import Path
 
-from IPython.display import Image, display
+from IPython.display import Image, Markdown, display
 
 from ssm_study.cli import main
 from ssm_study.report import figures
@@ -46,8 +46,7 @@ print("\n".join(sorted(path.name for path in run.path.iterdir())))
 def show(name: str) -> None:
     """Draw a figure of the study and put it here."""
     png, _ = figures.draw([name], study.folder)
-    print(figures.caption(name))
-    display(Image(filename=str(png)))
+    display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
 
 
 # %% [markdown]
@@ -78,7 +77,8 @@ certificate = run.certificate
 assert certificate is not None
 for side in ("state_feedback", "observer"):
     part = certificate[side]
-    print(f"{side:15} rate {part['rate']:.3f} of at most {part['rate_limit']:.3f}, certified: {part['certified']}")
+    rates = f"rate {part['rate']:.3f} of at most {part['rate_limit']:.3f}"
+    print(f"{side:15} {rates}, certified: {part['certified']}")
 show("certified_decay")
 
 # %% [markdown]
@@ -88,8 +88,9 @@ show("certified_decay")
 
 # %%
 show("closed_loop_responses")
-seconds = {name: run.record[f"settling_time_{name}_s"] for name in ("mean", "open_loop")}
-print(f"settled: {run.record['stable_count']} of {run.record['initial_conditions']}; mean settling times {seconds}")
+controlled, alone = (run.record[f"settling_time_{name}_s"] for name in ("mean", "open_loop"))
+print(f"settled: {run.record['stable_count']} of {run.record['initial_conditions']}")
+print(f"mean settling time: {controlled:.3f} s, left alone {alone:.3f} s")
 
 # %% [markdown]
 # ## Believe nothing

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from IPython.display import Image, display
+from IPython.display import Image, Markdown, display
 
 from ssm_study.cli import main
 from ssm_study.report import figures
@@ -74,8 +74,7 @@ run = study.best
 assert run is not None, "no run of this study left a model"
 for name in ("validation_trajectory", "excitation", "closed_loop_responses"):
     png, _ = figures.draw([name], study.folder)
-    print(figures.caption(name))
-    display(Image(filename=str(png)))
+    display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
 
 # %% [markdown]
 # ## Take the controller away
@@ -86,7 +85,7 @@ for name in ("validation_trajectory", "excitation", "closed_loop_responses"):
 # %%
 status = main(["export", str(run.path), "--to", str(RESULTS / "heater_controller")])
 header = (RESULTS / "heater_controller" / "controller.h").read_text()
-print(header[:700])
+print("\n".join(header.splitlines()[:12]))
 
 # %% [markdown]
 # ## What a wrong request looks like

@@ -214,11 +214,9 @@ def _failed(table: pd.DataFrame) -> tuple[str, ...]:
     failed, lost, infeasible = (int((word == v.word).sum()) for v in (verdict.FAILED, verdict.LOST, verdict.INFEASIBLE))
     sentences = [_errors(table[word == verdict.FAILED.word], len(table)) if failed else "No run ended with an error."]
     if lost:
-        sentences.append(
-            f"{lost} lose the plant: both certificates hold for the model, yet some start does not settle."
-        )
+        sentences.append(f"Certified, plant lost: {lost}; both certificates hold, yet some start does not settle.")
     if infeasible:
-        sentences.append(f"{infeasible} are infeasible, which is a result: the record says how much was possible.")
+        sentences.append(f"Infeasible, which is a result: {infeasible}; each record says how much was possible.")
     return tuple(sentences)
 
 

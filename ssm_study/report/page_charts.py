@@ -160,6 +160,10 @@ def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
     if name == "stable_fraction":
         return kind(f"{name}:Q", title=words(name), scale=alt.Scale(domain=[-0.05, 1.05], nice=False))
     values = column(table, name).dropna()
+    if values.nunique() == 1:  # an axis of one value would have no room around it
+        only = float(values.iloc[0])
+        room = 0.1 * abs(only) or 1.0
+        return kind(f"{name}:Q", title=words(name), scale=alt.Scale(domain=[only - room, only + room], nice=False))
     spread = log and bool((values > 0).all()) and float(values.max()) > 10 * float(values.min())
     scale = alt.Scale(type="log", padding=8) if spread else alt.Scale(zero=False, padding=8)
     return kind(f"{name}:Q", title=words(name), scale=scale)

@@ -95,7 +95,7 @@ def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:
     lost, broken = row(stable_fraction=0.5), row(status="failed", error_message="model.order = 0: too small; use 8.")
     text = said(pd.DataFrame([row(), lost, broken]), "What failed")
     assert "1 of 3 runs ended with an error, 1 of them with: model.order = 0" in text
-    assert "1 lose the plant" in text
+    assert "Certified, plant lost: 1;" in text
     assert said(pd.DataFrame([row()]), "What failed") == "No run ended with an error."
 
 
