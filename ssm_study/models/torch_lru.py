@@ -11,6 +11,9 @@ from ssm_study.models.torch_recurrence import Modes
 from ssm_study.systems import StateSpace
 
 
+LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
+
+
 class LRU(nn.Module):
     """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
 
@@ -50,7 +53,7 @@ class LRU(nn.Module):
 
     def modes(self) -> Modes:
         """Free to explicit parameters: the only place that knows how stability is kept."""
-        damping = torch.exp(self.nu)
+        damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
         decay = torch.complex(-damping, torch.cat([self.flip, self.theta], -1))
         gain = torch.sqrt(-torch.expm1(-2 * damping))[..., None]
         b = _join(gain * self.b_real, gain[..., self.reals :, :] * self.b_imag)
