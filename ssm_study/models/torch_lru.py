@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from ssm_study.models.torch_recurrence import Modes
 from ssm_study.systems import StateSpace
 
-
 LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
 
 
