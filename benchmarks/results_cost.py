@@ -1,64 +1,90 @@
 """What the engine costs around the work: one model, 20 controller rates by 10 observer rates, 200 runs.
 
-    python benchmarks/results_cost.py --experiment paper --jobs 2 --append results/reference/engine/cost.csv
+    python benchmarks/results_cost.py --jobs 2 --append results/reference/engine/cost.csv
 
-Wall time of the whole command, imports and table included, against the time of its stages (training and data once, each
-synthesis and each loop), spread over the jobs. The promise: at most 1.3. Then the same command with nothing to do.
+The whole command, imports, checks, records and table included, against its stages (training and data once, each
+synthesis, each loop). The promise: at most 1.3. Twice: in wall time on `--jobs` processes, and in processor time of all
+processes together (a control group counts it; root), which other work on the machine hardly touches.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pandas as pd
 
-from ssm_study.results.cost import stage_costs
-from ssm_study.results.gather import gather
+from ssm_study.results.store import MANIFEST
 
-RATES = (
-    "synthesis.rate_controller=" + ",".join(f"{0.02 * k:.2f}" for k in range(1, 21)),
-    "synthesis.rate_observer=" + ",".join(f"{0.04 * k:.2f}" for k in range(1, 11)),
-)
+ACCOUNTS = Path("/sys/fs/cgroup/cpuacct")
 
 
-def seconds_of(results: Path, words: list[str]) -> float:
-    begun = time.perf_counter()
-    command = [sys.executable, "-m", "ssm_study.cli", "run", "-m", *words, *RATES, "study=s", f"results_dir={results}"]
+def swept(folder: Path, words: list[str], group: Path | None) -> tuple[float, float | None]:
+    """Wall and processor seconds of one command with all its processes."""
+    command = [sys.executable, "-m", "ssm_study.cli", "run", "-m", *words, "study=s", f"results_dir={folder}"]
+    if group:
+        command = ["sh", "-c", 'echo $$ >"$0/cgroup.procs"; exec "$@"', str(group), *command]
+    before, begun = processor_seconds(group), time.perf_counter()
     ended = subprocess.run(command, check=False, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
-    return time.perf_counter() - begun
+    after = processor_seconds(group)
+    return time.perf_counter() - begun, None if before is None or after is None else after - before
 
 
-def measured(results: Path, experiment: str, jobs: int) -> dict[str, object]:
-    words = [f"experiment={experiment}", f"hydra.launcher.n_jobs={jobs}"]
+def processor_seconds(group: Path | None) -> float | None:
+    return int((group / "cpuacct.usage").read_text()) * 1e-9 if group else None
+
+
+@contextmanager
+def accounts() -> Iterator[Path | None]:
+    group = ACCOUNTS / f"ssm-study-{os.getpid()}"
+    try:
+        group.mkdir()
+    except OSError:
+        yield None
+        return
+    yield group
+    with suppress(OSError):  # the server may take a moment to leave
+        group.rmdir()
+
+
+def measured(folder: Path, experiment: str, observers: int, jobs: int) -> dict[str, object]:
+    rates = [",".join(f"{step * k:.2f}" for k in range(1, n + 1)) for step, n in ((0.02, 20), (0.04, observers))]
+    words = [f"synthesis.rate_{side}={asked}" for side, asked in zip(("controller", "observer"), rates, strict=True)]
+    words += [f"experiment={experiment}", f"hydra.launcher.n_jobs={jobs}"]
     load = os.getloadavg()[0]
-    wall_s, again_s = seconds_of(results, words), seconds_of(results, words)
-    costs = {cost.name: cost for cost in stage_costs(gather(results / "s"))}
-    work_s = sum(cost.spent_s for cost in costs.values())
-    each = {f"{name}_each_s": round(cost.spent_s / cost.computed, 3) for name, cost in costs.items()}
-    once = {f"{name}_computed": cost.computed for name, cost in costs.items()}
-    told = {"experiment": experiment, "jobs": jobs, "load_before": load, "wall_s": round(wall_s, 1)}
-    told |= {"stages_s": round(work_s, 1), "ratio": round(wall_s / (work_s / jobs), 2), "again_s": round(again_s, 1)}
-    return told | each | once
+    with accounts() as group:
+        wall_s, processor_s = swept(folder, words, group)
+    notes = [json.loads(path.read_bytes()) for path in (folder / ".store").glob(f"[!.]*/[!.]*/{MANIFEST}")]
+    stages_s, worked_s = (sum(note[kind] for note in notes) for kind in ("seconds", "processor_seconds"))
+    told: dict[str, object] = {"experiment": experiment, "runs": 20 * observers, "jobs": jobs, "load_before": load}
+    told |= {"wall_s": wall_s, "stages_wall_s": stages_s, "wall_ratio": wall_s / (stages_s / jobs)}
+    told |= {"processor_s": processor_s, "stages_processor_s": worked_s}
+    told |= {"processor_ratio": processor_s / worked_s if processor_s else None}
+    return told | {f"{name}_computed": n for name, n in Counter(note["stage"] for note in notes).items()}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--experiment", default="paper")
+    parser.add_argument("--experiment", default="smoke")
+    parser.add_argument("--observers", type=int, default=10, help="how many observer rates")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--append", type=Path, help="add the line to this CSV table")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        row = pd.DataFrame([measured(Path(scratch), options.experiment, options.jobs)])
+        row = pd.DataFrame([measured(Path(scratch), options.experiment, options.observers, options.jobs)])
     print(row.T.to_string(header=False))
     if options.append:
         options.append.parent.mkdir(parents=True, exist_ok=True)
         known = [pd.read_csv(options.append)] if options.append.is_file() else []
-        pd.concat([*known, row]).to_csv(options.append, index=False)
+        pd.concat([*known, row]).to_csv(options.append, index=False, float_format="%.4g")
 
 
 if __name__ == "__main__":

@@ -114,10 +114,10 @@ class Store(Stages):
         temporary.mkdir(parents=True)
         _take_over(temporary, final)
         try:
-            started = time.perf_counter()
+            started, worked = time.perf_counter(), time.process_time()
             spent = compute(temporary)
             seconds = time.perf_counter() - started if spent is None else spent
-            seal_folder(temporary, note | {"seconds": seconds})
+            seal_folder(temporary, note | {"seconds": seconds, "processor_seconds": time.process_time() - worked})
             self._place(temporary, final)
         except (Exception, SystemExit):
             shutil.rmtree(temporary, ignore_errors=True)
