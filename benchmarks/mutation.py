@@ -56,7 +56,7 @@ LINE = "tests/oracles/test_study_line.py -k 'claim or tamper or truncated or ref
 GROUPS = {
     "verdict": Group(
         modules=_synthesis("exact", "verify", "certificate", "verdict", "problem"),
-        tests=f"{REFUSES} {EXACT}",
+        tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT}",
         planted=60,
     ),
     "methods": Group(
@@ -91,6 +91,12 @@ def plant(name: str, folder: Path, tool: Path, minutes: float) -> None:
         sample(session, tree, group.planted)
     exec_ = ["timeout", str(int(60 * minutes)), tool / "cosmic-ray", "exec", config, session]
     subprocess.run(exec_, cwd=tree, check=False)
+
+
+def again(session: Path) -> None:
+    """Forget the survivors' outcomes, so that they are planted again: after tests were written for them."""
+    with sqlite3.connect(session) as base:
+        base.execute("delete from work_results where test_outcome = 'SURVIVED'")
 
 
 def fresh_copy(tree: Path) -> None:
@@ -160,9 +166,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("/tmp/mutation"))
     parser.add_argument("--cosmic-ray", type=Path, default=Path(sys.executable).parent)
     parser.add_argument("--groups", default=",".join(GROUPS))
+    parser.add_argument("--again", action="store_true", help="plant the survivors again")
     parser.add_argument("--minutes", type=float, default=60.0)
     arguments = parser.parse_args()
     for name in filter(None, arguments.groups.split(",")):
+        if arguments.again:
+            again(arguments.folder / f"{name}.sqlite")
         plant(name, arguments.folder, arguments.cosmic_ray, arguments.minutes)
     report(arguments.folder)
 

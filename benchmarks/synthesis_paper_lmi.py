@@ -32,14 +32,14 @@ BANDS = ((1, 8), (9, 16), (17, 20), (21, 26), (27, 32))
 LIMIT_S = 120.0
 
 Row = dict[str, str]
+Cases = dict[float, list[Instance]]
 
 
 def solved() -> list[Row]:
     return list(csv.DictReader(TARGET.open())) if TARGET.exists() else []
 
 
-def open_cases(done: set[tuple[str, str]]) -> Iterator[tuple[float, int, Instance]]:
-    cases = {gap: instances("random", gap, COUNT, (1, 32)) for gap in GAPS}
+def open_cases(cases: Cases, done: set[tuple[str, str]]) -> Iterator[tuple[float, int, Instance]]:
     for (low, high), first in itertools.product(BANDS, range(0, COUNT, BLOCK)):
         for gap, index in itertools.product(GAPS, range(first, first + BLOCK)):
             if low <= cases[gap][index].linear.order <= high and (str(gap), str(index)) not in done:
@@ -53,13 +53,13 @@ def row(gap: float, index: int, case: Instance) -> Row:
     return dict(zip(COLUMNS, [*map(str, values), f"{time.process_time() - started:.4f}"], strict=True))
 
 
-def solve(minutes: float) -> None:
+def solve(cases: Cases, minutes: float) -> None:
     started, rows = time.monotonic(), solved()
     with TARGET.open("a", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not rows:
             writer.writeheader()
-        for gap, index, case in open_cases({(row["gap"], row["index"]) for row in rows}):
+        for gap, index, case in open_cases(cases, {(row["gap"], row["index"]) for row in rows}):
             if time.monotonic() - started > 60 * minutes:
                 return
             writer.writerow(row(gap, index, case))
@@ -83,18 +83,18 @@ def count(gap: float, rows: list[Row]) -> dict[str, object]:
     }
 
 
-def by_order(rows: list[Row]) -> list[dict[str, object]]:
+def by_order(cases: Cases, rows: list[Row]) -> list[dict[str, object]]:
     """Of each band and gap: models, how many were solved, how many certified, what the solver called the rest."""
     table = []
     for (low, high), gap in itertools.product(BANDS, sorted(GAPS, reverse=True)):
-        models = [case for case in instances("random", gap, COUNT, (1, 32)) if low <= case.linear.order <= high]
+        models = sum(low <= case.linear.order <= high for case in cases[gap])
         here = [row for row in rows if row["gap"] == str(gap) and low <= int(row["order"]) <= high]
         status = Counter(row["status"].removeprefix("clarabel: ") for row in here if row["certified"] != "True")
         table.append(
             {
                 "orders": f"{low}-{high}",
                 "gap": gap,
-                "models": len(models),
+                "models": models,
                 "solved": len(here),
                 "certified": sum(row["certified"] == "True" for row in here),
                 "otherwise": "; ".join(f"{count} {word}" for word, count in status.most_common()),
@@ -109,14 +109,15 @@ def main() -> None:
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     SOLVERS["CLARABEL"]["time_limit"] = LIMIT_S
-    solve(arguments.minutes)
+    cases = {gap: instances("random", gap, COUNT, (1, 32)) for gap in GAPS}
+    solve(cases, arguments.minutes)
     rows = solved()
     for gap in GAPS:
         of_gap = [row for row in rows if row["gap"] == str(gap)]
         if of_gap:
             keep(count(gap, of_gap))
             print(gap, len(of_gap), sum(row["certified"] == "True" for row in of_gap), flush=True)
-    write("paper_lmi_by_order.csv", by_order(rows))
+    write("paper_lmi_by_order.csv", by_order(cases, rows))
 
 
 if __name__ == "__main__":
