@@ -99,7 +99,7 @@ def test_it_runs(
 
 def lock_of(command: str) -> str:
     """Commands on one study, or of one benchmark, one after the other."""
-    words = command.split()
+    words = command.replace("STUDY", "results/paper").split()
     named = [word.split("=")[1] for word in words if word.startswith(("study=", "experiment="))]
     read = [word.split("/")[1] for word in words if word.startswith("results/")]
     script = [Path(word).stem for word in words if word.endswith(".py")]
@@ -113,8 +113,9 @@ def executed(command: str, clone: Path, written: Path | None = None) -> None:
         more = [] if written is None else ["--config-dir", str(written)]
         assert status(["run", *more, *small(arguments[1:], written)]) == cli.DONE
     elif program == "ssm-study":
-        assert status(reading(arguments, clone)) == cli.DONE
-        if arguments[0] == "report":
+        arguments = reading(arguments, clone)
+        assert status(arguments) == cli.DONE
+        if arguments[0] == "report" and "--help" not in arguments:
             left = f"figures/{arguments[3]}.pdf" if "--only" in arguments else "report.html"
             assert (clone / arguments[1] / left).is_file()
     elif program == "python":
@@ -137,9 +138,13 @@ def status(arguments: list[str]) -> int:
 
 
 def reading(arguments: list[str], clone: Path) -> list[str]:
-    """A command on a study: made first by the command that the pages give for it; RUN is one of its runs."""
+    """A command on a study: made first by the command that the pages give for it; RUN is one of its runs.
+
+    STUDY stands for any: here for the paper's.
+    """
     if arguments[1:] in ([], ["--help"]):
         return [arguments[0], "--help"]  # a page speaks of the command, not of a study
+    arguments = [word.replace("STUDY", "results/paper") for word in arguments]
     study = arguments[1].split("/")[1]
     if not (clone / "results" / study / "runs.parquet").exists():
         found = maker(study)
