@@ -24,7 +24,7 @@ TRAININGS = sorted(path.stem for path in (CONF / "training").glob("*.yaml"))
 OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob("*.yaml"))
 
 
-PACKAGES = {"n4sid": "nfoursid", "narx": "sysidentpy", "dynonet": "dynonet"}  # the extra "baselines"
+PACKAGES = {"n4sid": "nfoursid", "narx": "sysidentpy", "arx": "sysidentpy", "dynonet": "dynonet"}  # the extra "baselines"
 
 
 def read(group: str, choice: str, *overrides: str) -> Any:
@@ -49,7 +49,7 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
     np.testing.assert_allclose(again.simulate(data.test[0].u), found.model.simulate(data.test[0].u), rtol=1e-13)
 
 
-@pytest.mark.parametrize("choice", [c for c in MODELS if c not in ("n4sid", "narx")])
+@pytest.mark.parametrize("choice", [c for c in MODELS if c not in ("arx", "n4sid", "narx")])
 def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     if choice in PACKAGES:
         pytest.importorskip(PACKAGES[choice])
