@@ -20,6 +20,8 @@ FLOW = [
     "results",
     "report",
     "specification",
+    "stages",
+    "members",
     "study",
     "cli",
 ]
