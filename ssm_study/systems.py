@@ -44,11 +44,11 @@ class StateSpace:
         """Step through `u` from `x0` (default 0); returns the outputs and the state after the last sample."""
         batch, samples = u.shape[:-2], u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0
-        y = np.empty((*batch, samples, self.c.shape[0]))
+        states, forced, turn = np.empty((*batch, samples, self.order)), u @ self.b.T, self.a.T
         for k in range(samples):
-            y[..., k, :] = x @ self.c.T + u[..., k, :] @ self.d.T
-            x = x @ self.a.T + u[..., k, :] @ self.b.T
-        return y, x
+            states[..., k, :] = x
+            x = x @ turn + forced[..., k, :]
+        return states @ self.c.T + u @ self.d.T, x
 
     def in_coordinates(self, t: Float[np.ndarray, "n n"], t_inverse: Float[np.ndarray, "n n"]) -> "StateSpace":
         """The same system with state `z = t_inverse x`, `x = t z`."""

@@ -122,16 +122,15 @@ Ended = Callable[[Member, int], Any]
 def train_together(members: Sequence[Member], ended: Ended) -> list[Member]:
     """Train members of one kind together, one kind after the other; `ended(member, members)` as soon as one is done.
 
-    Returns those that have nobody to share with: they are not trained.
+    Returns those of no kind that a program can train: they are not trained. One that has nobody to share with is.
     """
     kinds: defaultdict[Hashable, list[Member]] = defaultdict(list)
     for member in members:
         kinds[member.kind()].append(member)
-    alone = [member for kind, group in kinds.items() if kind is None or len(group) == 1 for member in group]
+    unable = kinds.pop(None, [])
     for group in kinds.values():
-        if group[0] not in alone:
-            Program(group, ended).run()
-    return alone
+        Program(group, ended).run()
+    return unable
 
 
 class Program:
