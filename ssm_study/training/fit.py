@@ -113,14 +113,18 @@ class _Residual(nn.Module):
         return torch.cat([(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()])
 
 
+STILL_EPOCHS = 2
+
+
 class Keeper(Callback):
-    """Keeps the state to return, and stops in good order when numbers leave the finite.
+    """Keeps the state to return, and stops in good order when numbers leave the finite or no longer change.
 
     Validation fits of noisy records differ by chance: among states whose validation fit is within `tolerance` percent
-    points of the best seen, the one with the best training fit is kept.
+    points of the best seen, the one with the best training fit is kept. A line search that fails at a kink of the
+    objective fails again and again: epochs that leave both fits as they were, to the last bit, end the training.
     """
 
-    _REMEMBERED = ("best_validation", "kept_training", "kept_validation", "kept", "ended")
+    _REMEMBERED = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still")
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
@@ -128,6 +132,7 @@ class Keeper(Callback):
         self.kept_validation = -math.inf
         self.kept: dict[str, Tensor] | None = None
         self.ended = ""
+        self.seen, self.still = (-math.inf, -math.inf), 0
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
         self.begin(pl_module)
@@ -153,6 +158,10 @@ class Keeper(Callback):
                 "lower the learning rate, or start from modes further inside the unit circle"
             )
             return
+        self.still = self.still + 1 if (training, validation) == self.seen else 0
+        self.seen = (training, validation)
+        if self.still == STILL_EPOCHS:
+            self.ended = "the optimiser no longer moves"
         self.best_validation = max(self.best_validation, validation)
         eligible = validation >= self.best_validation - self.tolerance
         worn_out = self.kept_validation < self.best_validation - self.tolerance

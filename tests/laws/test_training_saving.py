@@ -18,7 +18,7 @@ from test_training_identify import LBFGS, spec, training
 
 from ssm_study.training import training as room
 from ssm_study.training.checkpoint import DurableCheckpointIO
-from ssm_study.training.fit import Fit
+from ssm_study.training.fit import Fit, Keeper
 from ssm_study.training.optimisers import Adam, OptimiserSpec
 
 
@@ -134,3 +134,16 @@ def test_a_write_that_fails_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch
         io.save_checkpoint({"epoch": 2}, path)
     assert io.load_checkpoint(path) == {"epoch": 1}
     assert [p.name for p in tmp_path.iterdir()] == ["last.ckpt"]
+
+
+def test_epochs_that_change_nothing_end_the_training() -> None:
+    """Two in a row, to the last bit; a change in either fit starts the count again, and a resumed training knows it."""
+    keeper, module = Keeper(tolerance=0.0), torch.nn.Linear(1, 1)
+    for epoch, fits in enumerate([(80.0, 70.0), (90.0, 75.0), (90.0, 75.0), (90.0, 75.1), (90.0, 75.1)]):
+        keeper.see(epoch, *fits, module)
+        assert not keeper.ended
+    resumed = Keeper(tolerance=0.0)
+    resumed.load_state_dict(keeper.state_dict())
+    resumed.see(5, 90.0, 75.1, module)
+    assert resumed.ended == "the optimiser no longer moves"
+    assert resumed.kept_training == 90.0
