@@ -142,11 +142,7 @@ class Training:
         able = model.states > 0 or not shooting
         require(able, "training.windows.continuity_weight", self.windows.continuity_weight, problem, remedy)
         rows = [*(cut.first if moving and model.estimates_start else ()), *(cut.later if shooting else ())]
-        if not rows:
-            return None
-        start_up = _start_up(model, data.training, data) if moving else None
-        first = None if start_up is None else start_up(model)
-        return Starts(cut, sorted(rows), simulated_states(model, records, cut, first))
+        return Starts(cut, sorted(rows), simulated_states(model, records, cut)) if rows else None
 
     def _run(self, fit: Fit, folder: Path, belongs_to: str, progress: bool) -> tuple[Keeper, Curve]:
         resume_from = resumable(folder, belongs_to)
@@ -204,7 +200,9 @@ def passed(began: float) -> float:
     return time.perf_counter() - began
 
 
-def _scored(model: Simulator, data: DataSet, seconds: float, curve: list[dict[str, float]], ended: str) -> Identification:
+def _scored(
+    model: Simulator, data: DataSet, seconds: float, curve: list[dict[str, float]], ended: str
+) -> Identification:
     return Identification(
         model=model,
         fit_training_percent=mean_fit(model, data.training, data),

@@ -140,16 +140,12 @@ class Continuity(nn.Module):
 
 
 @torch.no_grad()
-def simulated_states(
-    model: TorchModel, records: Records, cut: Cut, first: Float[Tensor, "r n"] | None = None
-) -> Float[Tensor, "e n"]:
-    """The state of a simulation of the whole records, from `first` or from rest, at each window's start.
+def simulated_states(model: TorchModel, records: Records, cut: Cut) -> Float[Tensor, "e n"]:
+    """The state of a simulation of the whole records from rest at each window's start: shooting begins without defects.
 
-    Shooting so begins without defects.
+    Records start at rest too: an estimate by the untrained model is far off in slow modes, and traps the optimiser.
     """
     states = records.u.new_zeros(len(cut.pieces), model.states)
-    if first is not None:
-        states[list(cut.first)] = first
     for later in cut.later:
         states[later] = model.advance(records.u[later - 1 : later], states[later - 1 : later])[1][0]
     return states
