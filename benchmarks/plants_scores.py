@@ -33,7 +33,7 @@ MODELS = {
     "deep_ssm": "deep SSM (two blocks of ours), our run",
     "dynonet": "dynoNet, our run",
 }
-FULL_BUDGET = 60  # epochs of conf/training/default.yaml; a run with fewer is said to be cut short
+FULL_BUDGET = 60  # epochs of conf/training/default.yaml, of every model; a run with fewer is said to be cut short
 TOLD = ["benchmark", "model", "seed", "status", "fit_train_percent", "epochs_allowed", "training_seconds",
         "training_ended", "controller_certified", "observer_certified"]  # fmt: skip
 
@@ -58,9 +58,9 @@ def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
     row, notes = {"model": MODELS[model]}, []
     for benchmark, columns in COLUMNS.items():
         ours = [run for run in runs if (run["model"], run["benchmark"]) == (model, benchmark)]
-        scored = [run for run in ours if run.get(columns[0]) is not None]
+        scored = [run for run in ours if isinstance(run.get(columns[0]), float)]
         if not scored:
-            notes.append(f"{benchmark} {ours[0].get('error_message', ours[0]['status']) if ours else 'not run'}")
+            notes.append(f"{benchmark} {why_not(ours[0]) if ours else 'not run'}")
             continue
         best = max(scored, key=lambda run: run["fit_train_percent"])
         row |= {column: f"{best[column]:.3g}" for column in columns}
@@ -70,6 +70,13 @@ def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
             notes.append(f"{benchmark} {str(best['controller_certified'] and best['observer_certified']).lower()}")
     said = "both certificates: " if model == "ssm" else ""
     return row | {"source": "; ".join(["this table", said + ", ".join(notes)] if notes else ["this table"])}
+
+
+def why_not(run: dict[str, Any]) -> str:
+    """Why a run has no score: it overflowed, or what it said when it failed."""
+    said = str(run.get("error_message", run["status"]))
+    diverged = run.get("fit_train_percent") == "-inf" or said.endswith("-inf")
+    return "diverges in free run" if diverged else said
 
 
 def write_table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
