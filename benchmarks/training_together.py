@@ -2,8 +2,10 @@
 
 python benchmarks/training_together.py [members] [samples ...]   # writes results/reference/training/together.csv
 
-Pairs within one run: the same members alone, one after the other, then together in one process, both in processor
-seconds of that process, from the data to the scored model. Two such processes side by side double the second.
+Pairs within one run: the same members alone, one after the other; then together in one process, both in processor
+seconds of that process, from the data to the scored model (`throughput_ratio`); then in two such processes side by
+side, as a sweep on two cores does it, by the processor seconds of the slower one (`two_processes_ratio`): what the wall
+clock shows where nothing else runs.
 """
 
 import csv
@@ -12,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,7 @@ from models_clock import machine
 
 from ssm_study.results.naming import register_resolver
 from ssm_study.results.server import ALLOCATOR, thread_limits
+from ssm_study.signals import DataSet
 from ssm_study.specification import Specification
 from ssm_study.training.identification import Identification
 from ssm_study.training.together import Member, train_together
@@ -37,9 +41,35 @@ def specifications(members: int, samples: int) -> list[Specification]:
 
 
 def clocked(work: Callable[[Path], Any]) -> tuple[Any, float]:
+    """What it returns, and processor seconds of this process."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
         return work(Path(folder)), time.process_time() - began
+
+
+def trained_together(made: list[Specification], data: list[DataSet], folder: Path) -> dict[int, Identification]:
+    """By seed; a member that shares with nobody is trained alone, as its own run would."""
+    both = zip(made, data, strict=True)
+    shared = [Member(spec=one.model, data=d, seed=one.seed, training=one.training) for one, d in both]
+    found: dict[int, Identification] = {}
+    left = train_together(shared, lambda m, n: found.setdefault(m.seed, m.conclude(folder / f"{m.seed}", n)))
+    for one in left:
+        found[one.seed] = one.training.identify(one.spec, one.data, one.seed, folder / f"{one.seed}")
+    return found
+
+
+def side_by_side(made: list[Specification], data: list[DataSet]) -> float:
+    """Every second member in each of two processes: processor seconds of the slower."""
+    context = get_context("fork")
+    spent = context.SimpleQueue()
+
+    def half(i: int) -> None:
+        spent.put(clocked(lambda folder: trained_together(made[i::2], data[i::2], folder))[1])
+
+    processes = [context.Process(target=half, args=(i,)) for i in range(2)]
+    for process in processes:
+        process.start()
+    return max(spent.get() for _ in processes)
 
 
 def pair(members: int, samples: int) -> dict[str, float]:
@@ -50,19 +80,10 @@ def pair(members: int, samples: int) -> dict[str, float]:
         trained = zip(made, data, strict=True)
         return [one.training.identify(one.model, d, one.seed, folder / f"{one.seed}") for one, d in trained]
 
-    def together(folder: Path) -> dict[int, Identification]:
-        shared = [
-            Member(spec=one.model, data=d, seed=one.seed, training=one.training)
-            for one, d in zip(made, data, strict=True)
-        ]
-        found: dict[int, Identification] = {}
-        left = train_together(shared, lambda m, n: found.setdefault(m.seed, m.conclude(folder / f"{m.seed}", n)))
-        for one in left:
-            found[one.seed] = one.training.identify(one.spec, one.data, one.seed, folder / f"{one.seed}")
-        return found
-
     made[0].training.identify(made[0].model, data[0], 0, Path(tempfile.mkdtemp()))  # warm
-    (each, alone_s), (shared, together_s) = clocked(alone), clocked(together)
+    each, alone_s = clocked(alone)
+    shared, together_s = clocked(lambda folder: trained_together(made, data, folder))
+    slower_s = side_by_side(made, data)
     apart = [abs(one.fit_validation_percent - shared[i].fit_validation_percent) for i, one in enumerate(each)]
     return {
         "members": members,
@@ -70,6 +91,7 @@ def pair(members: int, samples: int) -> dict[str, float]:
         "alone_s_each": alone_s / members,
         "together_s_each": together_s / members,
         "throughput_ratio": alone_s / together_s,
+        "two_processes_ratio": alone_s / slower_s,
         "shared": sum(one.trained_together > 1 for one in shared.values()),
         "largest_difference_percent": max(apart),
     }
@@ -78,14 +100,21 @@ def pair(members: int, samples: int) -> dict[str, float]:
 def main(members: int, lengths: list[int]) -> None:
     for name, value in (thread_limits(1) | ALLOCATOR).items():
         assert os.environ.get(name) == value, f"set {name}={value} as the launcher does"
-    rows = [pair(members, samples) for samples in lengths]
-    for row in rows:
-        print({name: round(value, 4) for name, value in row.items()})
-    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    for samples in lengths:
+        row = pair(members, samples)
+        print({name: round(value, 4) for name, value in row.items()}, flush=True)
+        keep(row | {"machine": machine()})
+
+
+def keep(row: dict[str, Any]) -> None:
+    """In the table, in place of an earlier one of this size."""
+    before = list(csv.DictReader(TARGET.open())) if TARGET.exists() else []
+    size = (f"{row['members']}", f"{row['samples']}")
+    others = [one for one in before if (one["members"], one["samples"]) != size]
     with TARGET.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [*rows[0], "machine"])
+        writer = csv.DictWriter(file, list(row))
         writer.writeheader()
-        writer.writerows(row | {"machine": machine()} for row in rows)
+        writer.writerows(sorted([*others, row], key=lambda one: (int(one["members"]), int(one["samples"]))))
 
 
 if __name__ == "__main__":
