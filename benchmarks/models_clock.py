@@ -2,10 +2,20 @@
 
 import os
 import statistics
+import sys
 import time
 from collections.abc import Callable
 
 import torch
+
+from ssm_study.results.server import ALLOCATOR, thread_limits
+
+
+def as_in_a_run() -> None:
+    """Starts this program again with one thread and the allocator settings that every run of a study has."""
+    wanted = thread_limits(1) | ALLOCATOR
+    if any(os.environ.get(name) != value for name, value in wanted.items()):
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **wanted})
 
 
 def interleaved(contenders: dict[str, Callable[[], object]], seconds: float = 4.0, least: int = 5) -> dict[str, float]:

@@ -90,3 +90,16 @@ class BareFFT(nn.Module):
     def forward(self, u: Tensor) -> Tensor:
         spectrum = torch.fft.rfft(u[..., 0] * self.gain, n=self.length)
         return torch.fft.irfft(spectrum, n=self.length)[..., : u.shape[1], None]
+
+
+class DynoNetFilter(nn.Module):
+    """dynoNet's transfer function of `order` (package dynonet): SciPy's filter forward, its sensitivities back."""
+
+    def __init__(self, order: int) -> None:
+        super().__init__()
+        from dynonet.lti import SisoLinearDynamicalOperator
+
+        self.filter = SisoLinearDynamicalOperator(n_b=order, n_a=order, n_k=1)
+
+    def forward(self, u: Tensor) -> Tensor:
+        return self.filter(u)

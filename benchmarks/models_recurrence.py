@@ -1,6 +1,8 @@
 """Speed of the recurrence, forward and backward, batch 16, against its peers.
 
-python benchmarks/models_recurrence.py            # writes results/reference/training/recurrence.csv
+python benchmarks/models_recurrence.py [CASE ...]    # their numbers; writes results/reference/training/recurrence.csv
+float32; ratio: to the automatic choice of ours in the same run.
+dynonet and jax are left out where they are not installed, and the table says so.
 """
 
 import csv
@@ -10,16 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from models_clock import interleaved, machine
-from models_peers import BareFFT, PublicLRU, Recurrent, StepLoop
+from models_bounds import jax_fft, numba_loop
+from models_clock import as_in_a_run, interleaved, machine
+from models_peers import BareFFT, DynoNetFilter, PublicLRU, Recurrent, StepLoop
 from torch import nn
 
 from ssm_study.models import torch_recurrence as recurrence
 from ssm_study.models.start import on_ring
 from ssm_study.models.torch_lru import LRU
 
-BATCH = 16
-CASES = [(1_000, 8), (10_000, 8), (10_000, 64), (10_000, 256), (100_000, 8)]
+CASES = [(1_000, 8, 16), (10_000, 8, 16), (10_000, 64, 16), (10_000, 256, 16), (10_000, 256, 4), (100_000, 8, 16)]
+"""Samples, modes, batch. The public scan needs two tables of batch x T x n complex numbers and their history, so that
+its largest case runs with a batch of four, ours beside it."""
 TARGET = Path(__file__).resolve().parents[1] / "results" / "reference" / "training" / "recurrence.csv"
 
 
@@ -31,10 +35,10 @@ def step(model: nn.Module, evaluate: Callable[[torch.Tensor], torch.Tensor], u: 
     return run
 
 
-def contenders(samples: int, modes: int) -> dict[str, Callable[[], None]]:
+def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[[], object]]:
     """All that finish one pass in reasonable time; u needs a gradient, since S_u stands before the recurrence."""
     torch.manual_seed(0)
-    u = torch.randn(BATCH, samples, 1, requires_grad=True)
+    u = torch.randn(batch, samples, 1, requires_grad=True)
     start = on_ring(2 * modes, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), np.random.default_rng(0))
     ours = LRU(start, feedthrough=False).float()
     evaluations = {
@@ -45,37 +49,65 @@ def contenders(samples: int, modes: int) -> dict[str, Callable[[], None]]:
     runs = {name: step(ours, lambda v, law=law: law(ours.modes(), v), u) for name, law in evaluations.items()}
     bare, public = BareFFT(samples), PublicLRU(modes)
     runs |= {"bare FFT": step(bare, bare, u), "public scan": step(public, public, u)}
-    if samples <= 10_000:
+    runs["numba loop"] = numba_loop(u.detach().numpy(), modes)
+    runs |= _optional(u, modes)
+    if samples <= 10_000 and modes <= 64:
         loop = StepLoop(modes)
         runs["python loop"] = step(loop, loop, u)
-        if modes <= 64:
-            for name, kind in (("LSTM", nn.LSTM), ("GRU", nn.GRU)):
-                peer = Recurrent(kind, modes)
-                runs[name] = step(peer, peer, u)
-    if samples * modes > 1_000_000:
-        del runs["public scan"]  # two tables of 16 T n complex numbers, and their history
-        runs.pop("python loop", None)
+        for name, kind in (("LSTM", nn.LSTM), ("GRU", nn.GRU)):
+            peer = Recurrent(kind, modes)
+            runs[name] = step(peer, peer, u)
+    if batch * samples * modes > 16_000_000:
+        del runs["public scan"]
     return runs
 
 
-def main() -> None:
-    rows = []
-    for samples, modes in CASES:
-        slow = contenders(samples, modes)
-        times = interleaved(slow, seconds=3.0, least=3)
-        ours = times["automatic"]
-        rows += [
-            {"samples": samples, "modes": modes, "contender": name, "cpu_ms": f"{ms:.3g}", "ratio": f"{ms / ours:.3g}"}
-            for name, ms in times.items()
-        ]
-        print(samples, modes, {name: f"{ms:.3g} ms ({ms / ours:.2f}x)" for name, ms in times.items()}, flush=True)
-    TARGET.parent.mkdir(parents=True, exist_ok=True)
+def _optional(u: torch.Tensor, modes: int) -> dict[str, Callable[[], object]]:
+    """Contenders whose packages are extras."""
+    runs: dict[str, Callable[[], object]] = {}
+    try:
+        runs["JAX FFT"] = jax_fft(u.detach().numpy(), modes)
+    except ImportError:
+        print("JAX FFT left out: pip install jax")
+    if modes > 64:
+        return runs  # a transfer function of order 512 is beyond its arithmetic
+    try:
+        peer = DynoNetFilter(2 * modes)
+    except ImportError:
+        print("dynoNet left out: pip install dynonet")
+    else:
+        runs["dynoNet filter"] = step(peer, peer, u)
+    return runs
+
+
+def measured(samples: int, modes: int, batch: int) -> list[dict[str, object]]:
+    times = interleaved(contenders(samples, modes, batch), seconds=2.0, least=3)
+    ours = times["automatic"]
+    print(samples, modes, batch, {name: f"{ms:.3g} ms ({ms / ours:.2f}x)" for name, ms in times.items()}, flush=True)
+    case = {"samples": samples, "modes": modes, "batch": batch}
+    return [
+        case | {"contender": name, "cpu_ms": f"{ms:.3g}", "ratio": f"{ms / ours:.3g}", "machine": machine()}
+        for name, ms in times.items()
+    ]
+
+
+def main(cases: list[int]) -> None:
+    """Measures the cases of these numbers, and keeps what the table says of the others."""
+    chosen = [CASES[number] for number in cases or range(len(CASES))]
+    rows = [row for case in chosen for row in measured(*case)]
+    if TARGET.exists():
+        with TARGET.open(newline="") as file:
+            known = list(csv.DictReader(file))
+        key = [tuple(map(str, case)) for case in chosen]
+        rows += [row for row in known if (row["samples"], row["modes"], row["batch"]) not in key]
+    order = {tuple(map(str, case)): at for at, case in enumerate(CASES)}
+    rows.sort(key=lambda row: order[str(row["samples"]), str(row["modes"]), str(row["batch"])])
     with TARGET.open("w", newline="") as file:
-        file.write(f"# {machine()}; batch {BATCH}, float32, forward and backward; ratio: to the automatic choice\n")
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    as_in_a_run()
+    main([int(number) for number in sys.argv[1:]])
