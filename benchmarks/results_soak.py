@@ -41,7 +41,18 @@ SWEEP = (
 AT_WORK = 0.75  # of the kills wait until jobs are at work
 # What a second attempt may change: when, where, how often.
 STUDY, STATE = "smoke", "state.json"
-VOLATILE = ("trained_together", "attempt", "ended_utc", "started_utc", "pid", "host", "seconds", "git_commit", "git_dirty", "threads")
+VOLATILE = (
+    "trained_together",
+    "attempt",
+    "ended_utc",
+    "started_utc",
+    "pid",
+    "host",
+    "seconds",
+    "git_commit",
+    "git_dirty",
+    "threads",
+)
 
 
 def start(folder: Path) -> "subprocess.Popen[bytes]":

@@ -1,6 +1,6 @@
 """Throughput of training the members of a sweep together, against one after the other; and whether the results agree.
 
-python benchmarks/training_together.py [members] [samples ...]   # writes results/reference/training/together.csv
+python benchmarks/training_together.py [--members N] [--samples T ...]   # writes results/reference/training/together.csv
 
 Pairs within one run: the same members alone, one after the other; then together in one process, both in processor
 seconds of that process, from the data to the scored model (`throughput_ratio`); then in two such processes side by
@@ -8,6 +8,7 @@ side, as a sweep on two cores does it, by the processor seconds of the slower on
 clock shows where nothing else runs.
 """
 
+import argparse
 import csv
 import os
 import sys
@@ -97,13 +98,24 @@ def pair(members: int, samples: int) -> dict[str, float]:
     }
 
 
-def main(members: int, lengths: list[int]) -> None:
-    for name, value in (thread_limits(1) | ALLOCATOR).items():
-        assert os.environ.get(name) == value, f"set {name}={value} as the launcher does"
-    for samples in lengths:
-        row = pair(members, samples)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--members", type=int, default=8)
+    parser.add_argument("--samples", type=int, nargs="+", default=[250, 1000, 4000])
+    asked = parser.parse_args()
+    as_launched()
+    register_resolver()
+    for samples in asked.samples:
+        row = pair(asked.members, samples)
         print({name: round(value, 4) for name, value in row.items()}, flush=True)
         keep(row | {"machine": machine()})
+
+
+def as_launched() -> None:
+    """Start again with the threads and the allocator that the launcher gives its jobs, unless they are given."""
+    wanted = thread_limits(1) | ALLOCATOR
+    if any(os.environ.get(name) != value for name, value in wanted.items()):
+        os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | wanted)
 
 
 def keep(row: dict[str, Any]) -> None:
@@ -118,5 +130,4 @@ def keep(row: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    register_resolver()
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 8, [int(word) for word in sys.argv[2:]] or [250, 1000, 4000])
+    main()

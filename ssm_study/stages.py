@@ -1,6 +1,7 @@
 """The stages of a run: what each computes, keeps and depends on; each is a pure function of its key."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -85,7 +86,7 @@ def model_stage(
     def compute(folder: Path) -> float:
         identified = (member or alone)(folder)
         write_json(folder / "model.json", identified.model.to_json())
-        write_json(folder / "training_curve.json", identified.curve)
+        write_json(folder / "training_curve.json", with_gaps(identified.curve))
         facts = {"training_seconds": identified.seconds, "training_ended": identified.ended}
         write_facts(folder, facts | {"trained_together": identified.trained_together})
         return identified.seconds
@@ -204,6 +205,11 @@ def read_json(path: Path) -> Any:
 def write_facts(folder: Path, facts: Facts) -> None:
     """As a record keeps them: an infinite gain is the text `inf`, for JSON has no infinities."""
     write_json(folder / "facts.json", {name: storable(name, value) for name, value in facts.items()})
+
+
+def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
+    """A fit that left the finite is a gap in the curve: JSON has no infinity."""
+    return [{name: value if math.isfinite(value) else None for name, value in row.items()} for row in curve]
 
 
 def write_json(path: Path, content: Any) -> None:

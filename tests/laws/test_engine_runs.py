@@ -1,6 +1,7 @@
 """A run is claimed, done and recorded; a finished one is never touched again; a failure is a record."""
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from ssm_study.results import naming
 from ssm_study.results.records import RECORD, parse_record, read_record, write_record
 from ssm_study.results.runs import Run, execute, run_folder, standing
 from ssm_study.results.store import intact_manifest
+from ssm_study.stages import with_gaps, write_json
 
 
 def good(run: Run) -> dict[str, object]:
@@ -198,3 +200,12 @@ def test_a_run_cannot_leave_the_results_folder(tmp_path: Path, study: str, name:
 def test_a_record_takes_no_nested_values(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="flat record"):
         write_record(tmp_path, {"status": "ok", "matrix": [[1, 2]]})
+
+
+def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
+    curve = [{"epoch": 0.0, "fit_training_percent": -math.inf}, {"epoch": 1.0, "fit_training_percent": 80.0}]
+    write_json(tmp_path / "curve.json", with_gaps(curve))
+    kept = json.loads((tmp_path / "curve.json").read_text())
+    assert [row["fit_training_percent"] for row in kept] == [None, 80.0]
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "curve.json", curve)

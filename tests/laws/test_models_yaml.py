@@ -24,7 +24,12 @@ TRAININGS = sorted(path.stem for path in (CONF / "training").glob("*.yaml"))
 OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob("*.yaml"))
 
 
-PACKAGES = {"n4sid": "nfoursid", "narx": "sysidentpy", "arx": "sysidentpy", "dynonet": "dynonet"}  # the extra "baselines"
+PACKAGES = {
+    "n4sid": "nfoursid",
+    "narx": "sysidentpy",
+    "arx": "sysidentpy",
+    "dynonet": "dynonet",
+}  # the extra "baselines"
 
 
 def read(group: str, choice: str, *overrides: str) -> Any:
