@@ -1,6 +1,6 @@
 """Throughput of training the members of a sweep together, against one after the other; and whether the results agree.
 
-python benchmarks/training_together.py [--members N] [--samples T ...]   # writes results/reference/training/together.csv
+python benchmarks/training_together.py [--members N] [--samples T ...]   # results/reference/training/together.csv
 
 Pairs within one run: the same members alone, one after the other; then together in one process, both in processor
 seconds of that process, from the data to the scored model (`throughput_ratio`); then in two such processes side by
