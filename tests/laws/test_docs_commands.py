@@ -83,7 +83,7 @@ def test_it_runs(
     for word, reason in ELSEWHERE.items():
         if word in command:
             pytest.skip(reason)
-    if "experiment=benchmarks" in command or "results/benchmarks" in command:
+    if "experiment=benchmark" in command or "results/benchmark" in command:
         monkeypatch.setenv("SSM_STUDY_DATA", str(request.getfixturevalue("benchmark_data")))
     monkeypatch.chdir(clone)
     written = files_to_write(ROOT / "docs" / COMMANDS[command]) if "my_" in command else {}
