@@ -76,7 +76,8 @@ SMALL_SOURCE = {  # pattern: what stands in its place
     "training_together.py": {r"^    as_launched\(\)": "    pass"},  # would start the test run again
     "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
 }
-AS_IT_IS = {"plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}  # seconds; of a benchmark named nowhere here, `--help` is asked
+# Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
+AS_IT_IS = {"plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
 ELSEWHERE = {  # what a test cannot have, by name
     "hydra/launcher=slurm": "needs a Slurm cluster",
     "hydra/launcher=ray": "needs a Ray cluster",
