@@ -14,7 +14,6 @@ from ssm_study.loop.table import Identified, Row, Table
 from ssm_study.plants.actuator import DelayedInput, SaturatedInput
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
-from ssm_study.synthesis.mismatch import Prediction
 
 SITUATIONS = (
     "nominal",
@@ -27,6 +26,8 @@ SITUATIONS = (
     "delay",
     "spread",
 )
+PREDICTED = ("mismatch_margin", "resolved_margin", "controller_radius")
+"""Nothing where a controller has no model."""
 Case = tuple[Plant, Loop]
 
 
@@ -73,7 +74,9 @@ class Comparison(Table):
 
     def _row(self, one: Peer, situation: str, cases: list[Case], seed: int) -> Row:
         said: Row = {"controller": one.name, "situation": situation, "certified": one.certified}
-        said |= _foretold(one.prediction) | {"reason": one.reason}
+        said |= (dict.fromkeys(PREDICTED) if one.prediction is None else one.prediction.columns()) | {
+            "reason": one.reason
+        }
         if one.controller is None:
             return said
         results: list[ClosedLoop] = [
@@ -125,14 +128,3 @@ class Comparison(Table):
             replace(plant, **dict(zip(known, (float(v) for v in row * nominal), strict=True)))  # type: ignore[type-var]
             for row in factors
         ]
-
-
-def _foretold(prediction: Prediction | None) -> Row:
-    """What is predicted of a controller that has a model; nothing of the others."""
-    if prediction is None:
-        return dict.fromkeys(("mismatch_margin", "resolved_margin", "controller_radius"))
-    return {
-        "mismatch_margin": prediction.margin,
-        "resolved_margin": prediction.resolved_margin,
-        "controller_radius": prediction.controller_radius,
-    }

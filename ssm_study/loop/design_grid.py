@@ -131,9 +131,7 @@ class DesignGrid(Table):
                 "gain_norm": float(np.linalg.norm(k, 2)),
                 "observer_gain_norm": float(np.linalg.norm(l_, 2)),
                 "mismatch_gain": shown.gain,
-                "mismatch_margin": predicted.margin,
-                "resolved_margin": predicted.resolved_margin,
-                "controller_radius": predicted.controller_radius,
+                **predicted.columns(),
                 "model_area": float(area),
             }
             for k, l_, predicted, area in zip(ks, ls, predictions, areas, strict=True)

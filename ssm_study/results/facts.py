@@ -116,13 +116,8 @@ def design_facts(
         return facts | {"infeasible_reason": "; ".join(reasons)}
     shown = mismatch(model, validation, start_up_samples)
     predicted = predict(model, feedback.k, observer.l, *balls, shown)
-    return facts | {
-        "mismatch_gain": shown.gain,
-        "mismatch_margin": predicted.margin,
-        "resolved_margin": predicted.resolved_margin,
-        "controller_radius": predicted.controller_radius,
-        "predicted_stable": predicted.keeps_the_plant(),
-    }
+    verdict = {"predicted_stable": predicted.keeps_the_plant()}
+    return facts | {"mismatch_gain": shown.gain} | predicted.columns() | verdict
 
 
 def opinion_facts(design: Design, model: SSM, balls: tuple[JacobianBall, JacobianBall]) -> Facts:

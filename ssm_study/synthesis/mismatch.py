@@ -60,6 +60,14 @@ class Prediction:
     def keeps_the_plant(self, margin: float = 1.0) -> bool:
         return self.resolved_margin > margin and self.controller_radius < 1
 
+    def columns(self) -> dict[str, float]:
+        """As every table names them (all -)."""
+        return {
+            "mismatch_margin": self.margin,
+            "resolved_margin": self.resolved_margin,
+            "controller_radius": self.controller_radius,
+        }
+
 
 def predict(
     model: SSM,
