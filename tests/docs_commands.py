@@ -107,9 +107,10 @@ def files_to_write(page: Path) -> dict[str, str]:
 
 
 def maker(study: str) -> str | None:
-    """The documented command that makes this study."""
-    runs = [command for command in every_command() if command.startswith("ssm-study run ") and "--" not in command]
-    runs = [command for command in runs if not any(word in command for word in ELSEWHERE)]
+    """The documented command that makes this study, or what `make study` runs."""
+    made = re.findall(r"^\t\$\(BIN\)/(ssm-study run .+)$", (ROOT / "Makefile").read_text(), re.M)
+    runs = [command for command in [*every_command(), *made] if command.startswith("ssm-study run ")]
+    runs = [command for command in runs if not any(word in command for word in [*ELSEWHERE, "--"])]
     named = [command for command in runs if f"study={study}" in command.split()]
     return next(iter(named + [c for c in runs if f"experiment={study}" in c.split() and " study=" not in c]), None)
 
