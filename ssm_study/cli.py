@@ -45,6 +45,7 @@ def limit_threads() -> None:
 
 
 def refuse_more_threads_than_cores() -> None:
+    """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
     cores = len(os.sched_getaffinity(0))
     for variable in COUNTS:
         asked = os.environ[variable]
@@ -59,7 +60,7 @@ def configuration_folder() -> Path:
 
 
 def run(overrides: list[str]) -> int:
-    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's."""
+    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException

@@ -89,7 +89,7 @@ class Specification:
 
 
 def part(name: str, settings: Mapping[str, Any]) -> Any:
-    """One group of the configuration as the object it describes, its fields checked against the constructor's types."""
+    """One group of the configuration as the object it describes; refuses fields that its constructor does not take."""
     node = copy.deepcopy(dict(settings))
     check_fields(name, node)
     try:

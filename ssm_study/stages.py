@@ -182,11 +182,12 @@ def stand_in(model: SSM, data: DataSet) -> Plant:
 
 
 def feasible(design: Design) -> bool:
+    """Both a controller and an observer were found, certified or not."""
     return not isinstance(design.state_feedback, Infeasible) and not isinstance(design.observer, Infeasible)
 
 
 def nothing(_: Any) -> None:
-    return None
+    """Of a stage that leaves files only there is nothing to read."""
 
 
 def select(specification: Specification, *names: str) -> Facts:
@@ -195,10 +196,12 @@ def select(specification: Specification, *names: str) -> Facts:
 
 
 def read_model(folder: Path) -> Any:
+    """The identified model, without torch."""
     return model_from_json(read_json(folder / "model.json"))
 
 
 def read_json(path: Path) -> Any:
+    """One JSON document in UTF-8."""
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -213,4 +216,5 @@ def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
 
 
 def write_json(path: Path, content: Any) -> None:
+    """Readable JSON; refuses numbers that JSON does not have (`ValueError`)."""
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -82,6 +82,7 @@ def conclude_sweep(config: DictConfig) -> bool:
 
 
 def study_folder(config: DictConfig) -> Path:
+    """`results_dir/study`."""
     return Path(str(config.results_dir)) / str(config.study)
 
 

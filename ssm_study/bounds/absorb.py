@@ -3,6 +3,7 @@
 `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`: the same model, whose scaffoldings now have
 Jacobians around the identity. The theorems speak of a ball around `alpha I`; a rotation or a sign per channel lies
 outside it and would be refused, although the model is as controllable as any. What cannot be absorbed stays refused.
+Derivation: docs/theory.md, "The ball of Jacobians".
 """
 
 from dataclasses import replace

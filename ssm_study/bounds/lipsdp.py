@@ -47,7 +47,7 @@ def lipsdp_bound(network: Network) -> SlopeBound:
 
 
 def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
-    """The ball of least radius around any matrix, or around a multiple of the identity (`scalar_centre`)."""
+    """The ball of least radius around any matrix, or around `alpha I` (`scalar_centre`). Refuses as above."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
     if scalar_centre:

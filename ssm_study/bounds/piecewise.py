@@ -2,7 +2,8 @@
 
 Between break points the network is affine, so its slope takes finitely many values; sorting the break points and
 listing the pieces gives them all. Weights are floats, hence dyadic rationals: slopes and offsets are kept as integers
-over one power of two per layer, and only the break points are fractions. Nothing is rounded anywhere.
+over one power of two per layer, and only the break points are fractions. Nothing is rounded anywhere. It corrects the
+lower bound of [Z26] (docs/theory.md).
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The configured step between identification and synthesis: balanced coordinates, fewer states."""
+"""The configured step between identification and synthesis: balanced coordinates, fewer states. Source: Moore 1981."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar, runtime_checkable

@@ -1,4 +1,6 @@
-"""`jacobian_ball(scaffold)`: the one question synthesis asks of a scaffolding, answered by the best sound method."""
+"""`jacobian_ball(scaffold)`: the one question synthesis asks of a scaffolding, answered by the best sound method.
+
+Why a ball, and why with sign: docs/theory.md, "The ball of Jacobians"."""
 
 from fractions import Fraction
 from typing import Protocol, runtime_checkable

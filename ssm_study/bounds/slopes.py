@@ -1,4 +1,4 @@
-"""What is provable of a scaffolding: its ball of Jacobians, and how each bound earned its trust."""
+"""What is provable of a scaffolding: its ball of Jacobians (docs/theory.md), and how each bound earned its trust."""
 
 from dataclasses import dataclass
 from fractions import Fraction

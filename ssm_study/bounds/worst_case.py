@@ -1,4 +1,6 @@
-"""How tight a bound is: the Jacobian farthest from the centre that a search can find, against the certified radius."""
+"""How tight a bound is: the Jacobian farthest from the centre that a search can find, against the certified radius.
+
+The other route to the bounds of docs/theory.md: from below."""
 
 from dataclasses import dataclass
 

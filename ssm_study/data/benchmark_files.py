@@ -26,7 +26,7 @@ def benchmark_folder(benchmark: str) -> Path:
 
 
 def downloaded(benchmark: str) -> Path:
-    """The folder into which the official package has put, or now puts, the files of a benchmark."""
+    """The folder into which the official package has put, or now puts, a benchmark's files; refuses without."""
     problem = f"the {benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}"
     remedy = "give data.folder=PATH, or pip install 'ssm-study[benchmarks]' to download them"
     try:
@@ -42,7 +42,7 @@ def downloaded(benchmark: str) -> Path:
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """The file of that name, or of its stem with another suffix: the same records are distributed as CSV and as MAT."""
+    """The file of that name, or of its stem as CSV or MAT: records are distributed as both. Refuses without."""
     exact = folder / name
     if exact.is_file():
         return exact

@@ -10,7 +10,7 @@ from ssm_study.refusal import BadRequest, require
 
 
 def read_mat(path: Path, names: list[str]) -> Table:
-    """Variables of shape (T, 1) or (1, T)."""
+    """Variables of shape (T, 1) or (1, T); refuses a file that is not whole."""
     try:
         contents = parse(path.read_bytes())
     except NotAMatFile as error:

@@ -7,7 +7,7 @@ import foxglove
 import numpy as np
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from google.protobuf import descriptor_pb2
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
@@ -132,7 +132,7 @@ def _tag(number: int) -> bytes:
     return out + bytes([key])
 
 
-def message_template(channels: int) -> np.ndarray:
+def message_template(channels: int) -> Shaped[np.ndarray, "1"]:
     """One message of zeros: the tags in place."""
     layout = message_layout(channels)
     record = np.zeros(1, dtype=layout)

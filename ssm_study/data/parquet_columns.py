@@ -11,7 +11,7 @@ from ssm_study.refusal import BadRequest, require
 
 
 def read_parquet(path: Path, names: list[str]) -> Table:
-    """The named columns; checksums of pages are verified where the file has them."""
+    """The named columns; page checksums are verified where the file has them. Refuses a file that is not whole."""
     try:
         schema = parquet.read_schema(path)
         for name in names:

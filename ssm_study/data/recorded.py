@@ -112,6 +112,7 @@ class RecordedData(RecordedSource):
 
 
 def check_recorded(start_up_samples: int, equilibrium: str) -> None:
+    """What every kind of recorded data is asked before it is read."""
     require(start_up_samples >= 0, "data.start_up_samples", start_up_samples, "must not be negative", "use 0")
     known = ("zero", "mean")
     require(equilibrium in known, "data.equilibrium", equilibrium, f"is none of {', '.join(known)}", "use one of these")

@@ -17,6 +17,7 @@ Names = str | list[str] | tuple[str, ...]
 
 
 def listed(names: Names) -> tuple[str, ...]:
+    """One name or several, as several."""
     return (names,) if isinstance(names, str) else tuple(names)
 
 

@@ -40,6 +40,8 @@ class DeepSSM(Simulator):
 
 
 class TorchDeepSSM(TorchModel):
+    """`DeepSSM` with free parameters; its state is that of all blocks, one after the other."""
+
     def __init__(self, blocks: list[TorchSSM]) -> None:
         super().__init__()
         self.blocks = nn.ModuleList(blocks)

@@ -65,6 +65,8 @@ def _lstm(gates: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TorchRecurrent(TorchModel):
+    """`y = W h + b` of torch's GRU or LSTM cell, float64; its state is h, and c of the LSTM."""
+
     def __init__(self, cell: str, hidden: int, channels: tuple[int, int]) -> None:
         super().__init__()
         self.kind = cell

@@ -76,7 +76,9 @@ class N4SID(SolvedSpec):
 
 
 def input_matrix(
-    a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: list[tuple[np.ndarray, np.ndarray]]
+    a: Float[np.ndarray, "n n"],
+    c: Float[np.ndarray, "p n"],
+    records: list[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]],
 ) -> Float[np.ndarray, "n m"]:
     """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so solved at once."""
     n, m, count = len(a), records[0][0].shape[1], len(records)

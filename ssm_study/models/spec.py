@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.models.scaffold_specs import Frame, ScaffoldSpec
 from ssm_study.models.start import from_data, on_ring
@@ -92,7 +93,7 @@ class SSMSpec(ModelSpec):
         return on_ring(self.order, self.real_modes, *ranges, channels, rng)
 
 
-def scaled(data: DataSet) -> list[tuple[np.ndarray, np.ndarray]]:
+def scaled(data: DataSet) -> list[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]:
     """Training records in scaled units: `(u - u_eq) / input_scale`, `(y - y_eq) / output_scale`."""
     return [
         (

@@ -5,13 +5,13 @@ numbers, the logistic function). Which numbers are left over depends on where a 
 """
 
 import torch
-from jaxtyping import Complex
+from jaxtyping import Complex, Num
 from torch import Tensor
 
 LANES = 8  # complex numbers, or pairs of real ones, that one turn of a vector loop takes
 
 
-def apart(rows: Tensor) -> Tensor:
+def apart(rows: Num[Tensor, "*rows n"]) -> Num[Tensor, "*rows n"]:
     """The same numbers with a gap after each row: no row is then computed in one go with its neighbours."""
     return torch.nn.functional.pad(rows, (0, 1))[..., :-1]
 

@@ -72,6 +72,6 @@ def leaky(
     return torch.where(z >= 0, positive, negative) * z
 
 
-def numbers(values: Tensor) -> Float[np.ndarray, "..."]:
+def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
     """A tensor's explicit numbers in float64."""
     return values.detach().cpu().to(torch.float64).numpy().copy()

@@ -41,7 +41,8 @@ class DCMotor(Plant):
     State `(i_a, w_m, w_L, th_m - th_L)`, input voltage (V), output load speed (rad/s), disturbance load torque (N m).
     `sgn` is set-valued at zero: a shaft at rest stays at rest, exactly, while the other torques on it are within `a0`.
     Stepped by a Taylor series of order 4 with located switches, steps of at most `solver_step_s`; a speed that touches
-    zero twice within one such step is not seen (`dc_motor_exact` sees it). Source: [Z26] sec. IV; Kara & Eker 2004.
+    zero twice within one such step is not seen (`dc_motor_exact` sees it). `settling_band` in rad/s.
+    Source: [Z26] sec. IV; Kara & Eker 2004.
     """
 
     resistance_ohm: float

@@ -22,7 +22,7 @@ class QuadrupleTank(Plant):
         A_i dh_i/dt = inflows - a_i sqrt(2 g h_i);  pump j gives k_j v_j: gamma_j of it below, the rest across
 
     State the levels (cm), inputs pump voltages (V), outputs the lower levels as sensor voltages (V), disturbances
-    inflows to the lower tanks (cm^3/s). Source: Johansson 2000, minimum-phase setting.
+    inflows to the lower tanks (cm^3/s); `settling_band` in V. Source: Johansson 2000, minimum-phase setting.
     """
 
     area_cm2: Four

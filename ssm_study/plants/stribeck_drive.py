@@ -19,6 +19,7 @@ class StribeckDrive(Plant):
 
     State `(i, w)`, input current command (A), output speed (rad/s), disturbance load torque (N m). Each substep solves
     the current exactly and thresholds the speed by what friction can take away: first order, and rest is exactly 0.0.
+    `settling_band` in rad/s.
     Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994 (friction); the values are this project's.
     """
 

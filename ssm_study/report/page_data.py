@@ -127,6 +127,7 @@ def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
 
 
 def configuration(best: RunFolder | None) -> str:
+    """The resolved configuration of that run as text; empty without a run."""
     path = None if best is None else best.path / ".hydra" / "config.yaml"
     return path.read_text() if path is not None and path.is_file() else ""
 
@@ -144,4 +145,5 @@ def script_json(data: Any) -> str:
 
 
 def asset(name: str) -> str:
+    """A text that the page is built from."""
     return (Path(__file__).parent / "page_assets" / name).read_text(encoding="utf-8")

@@ -65,7 +65,7 @@ ARRAYS = ("a", "b", "c", "d", "k", "l", "e", *SCALES)
 
 
 def portable_map(scaffold: Scaffold) -> PortableMap:
-    """The same map for every input: exactly for linear, mlp and residual, to rounding for monotone."""
+    """The same map for every input: exactly for linear, mlp and residual, to rounding for monotone; refuses others."""
     match scaffold:
         case LinearScaffold():
             return PortableMap(linear=scaffold.gain, network=None)

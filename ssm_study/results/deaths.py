@@ -74,6 +74,7 @@ def stop_hanging(job: Job) -> None:
 
 
 def kill_group(job: Job) -> None:
+    """SIGKILL to the job and to whatever it started."""
     if job.process is None or job.process.pid is None:
         return
     for kill in (os.killpg, os.kill) if job.process.is_alive() else (os.killpg,):

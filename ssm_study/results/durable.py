@@ -69,6 +69,7 @@ def sync_together(paths: Iterable[Path]) -> None:
 
 
 def sync_file(path: Path) -> None:
+    """`fsync` of a file or folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -77,6 +78,7 @@ def sync_file(path: Path) -> None:
 
 
 def sha256_of_file(path: Path) -> str:
+    """Hexadecimal digest, read block by block."""
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         while block := stream.read(BLOCK_BYTES):

@@ -91,6 +91,7 @@ def _again(run: Path, job: Callable[[DictConfig], object], results: Path) -> dic
 
 
 def compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> Reproduction:
+    """Two records of one configuration, column by column; what was different around them beside it."""
     names = [column.name for column in COLUMNS if column.name not in NOT_COMPARED]
     pairs = [Comparison(column=name, then=then.get(name), now=now.get(name)) for name in names]
     about = sorted(name for name in {*then, *now} if name.startswith(("version_", "git_", "machine", "threads")))

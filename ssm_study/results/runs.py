@@ -134,6 +134,7 @@ def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
 
 
 def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
+    """Of a run that is not executed now: what its folder says."""
     if before is None:
         return Outcome(folder=folder, status="absent", did="left", message="never ran; only failed runs are retried")
     did = "found" if before["status"] in FINISHED else "left"

@@ -92,6 +92,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None) -> str:
 
 
 def rich_table(table: pd.DataFrame, by: str | None = None) -> Table:
+    """`plain_table` with a colour for each status that is not ok."""
     text = plain_table(table, by).splitlines()
     result = Table.grid()
     result.add_row(text[0], style="bold")
@@ -102,10 +103,12 @@ def rich_table(table: pd.DataFrame, by: str | None = None) -> Table:
 
 
 def heading(name: str) -> str:
+    """What stands above a column: its short name, if it has one."""
     return (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
 
 
 def cell(value: object) -> str:
+    """Four digits, yes or no; `-` for what is missing."""
     if value is None or value is pd.NA:
         return "-"
     if isinstance(value, (bool, np.bool_)):

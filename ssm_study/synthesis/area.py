@@ -1,4 +1,7 @@
-"""How fast a design is on the model itself: the area under its response, for hundreds of designs at once."""
+"""How fast a design is on the model itself: the area under its response, for hundreds of designs at once.
+
+Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in docs/theory.md.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,7 @@
-"""From a model and its Jacobian balls to a controller and an observer, each with an exact verdict."""
+"""From a model and its Jacobian balls to a controller and an observer, each with an exact verdict.
+
+The theorems are 1 and 2 of [Z26]; how one problem serves both: docs/theory.md.
+"""
 
 import time
 from abc import ABC, abstractmethod

@@ -1,4 +1,7 @@
-"""The paper's two inequalities as printed, through the paper's kind of solver: a second opinion for every record."""
+"""The paper's two inequalities ([Z26] Theorems 1 and 2) as printed, through the paper's kind of solver:
+
+A second opinion for every record.
+"""
 
 import time
 from collections.abc import Callable

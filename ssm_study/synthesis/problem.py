@@ -1,4 +1,7 @@
-"""What every method solves: Theorem 1's inequality for one pair; Theorem 2's is the same for the transposed pair."""
+"""What every method solves: Theorem 1's inequality for one pair; Theorem 2's is the same for the transposed pair.
+
+Source: [Z26], with the corrections of docs/theory.md.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,7 @@
-"""From a gain and metric on the fast modes to a metric for the whole model: the slow modes contract by themselves."""
+"""From a gain and metric on the fast modes to a metric for the whole model: the slow modes contract by themselves.
+
+Derivation: docs/theory.md, "The gain in closed form".
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,7 @@
-"""From what a method found to a typed certificate: stored floats, the exact verdict on them, information beside it."""
+"""From what a method found to a typed certificate: stored floats, the exact verdict on them, information beside it.
+
+Derivation: docs/theory.md, "The verdict".
+"""
 
 import time
 from collections.abc import Callable, Iterable

@@ -1,4 +1,7 @@
-"""Re-derive every claim of a stored certificate from the file and the model alone; name the ones that do not hold."""
+"""Re-derive every claim of a stored certificate from the file and the model alone; name the ones that do not hold.
+
+What is claimed and how it is decided: docs/theory.md, "The verdict".
+"""
 
 from fractions import Fraction
 from typing import Any

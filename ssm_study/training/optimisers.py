@@ -89,6 +89,7 @@ class Adam(OptimiserSpec):
 
 
 def trainable(model: nn.Module) -> list[nn.Parameter]:
+    """What an optimiser moves."""
     return [parameter for parameter in model.parameters() if parameter.requires_grad]
 
 

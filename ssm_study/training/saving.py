@@ -7,6 +7,7 @@ from typing import Any
 
 import lightning.pytorch as pl
 import numpy as np
+from jaxtyping import Shaped
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 
@@ -64,7 +65,8 @@ def read(path: Path) -> dict[str, Any]:
         raise
 
 
-def write_best(path: Path, state: dict[str, Tensor], belongs_to: str) -> None:
+def write_best(path: Path, state: dict[str, Shaped[Tensor, "..."]], belongs_to: str) -> None:
+    """Seal the best state beside the fingerprint of the fit it belongs to."""
     DurableCheckpointIO().save_checkpoint({"state_dict": state, "fingerprint": belongs_to}, path)
 
 

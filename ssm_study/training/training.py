@@ -197,6 +197,7 @@ def _start_up(model: TorchModel, records: tuple[Trajectory, ...], data: DataSet)
 
 
 def passed(began: float) -> float:
+    """Wall-clock seconds since `began`."""
     return time.perf_counter() - began
 
 

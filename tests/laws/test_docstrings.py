@@ -1,0 +1,113 @@
+"""The form of public docstrings: what is said, its source, its refusals, shapes in types, units in names."""
+
+import ast
+import re
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[2] / "ssm_study"
+MODULES = {str(path.relative_to(PACKAGE)): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
+ROOMS_OF_THEOREMS = ("bounds", "synthesis")
+SOURCE = re.compile(r"\[Z26\]|docs/theory\.md|THEORY|\b(?:19|20)\d\d\b")
+REFUSAL = re.compile(r"BadRequest|[Rr]efus|[Rr]aises|NoSolution")
+ARRAY = re.compile(r"(?<!\[)\b(?:np\.ndarray|torch\.Tensor|Tensor)\b")
+UNIT = re.compile(
+    r"_(?:s|v|a|h|hz|ohm|nm|cm2|rad_per_s|kgm2|variance|v_per_cm|cm3_per_vs|nm_per_a|nms_per_rad|nm_per_rad)$"
+)
+
+Public = ast.FunctionDef | ast.ClassDef
+
+
+def public(module: ast.Module) -> list[Public]:
+    return [node for node in module.body if isinstance(node, Public) and not node.name.startswith("_")]
+
+
+def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
+    return [(path, node) for path, module in MODULES.items() for node in public(module) if isinstance(node, kind)]
+
+
+def test_a_module_says_what_it_answers() -> None:
+    """In sentences: a first paragraph that ends as one."""
+    first = {path: (ast.get_docstring(module) or "").split("\n\n")[0].rstrip() for path, module in MODULES.items()}
+    assert not [path for path, said in first.items() if not said.endswith((".", ":", "?", ";", "`"))]
+
+
+def test_every_public_name_is_told() -> None:
+    """Of a figure, `figure` and `draw` are the interface of its room: the module's docstring tells them."""
+    silent = [
+        f"{path}: {node.name}"
+        for path, node in named(Public)  # type: ignore[arg-type]
+        if ast.get_docstring(node) is None
+        and not (path.startswith("report/figures/") and node.name in ("figure", "draw"))
+    ]
+    assert not silent
+
+
+def test_every_theorem_and_bound_names_its_source() -> None:
+    without = [
+        path
+        for path, module in MODULES.items()
+        if path.startswith(ROOMS_OF_THEOREMS) and public(module) and not SOURCE.search(told(module))
+    ]
+    assert not without
+
+
+def told(module: ast.Module) -> str:
+    """All docstrings of a module."""
+    tellers = [module, *(n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.ClassDef))]
+    return "\n".join(ast.get_docstring(node) or "" for node in tellers)
+
+
+def test_who_refuses_says_so() -> None:
+    silent = [
+        f"{path}: {node.name}"
+        for path, node in named(ast.FunctionDef)
+        if any(isinstance(n, ast.Raise) and "BadRequest(" in ast.unparse(n) for n in ast.walk(node))
+        and not REFUSAL.search(ast.get_docstring(node) or "")
+    ]
+    assert not silent
+
+
+def test_arrays_of_public_functions_have_shapes() -> None:
+    shapeless = [
+        f"{path}: {node.name}"
+        for path, node in named(ast.FunctionDef)
+        if isinstance(node, ast.FunctionDef) and any(ARRAY.search(text) for text in signature(node))
+    ]
+    assert not shapeless
+
+
+def signature(function: ast.FunctionDef) -> list[str]:
+    given = [a.annotation for a in [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]]
+    return [ast.unparse(annotation) for annotation in [*given, function.returns] if annotation is not None]
+
+
+def test_numbers_of_a_plant_name_their_unit() -> None:
+    """In the name of the field, or else in the docstring of the class."""
+    unnamed = [
+        f"{path}: {node.name}.{field}"
+        for path, node in named(ast.ClassDef)
+        if path.startswith("plants/") and isinstance(node, ast.ClassDef) and yaml_sets(node)
+        for field in numbers(node)
+        if not UNIT.search(field) and not re.search(rf"\b{field}\b", ast.get_docstring(node) or "")
+    ]
+    assert not unnamed
+
+
+def yaml_sets(node: ast.ClassDef) -> bool:
+    return any("kw_only=True" in ast.unparse(decorator) for decorator in node.decorator_list)
+
+
+def numbers(node: ast.ClassDef) -> list[str]:
+    fields = [n for n in node.body if isinstance(n, ast.AnnAssign) and ast.unparse(n.annotation).startswith("float")]
+    return [n.target.id for n in fields if isinstance(n.target, ast.Name)]
+
+
+def test_the_rules_can_refuse() -> None:
+    wrong = ast.parse("def f(x: np.ndarray) -> None:\n    raise BadRequest('x', x, 'bad', 'mend it')")
+    (function,) = (node for node in wrong.body if isinstance(node, ast.FunctionDef))
+    assert ast.get_docstring(wrong) is None
+    assert not SOURCE.search(told(wrong))
+    assert ARRAY.search(signature(function)[0])
+    assert not ARRAY.search('Float[np.ndarray, "n n"]')
+    assert not UNIT.search("clock")
+    assert UNIT.search("clock_s")
