@@ -112,7 +112,9 @@ def test_arbitrary_bytes(sound, suffix: str, content: bytes) -> None:  # type: i
 def test_csv_of_arbitrary_cells(sound, cells: list[list[object]]) -> None:  # type: ignore[no-untyped-def]
     _, path = sound(".csv")
     text = io.StringIO()
-    pd.DataFrame(cells).to_csv(text, index=False, header=False)
+    longest = max((len(row) for row in cells), default=0)
+    padded = [[*row, *[None] * (longest - len(row))] for row in cells]
+    pd.DataFrame(padded).to_csv(text, index=False, header=False)
     path.write_text("u,y\n" + text.getvalue().replace("\0", ""), encoding="utf-8", errors="surrogatepass")
     read_or_refuse(path)
 
