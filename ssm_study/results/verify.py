@@ -186,11 +186,15 @@ def _same(record: dict[str, Any], derived: dict[str, Any], relative: float) -> I
     for name, value in derived.items():
         stored = record.get(name)
         stored = float(stored) if stored in ("inf", "-inf") else stored
-        if isinstance(value, float) and isinstance(stored, float | int) and not isinstance(stored, bool):
-            holds = stored == value or abs(stored - value) <= max(relative * abs(value), _resolution(name))
-        else:
-            holds = stored == value
+        holds = _agrees(stored, value, relative, _resolution(name))
         yield Finding(claim=name, holds=holds, found=f"{value}" if holds else f"derived {value}, stored {stored}")
+
+
+def _agrees(stored: Any, value: Any, relative: float, resolution: float) -> bool:
+    """Equal, or finite numbers as near as two machines' roundings."""
+    if isinstance(value, float) and np.isfinite(value) and type(stored) in (int, float):
+        return abs(stored - value) <= max(relative * abs(value), resolution)
+    return bool(stored == value)
 
 
 def _resolution(name: str) -> float:

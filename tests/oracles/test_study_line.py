@@ -144,6 +144,8 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
     table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet").sort_values("rate_controller")
     assert list(table["status"]) == ["ok", "ok", "infeasible"]
     assert table["infeasible_reason"].iloc[2].count("frontier") == 1
+    (refused,) = tmp_path.glob(f"sweep/{table['run'].iloc[2]}")
+    assert failing(refused) == set()  # an observer without a controller closes no loop and claims none
     assert len(list((tmp_path / ".store" / "model").iterdir())) == 1
     assert len(list((tmp_path / ".store" / "synthesis").iterdir())) == 3
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")}

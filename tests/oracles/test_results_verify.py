@@ -1,0 +1,192 @@
+"""Each claim that `verify` re-derives can fail: a number of a real run altered alone is named alone.
+
+And only beyond its tolerance. Records are sealed anew after an alteration: the claim has to be found, not the seal.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ssm_study.data.mcap import write_mcap
+from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.results import verify as verification
+from ssm_study.results.records import read_record, write_record
+from ssm_study.results.verify import verify
+
+# Relative tolerance of each number, written out again: what another machine's rounding may do.
+ONE_FORMULA, DECOMPOSED, ITERATED = 1e-9, 1e-6, 1e-6
+NUMBERS = {
+    **dict.fromkeys(("hankel_largest", "hankel_smallest", "spectral_radius"), DECOMPOSED),
+    **{f"{side}_slope_{end}": ONE_FORMULA for side in ("input", "output") for end in ("lower", "upper")},
+    **{f"input_slope_{end}_spectral": ONE_FORMULA for end in ("lower", "upper")},
+    **{f"rate_{side}": ITERATED for side in ("controller", "observer")},
+    **{f"{side}_{what}": ITERATED for side in ("controller", "observer") for what in ("rate_limit", "gain_norm")},
+    **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
+    **dict.fromkeys(("mismatch_gain", "controller_radius"), ITERATED),
+    **{f"fit_{record}_percent": ONE_FORMULA for record in ("validation", "test")},
+    **dict.fromkeys(("settling_time_mean_s", "estimate_decay_rate", "certified_bound_excess_plant"), ONE_FORMULA),
+}
+EIGENVALUES = {"controller_margin": 1e-12, "observer_margin": 1e-12}  # absolute, of matrices with unit diagonal
+COUNTS = ("states", "initial_conditions", "stable_count", "certified_bound_violations")
+PARTS = [f"{side}_{what}" for side in ("controller", "observer") for what in ("feasible", "certified")]
+WORDS = ("bound_method", "predicted_stable", *PARTS)
+FILES = ("files", "validation.mcap /simulated", "test.mcap /simulated", "closed_loop.mcap input")
+
+Comparison = tuple[dict[str, Any], float]
+
+
+@pytest.fixture(scope="module")
+def compared(smoke_run: Path) -> list[Comparison]:
+    """What one verification of the run derived, with the tolerance it was compared with."""
+    kept: list[Comparison] = []
+    compare = verification._same
+
+    def kept_and_compared(record: dict[str, Any], derived: dict[str, Any], relative: float) -> Iterator[Any]:
+        kept.append((derived, relative))
+        return compare(record, derived, relative)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(verification, "_same", kept_and_compared)
+        assert all(finding.holds for finding in verify(smoke_run))
+    return kept
+
+
+@pytest.fixture(scope="module")
+def record(smoke_run: Path) -> dict[str, Any]:
+    found = read_record(smoke_run)
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(smoke_run, tmp_path / smoke_run.name)
+
+
+def named(record: dict[str, Any], compared: list[Comparison]) -> set[str]:
+    findings = (finding for derived, relative in compared for finding in verification._same(record, derived, relative))
+    return {finding.claim for finding in findings if not finding.holds}
+
+
+def failing(run: Path) -> set[str]:
+    return {finding.claim for finding in verify(run) if not finding.holds}
+
+
+def moved(record: dict[str, Any], name: str, share: float) -> float:
+    """The number of the record moved by `share` of what it is allowed to differ."""
+    return record[name] + share * max(NUMBERS[name] * abs(record[name]), EIGENVALUES.get(name, 0.0))
+
+
+def test_every_claim_is_in_one_of_the_lists(smoke_run: Path) -> None:
+    """A claim added to `verify` has to be shown to be able to fail."""
+    claims = {finding.claim for finding in verify(smoke_run)}
+    certificates = {claim for claim in claims if claim.startswith("certificate.")}
+    assert len(certificates) == 2
+    assert claims - certificates == {*NUMBERS, *COUNTS, *WORDS, *FILES}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_number_is_named_beyond_its_tolerance_and_not_within(
+    name: str, record: dict[str, Any], compared: list[Comparison]
+) -> None:
+    for share in (-0.9, 0.9):
+        assert named(record | {name: moved(record, name, share)}, compared) == set()
+    for wrong in (moved(record, name, -1.1), moved(record, name, 1.1), -1 - record[name], None, "inf", "unknown"):
+        if wrong != record[name]:  # a number that is zero cannot be moved by a share of itself
+            assert named(record | {name: wrong}, compared) == {name}
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_a_count_is_named_when_it_is_one_off(name: str, record: dict[str, Any], compared: list[Comparison]) -> None:
+    for wrong in (record[name] + 1, record[name] - 1, None):
+        assert named(record | {name: wrong}, compared) == {name}
+
+
+@pytest.mark.parametrize("name", WORDS)
+def test_a_word_is_named_when_it_is_another(name: str, record: dict[str, Any], compared: list[Comparison]) -> None:
+    other = not record[name] if isinstance(record[name], bool) else f"{record[name]}_"
+    for wrong in (other, None):
+        assert named(record | {name: wrong}, compared) == {name}
+
+
+def test_a_claim_left_out_of_the_record_is_named(record: dict[str, Any], compared: list[Comparison]) -> None:
+    for name in {*NUMBERS, *COUNTS, *WORDS}:
+        assert named({key: value for key, value in record.items() if key != name}, compared) == {name}
+
+
+def test_an_infinite_number_is_only_itself() -> None:
+    """A margin is infinite where the gain is zero; no finite number is near to that."""
+    for stored, holds in (("inf", True), ("-inf", False), (1e300, False), (2.0, False), (None, False)):
+        (finding,) = verification._same({"mismatch_margin": stored}, {"mismatch_margin": np.inf}, 1e-6)
+        assert finding.holds is holds
+
+
+def test_a_record_sealed_anew_is_judged_by_its_numbers(copied_run: Path, record: dict[str, Any]) -> None:
+    for share, expected in ((0.9, set()), (1.1, {name for name in NUMBERS if record[name]})):
+        write_record(copied_run, record | {name: moved(record, name, share) for name in NUMBERS})
+        assert failing(copied_run) == expected
+
+
+def altered(run: Path, file: str, topic: str, change: Callable[[np.ndarray], object]) -> None:
+    groups, about = read_mcap(run / file)
+    assert any(group.topic == topic for group in groups)
+
+    def of(group: Any) -> Any:
+        values = group.values.copy()
+        change(values)
+        return replace(group, values=values) if group.topic == topic else group
+
+    write_mcap(run / file, tuple(of(group) for group in groups), about)
+
+
+def add_to_last(run: Path, file: str, topic: str, amount: float) -> None:
+    def change(values: np.ndarray) -> None:
+        values[-1, 0] += amount
+
+    altered(run, file, topic, change)
+
+
+def largest(run: Path, file: str, name: str) -> float:
+    groups, _ = read_mcap(run / file)
+    return max(float(np.abs(group.values).max()) for group in groups if group.topic.endswith(f"/{name}"))
+
+
+@pytest.mark.parametrize(
+    ("file", "topic", "claim", "tolerance"),
+    [
+        ("validation.mcap", "/simulated", "validation.mcap /simulated", ONE_FORMULA),
+        ("test.mcap", "/simulated", "test.mcap /simulated", ONE_FORMULA),
+        ("closed_loop.mcap", "/case_0/input", "closed_loop.mcap input", ITERATED),
+    ],
+)
+def test_one_sample_of_a_recording_is_named_beyond_its_tolerance_and_not_within(
+    file: str, topic: str, claim: str, tolerance: float, smoke_run: Path, tmp_path: Path
+) -> None:
+    step = tolerance * largest(smoke_run, file, topic.rpartition("/")[2])
+    for share, expected in ((0.9, {"files"}), (-0.9, {"files"}), (1.1, {"files", claim}), (-1.1, {"files", claim})):
+        run = shutil.copytree(smoke_run, tmp_path / f"run{share}")
+        add_to_last(run, file, topic, share * step)
+        assert failing(run) == expected
+
+
+def test_a_measured_output_that_was_another_is_named(copied_run: Path) -> None:
+    altered(copied_run, "test.mcap", "/measured", lambda y: np.multiply(y, 1 + 1e-6, out=y))
+    assert "fit_test_percent" in failing(copied_run)
+
+
+@pytest.mark.parametrize(
+    ("file", "topic", "claims"),
+    [
+        ("closed_loop.mcap", "/case_1/output", {"stable_count", "settling_time_mean_s"}),
+        ("closed_loop.mcap", "/case_1/estimate", {"certified_bound_excess_plant"}),
+        ("closed_loop_model.mcap", "/case_1/states", {"certified_bound_violations", "estimate_decay_rate"}),
+    ],
+)
+def test_a_last_sample_a_million_away_is_named(file: str, topic: str, claims: set[str], copied_run: Path) -> None:
+    add_to_last(copied_run, file, topic, 1e6)
+    assert failing(copied_run) == {"files", *claims}
