@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from ssm_study.loop.controller import Controller
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.loop.settling import NEVER, settling_samples
-from ssm_study.loop.table import Identified, Row, Table
+from ssm_study.loop.table import Identified, Row
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
@@ -19,7 +19,7 @@ from ssm_study.synthesis.auto import Auto, Candidates
 from ssm_study.synthesis.mismatch import mismatch, predict
 
 if TYPE_CHECKING:
-    from ssm_study.loop.regulation import Loop
+    from ssm_study.loop.regulation import Loop, Table
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """The experiment: initial conditions, noise, reference and disturbance, on the plant, without control, on the model."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +11,7 @@ from ssm_study.loop.disturbance import Disturbance, NoDisturbance
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import Rollouts, close_loop, matched
-from ssm_study.loop.table import Table
+from ssm_study.loop.table import Identified, Row
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
@@ -33,6 +34,13 @@ class ClosedLoop:
     on_model: Rollouts | None
     settling_band: float
     input_equilibrium: Float[np.ndarray, "m"]
+
+
+class Table(ABC):
+    """`rows(plant, known, loop, seed)`: one flat row per case, missing values None, same columns in every row."""
+
+    @abstractmethod
+    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]: ...
 
 
 @dataclass(frozen=True, kw_only=True)

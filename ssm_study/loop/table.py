@@ -1,18 +1,13 @@
 """A table that one run leaves beside its record: many controllers, or many situations, on the run's own model."""
 
 import csv
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ssm_study.models.identified import SSM
-from ssm_study.plants.plant import Plant
 from ssm_study.signals import Trajectory
 from ssm_study.systems import JacobianBall
-
-if TYPE_CHECKING:  # a loop may carry a table, and a table runs the loop
-    from ssm_study.loop.regulation import Loop
 
 Row = dict[str, Any]
 
@@ -24,13 +19,6 @@ class Identified:
     model: SSM
     balls: tuple[JacobianBall, JacobianBall]
     validation: tuple[Trajectory, ...]
-
-
-class Table(ABC):
-    """`rows(plant, known, loop, seed)`: one flat row per case, missing values None, same columns in every row."""
-
-    @abstractmethod
-    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]: ...
 
 
 def write_rows(path: Path, rows: list[Row]) -> None:
