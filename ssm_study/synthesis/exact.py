@@ -3,7 +3,7 @@
 Every float is a rational number, so the LMI of a stored certificate is a rational matrix; whether it is positive
 definite is a yes or no. Three exact routes, tried from cheap to dear:
 
-* yes, if `G M G^T` is strictly diagonally dominant with a positive diagonal for some invertible rational `G`
+* yes, if `G M G^T` is strictly diagonally dominant with a positive diagonal for some rational `G`, then invertible
   (a rounded inverse Cholesky factor; Gershgorin's theorem and Sylvester's law of inertia do the rest);
 * no, if `v^T M v <= 0` for some rational `v != 0` (a rounded eigenvector);
 * otherwise the fraction-free LDL^T: positive definite iff every leading principal minor is positive (Sylvester).
@@ -158,19 +158,20 @@ def _proved_by_dominance(integer: fmpz_mat, scaled: Float[np.ndarray, "s s"]) ->
 
 def _refuted_by_vector(integer: fmpz_mat, scaled: Float[np.ndarray, "s s"]) -> bool:
     vectors = np.linalg.eigh(np.clip(scaled, -1e150, 1e150))[1]
-    product = _congruence(integer, vectors[:, :1].T, square=False)
+    product = _congruence(integer, vectors[:, :1].T)
     return product is not None and bool(product[0, 0] <= 0)
 
 
-def _congruence(integer: fmpz_mat, rows: Float[np.ndarray, "k s"], square: bool = True) -> fmpz_mat | None:
-    """`G M G^T` up to positive factors, for `G = rows * 2^-e`, each row rounded to integers; None if a row vanishes."""
+def _congruence(integer: fmpz_mat, rows: Float[np.ndarray, "k s"]) -> fmpz_mat | None:
+    """`G M G^T` up to positive factors, for `G = rows * 2^-e`, each row rounded to integers; None if G is zero.
+
+    G need not be checked to be invertible: where the product is diagonally dominant it is, and so is M.
+    """
     halved = _halved_exponents(integer)
     top = max(halved)
     shift = [1 << (top - e) for e in halved]
     scale = np.ldexp(1.0, MANTISSA_BITS - np.frexp(np.abs(rows).max(axis=1))[1])
     rounded = np.rint(rows * scale[:, None])
-    if square and not (np.diagonal(rounded) != 0).all():  # triangular with a nonzero diagonal: invertible
-        return None
     if not rounded.any():
         return None
     g = fmpz_mat([[int(value) * shift[j] for j, value in enumerate(row)] for row in rounded])

@@ -85,6 +85,13 @@ def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
     assert f"{design.state_feedback.rate_limit:.6g}" in design.state_feedback.reason
 
 
+def test_minors_of_one_and_of_zero() -> None:
+    """Pivots of the fraction-free elimination are integers: one is the smallest that is positive, zero is not."""
+    assert exact.has_positive_leading_minors(fmpz_mat([[1, 0], [0, 1]]))
+    assert not exact.has_positive_leading_minors(fmpz_mat([[1, 1], [1, 1]]))
+    assert not exact.has_positive_leading_minors(fmpz_mat([[0, 1], [1, 0]]))
+
+
 def as_floats(matrix) -> np.ndarray:
     return np.array([[int(value.p) / int(value.q) for value in row] for row in matrix.tolist()])
 

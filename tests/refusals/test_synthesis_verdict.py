@@ -2,14 +2,19 @@
 
 import copy
 import json
+import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.certificate import Design, StateFeedback, digest
+from ssm_study.synthesis import exact
+from ssm_study.synthesis import verify as verification
+from ssm_study.synthesis.certificate import Design, Infeasible, StateFeedback, digest
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.problem import NoSolution, Solution, margin, unit_diagonal
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution, margin, theorem_matrix, unit_diagonal
 from ssm_study.synthesis.riccati import RiccatiSynthesis, guaranteed_cost
 from ssm_study.synthesis.verdict import CONTROLLER, Request
 from ssm_study.synthesis.verify import broken_claims
@@ -28,9 +33,12 @@ class Model:
     linear = PLANT
 
 
+def designed(rate: float = 0.3) -> Design:
+    return RiccatiSynthesis(rate_controller=rate, rate_observer=0.3).design(Model(), *BALLS)
+
+
 def stored(rate: float) -> dict:
-    design = RiccatiSynthesis(rate_controller=rate, rate_observer=0.3).design(Model(), *BALLS)
-    return json.loads(json.dumps(design.to_json()))
+    return json.loads(json.dumps(designed(rate).to_json()))
 
 
 def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
@@ -82,3 +90,64 @@ def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
     for wrong, told in ((missing, "is missing"), (strange, "is not part of a certificate")):
         with pytest.raises(BadRequest, match=told):
             Design.from_json(wrong)
+
+
+def test_a_part_that_does_not_say_whether_it_is_feasible_is_a_certificate() -> None:
+    content = stored(0.3)
+    del content["observer"]["feasible"]
+    np.testing.assert_array_equal(Design.from_json(content).observer.q, designed().observer.q)
+
+
+def test_a_certificate_that_is_not_a_number_is_not_written(tmp_path: Path) -> None:
+    design = designed()
+    with pytest.raises(ValueError, match="JSON"):
+        replace(design, state_feedback=replace(design.state_feedback, margin=np.nan)).save(tmp_path / "c.json")
+
+
+@pytest.mark.parametrize("name", ["k", "p", "y", "l", "q", "u"])
+def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
+    design = designed()
+    part, side = (design.state_feedback, "state_feedback") if name in "kpy" else (design.observer, "observer")
+    object.__setattr__(part, name, np.ones((3, 3)))  # as a file may hold it: its shapes are checked here only
+    claims = verification._of_feedback if name in "kpy" else verification._of_observer
+    assert claims(part, PLANT) == [f"{side}: the matrices do not fit the model"]
+
+
+def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
+    limit = frontier(PLANT.a, PLANT.b, BALLS[0])
+    request = Request(side=CONTROLLER, rate=limit.rate_limit, ball=BALLS[0], frontier=limit, method="any", started=0.0)
+    refused = request.refused()
+    assert isinstance(refused, Infeasible)
+    assert refused.proved
+    assert replace(request, rate=float(np.nextafter(limit.rate_limit, 0))).refused() is None
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0, 1.5])
+def test_a_problem_with_a_rate_outside_the_unit_interval(rate: float) -> None:
+    weights = {"state_weight": np.eye(2), "input_weight": 1.0}
+    with pytest.raises(BadRequest, match="rate"):
+        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS[0], rate=rate, **weights)
+
+
+def test_the_margin_is_that_of_the_exact_inequality() -> None:
+    """The smallest eigenvalue of what exact arithmetic decides on, rounded afterwards; Y is not P here."""
+    part = designed().state_feedback
+    y = part.y @ np.array([[1.0, 0.1], [0.0, 1.2]])
+    solution = Solution(p=part.p, y=y, k=part.k, sigma=part.sigma, status="")
+    lmi = exact.theorem_one(part.a, part.b, part.alpha, part.beta, part.rate, part.p, y, part.k, part.sigma)
+    rounded = np.array([[int(value.p) / int(value.q) for value in row] for row in lmi.tolist()])
+    ours = theorem_matrix(part.a, part.b, BALLS[0], part.rate, solution)
+    np.testing.assert_allclose(ours, unit_diagonal(rounded), atol=1e-13)
+
+
+def test_what_stands_beside_the_matrices() -> None:
+    """Metric, gain norm and seconds, each against its definition."""
+    started = time.perf_counter()
+    feedback, observer = designed().state_feedback, designed().observer
+    beyond = designed(0.9).state_feedback
+    elapsed = time.perf_counter() - started
+    np.testing.assert_allclose(feedback.metric @ feedback.p, np.eye(2), atol=1e-9)
+    np.testing.assert_array_equal(observer.metric, observer.q)
+    assert feedback.gain_norm == pytest.approx(np.sqrt((feedback.k**2).sum()))  # one row: its Euclidean length
+    assert observer.gain_norm == pytest.approx(np.sqrt((observer.l**2).sum()))
+    assert all(0 <= part.seconds <= elapsed for part in (feedback, observer, beyond))
