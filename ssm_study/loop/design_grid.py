@@ -2,12 +2,12 @@
 
 # ruff: noqa: ARG002 - every law is shown everything; some need less
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.loop.controller import Controller
+from ssm_study.loop.regulation import Loop, Table
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.loop.settling import NEVER, settling_samples
 from ssm_study.loop.table import Identified, Row
@@ -17,9 +17,6 @@ from ssm_study.refusal import require
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.auto import Auto, Candidates
 from ssm_study.synthesis.mismatch import mismatch, predict
-
-if TYPE_CHECKING:
-    from ssm_study.loop.regulation import Loop, Table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +93,7 @@ class DesignGrid(Table):
     def __post_init__(self) -> None:
         require(self.designs >= 1, "loop.comparison.designs", self.designs, "at least one is needed", "use 150")
 
-    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
+    def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
         candidates = self.auto.candidates(known.model, *known.balls)
         if candidates is None:
             return []
@@ -143,7 +140,7 @@ class DesignGrid(Table):
         model: SSM,
         ks: Float[np.ndarray, "D m n"],
         ls: Float[np.ndarray, "D n p"],
-        loop: "Loop",
+        loop: Loop,
         seed: int,
     ) -> list[Row]:
         longer = replace(loop, horizon_s=self.horizon_factor * loop.samples(plant.step_s) * plant.step_s)
