@@ -2,7 +2,8 @@
 
 One row per folder: files and lines; lines of code per function body (docstring left out); share of functions over 30
 lines; share of public functions whose every argument and result has a type; share of public functions and classes with
-a docstring; share of comment lines.
+a docstring; share of comment lines. Of tests: how many functions, how many of them demand that something is refused,
+and how often (`pytest.raises`, `assertRaises`; a parametrised test counts once).
 """
 
 import argparse
@@ -35,6 +36,13 @@ def comments(text: str) -> int:
     return len({token.start[0] for token in tokens if token.type == tokenize.COMMENT})
 
 
+def refusals(function: Function) -> int:
+    called = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
+    return sum(
+        isinstance(f, ast.Attribute) and f.attr in ("raises", "assertRaises", "assertRaisesRegex") for f in called
+    )
+
+
 def shape(folder: Path) -> dict[str, object]:
     texts = {path: path.read_text(encoding="utf-8") for path in sorted(folder.rglob("*.py"))}
     nodes = [node for text in texts.values() for node in ast.walk(ast.parse(text))]
@@ -43,6 +51,7 @@ def shape(folder: Path) -> dict[str, object]:
     told = [node for node in nodes if isinstance(node, Function | ast.ClassDef) and not node.name.startswith("_")]
     sizes, lengths = np.array([len(t.splitlines()) for t in texts.values()]), np.array([*map(body_lines, functions)])
     lines = int(sizes.sum())
+    refused = [refusals(node) for node in functions if node.name.startswith("test")]
     return {
         "package": folder.name,
         "files": len(texts),
@@ -57,6 +66,9 @@ def shape(folder: Path) -> dict[str, object]:
         "typed_percent": 100 * float(np.mean([typed(node) for node in public])),
         "docstring_percent": 100 * float(np.mean([ast.get_docstring(node) is not None for node in told])),
         "comment_percent": 100 * sum(map(comments, texts.values())) / lines,
+        "tests": len(refused),
+        "tests_of_a_refusal": sum(n > 0 for n in refused),
+        "refusals": sum(refused),
     }
 
 
