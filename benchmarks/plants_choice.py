@@ -1,11 +1,14 @@
 """The settings of our model on each benchmark, chosen without its test records.
 
     ssm-study run -m experiment=benchmark_choice
+    ssm-study run -m experiment=benchmark_rehearsal
     python benchmarks/plants_choice.py results/benchmark_choice [--out FOLDER]
+    python benchmarks/plants_choice.py results/benchmark_rehearsal
 
-Rule: on each record the setting with the least held-out error, which is the root mean square over all samples of all
-folds (start-up samples left out). A setting that failed on a fold is out. No test file is opened by these runs.
-Writes `choice.csv`: every setting with its error on each fold, best first.
+Rule: on each record the setting with the least error on what was held out, which is the root mean square over all
+samples of all folds, or of all rehearsals (start-up samples left out). A setting that failed on one of them, or whose
+controller or observer is not certified, is out. No test file is opened by these runs.
+Writes `choice.csv` or `rehearsal.csv`: every setting with each of its errors, best first.
 """
 
 import argparse
@@ -16,40 +19,54 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 REFERENCE = Path(__file__).resolve().parents[1] / "results" / "reference" / "benchmarks"
-BENCHMARKS = {"cascaded_tanks": ("V", 1.0), "ced": ("ticks/s", 1.0), "emps": ("mm", 1000.0)}
+UNITS = {"cascaded_tanks": "V", "ced": "ticks/s", "emps": "mm"}
 SETTINGS = ("order", "hidden_width", "slope_lower", "scaffold_out")
-FOLDS = 4
+PARTS = 4  # folds, or rehearsals
 Setting = tuple[Any, ...]
+Errors = dict[str, dict[Setting, dict[int, float]]]
 
 
-def held_out_errors(study: Path) -> dict[str, dict[Setting, dict[int, float]]]:
-    """Benchmark -> setting -> fold -> root mean square of the held-out error; failed runs leave a gap."""
-    errors: dict[str, dict[Setting, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
+def held_out_errors(study: Path, rehearsed: bool) -> Errors:
+    """Benchmark -> setting -> fold or rehearsal -> root mean square error; what failed or is uncertified leaves a gap."""
+    errors: Errors = defaultdict(lambda: defaultdict(dict))
     for path in sorted(study.glob("*/record.json")):
-        record, config = json.loads(path.read_text()), OmegaConf.load(path.parent / ".hydra" / "config.yaml")
-        assert config.data.fold is not None, f"{path.parent} is scored on the test records"
+        record, config = json.loads(path.read_text()), config_of(path)
         setting = tuple(record[name] for name in SETTINGS)
+        if rehearsed:
+            errors["emps"][(*setting, *config.data.experiments.output_equilibrium)] |= rehearsal_errors(record)
+            continue
+        assert config.data.fold is not None, f"{path.parent} is scored on the test records"
         of_setting = errors[str(config.data.benchmark)][setting]
         if record.get("rmse_test") is not None:
             of_setting[int(config.data.fold)] = float(record["rmse_test"])
     return errors
 
 
-def pooled(folds: dict[int, float]) -> float:
-    """`sqrt(mean_k rmse_k^2)`: the folds are of equal length."""
-    return math.sqrt(sum(e**2 for e in folds.values()) / FOLDS) if len(folds) == FOLDS else math.inf
+def rehearsal_errors(record: dict[str, Any]) -> dict[int, float]:
+    certified = record.get("controller_certified") and record.get("observer_certified")
+    return {k: float(record[f"score_test_{k + 1}"]) for k in range(PARTS)} if certified else {}
+
+
+def config_of(record: Path) -> DictConfig:
+    config = OmegaConf.load(record.parent / ".hydra" / "config.yaml")
+    assert isinstance(config, DictConfig)
+    return config
+
+
+def pooled(parts: dict[int, float]) -> float:
+    """`sqrt(mean_k rmse_k^2)`: the parts are of equal length."""
+    return math.sqrt(sum(e**2 for e in parts.values()) / PARTS) if len(parts) == PARTS else math.inf
 
 
 def rows_of(benchmark: str, settings: dict[Setting, dict[int, float]]) -> list[list[object]]:
-    unit, factor = BENCHMARKS[benchmark]
     ranked = sorted(settings.items(), key=lambda item: pooled(item[1]))
     return [
-        [benchmark, unit, *setting, f"{factor * pooled(folds):.4g}"]
-        + [f"{factor * folds[k]:.4g}" if k in folds else "" for k in range(FOLDS)]
-        for setting, folds in ranked
+        [benchmark, UNITS[benchmark], *setting, f"{pooled(parts):.4g}"]
+        + [f"{parts[k]:.4g}" if k in parts else "" for k in range(PARTS)]
+        for setting, parts in ranked
     ]
 
 
@@ -58,12 +75,17 @@ def main() -> None:
     parser.add_argument("study", type=Path, help="the folder of the study, e.g. results/benchmark_choice")
     parser.add_argument("--out", type=Path, default=REFERENCE)
     options = parser.parse_args()
-    errors = held_out_errors(options.study)
-    with (options.out / "choice.csv").open("w", newline="") as stream:
+    runs = sorted(options.study.glob("*/record.json"))
+    if not runs:
+        raise SystemExit(f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmark_choice")
+    rehearsed = "rehearsals" in config_of(runs[0]).data
+    errors = held_out_errors(options.study, rehearsed)
+    part, more = ("rehearsal", ["output_equilibrium"]) if rehearsed else ("fold", [])
+    parts = [f"{part}_{k}" for k in range(PARTS)]
+    with (options.out / ("rehearsal.csv" if rehearsed else "choice.csv")).open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        folds = [f"fold_{k}" for k in range(FOLDS)]
-        writer.writerow(["benchmark", "unit", *SETTINGS, "held_out_rmse", *folds])
-        for benchmark in BENCHMARKS:
+        writer.writerow(["benchmark", "unit", *SETTINGS, *more, "held_out_rmse", *parts])
+        for benchmark in [name for name in UNITS if name in errors]:
             rows = rows_of(benchmark, errors[benchmark])
             writer.writerows(rows)
             print(*rows[:3], sep="\n")

@@ -44,12 +44,12 @@ class RecordedExperiments(RecordedSource):
             require(len(getattr(self, part)) > 0, f"data.{part}", "none", "no recording is named", "name at least one")
 
     def files(self) -> tuple[Path, ...]:
-        folder, apart = self._folder(), (*self.validation, *self.test) if self.fold is None else ()
+        folder, apart = self.located(), (*self.validation, *self.test) if self.fold is None else ()
         names = dict.fromkeys(r.path for r in (*self.training, *apart))
         return tuple(file_in(folder, name) for name in names)
 
     def build(self, seed: int) -> DataSet:
-        training, validation, test = self._parts(self._folder())
+        training, validation, test = self._parts(self.located())
         return assembled(
             training=training,
             validation=validation,
@@ -70,7 +70,8 @@ class RecordedExperiments(RecordedSource):
         kept = tuple(piece for record in training for piece in _around(record, self.fold, self.folds))
         return kept, kept, tuple(_piece(record, self.fold, self.fold + 1, self.folds) for record in training)
 
-    def _folder(self) -> Path:
+    def located(self) -> Path:
+        """The folder of the records; `BadRequest` where there is none."""
         if self.folder is not None:
             require(Path(self.folder).is_dir(), "data.folder", self.folder, "no such folder", "check the spelling")
             return Path(self.folder)

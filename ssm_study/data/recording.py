@@ -79,7 +79,7 @@ class Recording:
         y = np.stack([table.columns[name] for name in listed(self.output)], axis=1)
         both, step_s = self._on_clock(table, np.concatenate([u, y], axis=1))
         both = self._cut(both)
-        u, y = _decimated(both[:, : u.shape[1]], both[:, u.shape[1] :], self.decimate)
+        u, y = decimated(both[:, : u.shape[1]], both[:, u.shape[1] :], self.decimate)
         step_s *= self.decimate
         if self.differentiate:
             u, y = u[1:], np.diff(y, axis=0) / step_s
@@ -123,7 +123,7 @@ class Recording:
         return kept
 
 
-def _decimated(
+def decimated(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
     periods = len(u) // every

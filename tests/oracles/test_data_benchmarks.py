@@ -150,7 +150,7 @@ def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-un
     assert benchmark_rmse(velocity, (kicked,))[0] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", ["ced", "cascaded_tanks", "emps_repeated"])
+@pytest.mark.parametrize("name", ["ced", "cascaded_tanks", "emps_position"])
 def test_a_fold_opens_no_test_file_and_scores_what_it_held_out(built, name: str) -> None:  # type: ignore[no-untyped-def]
     """The pieces of all folds are the training records, each once; what a fold keeps and holds out do not overlap."""
     whole = built(name, "start_up_samples=0")
