@@ -57,6 +57,7 @@ WORDS: dict[str, str] = {
     "controller_radius": "Controller's own spectral radius (–)",
     "predicted_stable": "Plant predicted stable",
     "infeasible_reason": "Why it is infeasible",
+    "uncertified_reason": "Why it is not certified",
     "error_message": "Error",
 }
 

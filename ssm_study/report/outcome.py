@@ -108,8 +108,8 @@ def _ratio(record: Mapping[str, Any]) -> str:
 
 
 def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Whatever the record says about why a run is infeasible or failed."""
-    for name in ("infeasible_reason", "error_message"):
+    """Whatever the record says about why a run is infeasible, not certified or failed."""
+    for name in ("infeasible_reason", "uncertified_reason", "error_message"):
         if record.get(name):
             yield f"{name.replace('_', ' ')}: {record[name]}"
 

@@ -114,6 +114,9 @@ def design_facts(
     if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
         reasons = (part.reason for part in (feedback, observer) if isinstance(part, Infeasible))
         return facts | {"infeasible_reason": "; ".join(reasons)}
+    missed = [(side, p) for side, p in (("controller", feedback), ("observer", observer)) if not p.certified]
+    if missed:
+        facts["uncertified_reason"] = "; ".join(f"{side}: {part.solver_status}" for side, part in missed)
     shown = mismatch(model, validation, start_up_samples)
     predicted = predict(model, feedback.k, observer.l, *balls, shown)
     verdict = {"predicted_stable": predicted.keeps_the_plant()}

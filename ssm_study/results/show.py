@@ -30,7 +30,7 @@ SETTINGS = (
 )
 OUTCOMES = ("fit_test_percent", "stable_fraction", "settling_time_mean_s", "certified", "mismatch_margin")
 CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
-REASONS = ("error_message", "infeasible_reason")
+REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
 
 
 def show(study: Path, by: str | None = None, where: str | None = None, cost: bool = False) -> None:
@@ -117,12 +117,15 @@ def cell(value: object) -> str:
 
 
 def summary(table: pd.DataFrame, shown: int) -> list[str]:
-    """Counts by status, then each run that did not end `ok` with its reason."""
+    """Counts by status, then each run that did not end `ok`, or without a certificate, with its reason."""
     counts = table["status"].value_counts()
     order = [status for status in ("ok", "infeasible", "failed", "lost", "corrupt", "running") if status in counts]
     lines = ["", f"{len(table)} runs ({shown} shown): " + ", ".join(f"{counts[status]} {status}" for status in order)]
     lines += _listed(table, "failed", lambda row: _reason(row) or "no message recorded")
     lines += _listed(table, "infeasible", lambda row: _reason(row) or _infeasible_parts(row))
+    if "uncertified_reason" in table:
+        uncertified = table[table["uncertified_reason"].notna()].assign(status="not certified")
+        lines += _listed(uncertified, "not certified", _reason)
     lines += _listed(table, "lost", lambda _: "stopped before it ended; the same command runs it again")
     lines += _listed(table, "corrupt", lambda _: "record.json is damaged; the same command runs it again")
     return lines

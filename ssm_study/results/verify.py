@@ -104,7 +104,8 @@ def _certificate(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
     broken = broken_claims(content, model.linear, balls, controlled)
     for side, part in (("state_feedback", feedback), ("observer", design.observer)):
         wrong = [sentence for sentence in broken if sentence.startswith(side)]
-        found = f"exact arithmetic finds it {'certified' if part.certified else 'without certificate'}"
+        why = part.reason if isinstance(part, Infeasible) else part.solver_status
+        found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
         yield Finding(
             claim=f"certificate.{side} at rate {part.rate:.6g}", holds=not wrong, found="; ".join(wrong) or found
         )

@@ -67,6 +67,13 @@ def test_a_failed_run_shows_its_message_and_no_empty_lines() -> None:
     assert "Mismatch margin" not in text
 
 
+def test_a_run_without_certificate_shows_why() -> None:
+    reason = "controller: tau 3.1; not positive definite in exact arithmetic"
+    text = printed(a_run("ok") | {"controller_certified": False, "uncertified_reason": reason})
+    assert "not certified" in text
+    assert f"uncertified reason: {reason}" in " ".join(text.split())
+
+
 def test_an_infeasible_run_shows_the_rate_that_was_possible() -> None:
     text = printed(a_run("infeasible") | {"controller_rate_limit": 0.0987})
     assert "at most 0.0987: infeasible" in text

@@ -189,6 +189,14 @@ def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixt
     assert "\x1b" not in output
 
 
+def test_a_run_without_certificate_is_listed_with_its_reason(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_record(study / "b", {"status": "ok", "run": "b", "uncertified_reason": "observer: too few digits"})
+    show(study)
+    output = capsys.readouterr().out
+    assert "not certified b: observer: too few digits" in output
+    assert output.count("not certified ") == 1
+
+
 def test_a_wide_table_is_cut_to_eighty_columns() -> None:
     wide = [
         {

@@ -3,6 +3,7 @@
 And only beyond its tolerance. Records are sealed anew after an alteration: the claim has to be found, not the seal.
 """
 
+import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,11 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ssm_study.bounds.scaffolds import certified_balls
 from ssm_study.data.mcap import write_mcap
 from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.results import verify as verification
+from ssm_study.results.facts import design_facts
+from ssm_study.results.recordings import read_simulation
 from ssm_study.results.records import read_record, write_record
 from ssm_study.results.verify import verify
+from ssm_study.synthesis.certificate import Design, digest
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
 ONE_FORMULA, DECOMPOSED, ITERATED = 1e-9, 1e-6, 1e-6
@@ -117,6 +122,29 @@ def test_a_word_is_named_when_it_is_another(name: str, record: dict[str, Any], c
 def test_a_claim_left_out_of_the_record_is_named(record: dict[str, Any], compared: list[Comparison]) -> None:
     for name in {*NUMBERS, *COUNTS, *WORDS}:
         assert named({key: value for key, value in record.items() if key != name}, compared) == {name}
+
+
+def test_a_part_without_certificate_is_recorded_with_its_reason(smoke_run: Path) -> None:
+    """The matrices are those of another rate; the reason is the record's, and a claim like any other."""
+    model = verification._read_model(smoke_run)
+    balls, kept = certified_balls(model), read_simulation(smoke_run / "validation.mcap")
+    design = Design.load(smoke_run / "certificate.json")
+    told = "riccati; not positive definite in exact arithmetic"
+    missed = replace(design, observer=replace(design.observer, certified=False, solver_status=told))
+    for made, reason in ((design, None), (missed, f"observer: {told}")):
+        facts = design_facts(made, model, balls, kept.records, kept.start_up_samples)
+        assert facts.get("uncertified_reason") == reason
+
+
+def test_verify_says_why_a_part_has_no_certificate(copied_run: Path) -> None:
+    content = json.loads((copied_run / "certificate.json").read_text())
+    content["observer"] |= {"rate": 0.999999, "certified": False, "solver_status": "riccati; a near miss"}
+    content["observer"]["digest"] = digest(content["observer"])
+    (copied_run / "certificate.json").write_text(json.dumps(content))
+    (said,) = (finding for finding in verify(copied_run) if finding.claim.startswith("certificate.observer"))
+    assert said.holds
+    assert said.found.endswith("without certificate: riccati; a near miss")
+    assert {"observer_certified", "uncertified_reason"} <= failing(copied_run)  # the record claims a certificate
 
 
 def test_an_infinite_number_is_only_itself() -> None:

@@ -60,7 +60,7 @@ async function drawOneByOne(charts, i) {
 }
 
 function reasons(i) {
-  return ["infeasible_reason", "error_message"].filter((name) => COLUMNS[name] && COLUMNS[name][i]).map((name) => COLUMNS[name][i]);
+  return ["infeasible_reason", "uncertified_reason", "error_message"].filter((name) => COLUMNS[name] && COLUMNS[name][i]).map((name) => COLUMNS[name][i]);
 }
 
 function facts(names, i) {
