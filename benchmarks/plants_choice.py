@@ -30,7 +30,7 @@ Errors = dict[str, dict[Setting, dict[int, float]]]
 
 
 def held_out_errors(study: Path, rehearsed: bool) -> Errors:
-    """Benchmark -> setting -> fold or rehearsal -> root mean square error; what failed or is uncertified leaves a gap."""
+    """Benchmark -> setting -> fold or rehearsal -> root mean square error; a failed or uncertified one is a gap."""
     errors: Errors = defaultdict(lambda: defaultdict(dict))
     for path in sorted(study.glob("*/record.json")):
         record, config = json.loads(path.read_text()), config_of(path)
