@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from ssm_study.loop.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.loop.metrics import Columns, pooled
 from ssm_study.loop.peers import NAMES, Peer, peer
 from ssm_study.loop.regulation import ClosedLoop, Loop, Table
 from ssm_study.loop.table import Identified, Row
 from ssm_study.plants.actuator import DelayedInput, SaturatedInput
+from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
-from ssm_study.loop.disturbance import Disturbance, NoDisturbance
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import Rollouts, close_loop, matched
 from ssm_study.loop.table import Identified, Row
 from ssm_study.models.identified import SSM
+from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.synthesis.certificate import Design

@@ -5,12 +5,12 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.disturbance import StepDisturbance
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.reference import SineReference, StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import STAYED
+from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.signals import Channel
 
 LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)

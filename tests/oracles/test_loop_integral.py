@@ -8,10 +8,10 @@ from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record
 
 from ssm_study.loop.certified_bound import excess
 from ssm_study.loop.controller import ObserverFeedback, parts
-from ssm_study.loop.disturbance import StepDisturbance
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.reference import RampReference, StepReference
 from ssm_study.loop.regulation import Loop
+from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, Infeasible

@@ -10,7 +10,6 @@ from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_design, motor_model
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.design_grid import DesignGrid, GainGrid
-from ssm_study.loop.disturbance import StepDisturbance
 from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.lqg import LQGWeights, linearised, lqg
 from ssm_study.loop.metrics import behaviour
@@ -20,6 +19,7 @@ from ssm_study.loop.pi import tyreus_luyben, ultimate
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.table import Identified, write_rows
+from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.mismatch import mismatch, predict

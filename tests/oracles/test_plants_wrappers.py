@@ -5,7 +5,8 @@ import pytest
 from plants_cases import choices, from_yaml
 
 from ssm_study.plants.actuator import DelayedInput, SaturatedInput
-from ssm_study.plants.disturbed import Disturbed, PeriodicProfile, RandomProfile, StepProfile
+from ssm_study.plants.disturbance import Disturbance, PeriodicDisturbance, RandomDisturbance, StepDisturbance
+from ssm_study.plants.disturbed import Disturbed
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.sensor import NoisyOutput, QuantisedOutput
 from ssm_study.refusal import BadRequest
@@ -84,29 +85,29 @@ def test_two_outputs_get_noise_of_their_own() -> None:
 
 
 @pytest.mark.parametrize(
-    "profile",
+    "disturbance",
     [
-        StepProfile(size=1e-3, at_s=0.1, until_s=0.2),
-        PeriodicProfile(amplitude=1e-3, frequency_hz=3.0),
-        RandomProfile(amplitude=1e-3, hold_s=0.05, seed=1),
+        StepDisturbance(size=1e-3, at_s=0.1, until_s=0.2),
+        PeriodicDisturbance(amplitude=1e-3, frequency_hz=3.0),
+        RandomDisturbance(amplitude=1e-3, hold_s=0.05, seed=1),
     ],
     ids=lambda p: type(p).__name__,
 )
-def test_disturbance_profiles_act_as_if_given_by_hand(plant: Plant, profile) -> None:  # type: ignore[no-untyped-def]
+def test_disturbances_act_as_if_given_by_hand(plant: Plant, disturbance: Disturbance) -> None:
     u = inputs(plant)
     d = np.zeros((2, SAMPLES, len(plant.disturbances)))
-    d[..., 0] = profile.signal(np.arange(SAMPLES) * plant.step_s)
+    d[..., 0] = disturbance.signal(np.arange(SAMPLES) * plant.step_s)
     np.testing.assert_allclose(
-        Disturbed(plant=plant, profile=profile).simulate(u)[1], plant.simulate(u, d=d)[1], rtol=1e-12
+        Disturbed(plant=plant, disturbance=disturbance).simulate(u)[1], plant.simulate(u, d=d)[1], rtol=1e-12
     )
 
 
-def test_a_random_profile_holds_and_repeats() -> None:
-    profile = RandomProfile(amplitude=2.0, hold_s=0.05, seed=1)
-    d = profile.signal(np.arange(1000) * 0.01)
+def test_a_random_disturbance_holds_and_repeats() -> None:
+    disturbance = RandomDisturbance(amplitude=2.0, hold_s=0.05, seed=1)
+    d = disturbance.signal(np.arange(1000) * 0.01)
     assert (np.diff(np.flatnonzero(np.diff(d))) % 5 == 0).all()
     assert 1.5 < np.abs(d).max() <= 2.0
-    np.testing.assert_array_equal(d, profile.signal(np.arange(1000) * 0.01))
+    np.testing.assert_array_equal(d, disturbance.signal(np.arange(1000) * 0.01))
 
 
 def test_wrappers_stack(plant: Plant) -> None:
@@ -134,9 +135,12 @@ def test_wrappers_stack(plant: Plant) -> None:
         (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
         (lambda p: QuantisedOutput(plant=p, resolution=0.0), "resolution = 0.0"),
         (lambda p: NoisyOutput(plant=p, seed=0, variance=-1.0), "never negative"),
-        (lambda p: Disturbed(plant=p, profile=StepProfile(size=1.0, at_s=0.0), channel=1), "has 1 disturbances"),
-        (lambda _: RandomProfile(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),
-        (lambda _: PeriodicProfile(amplitude=1.0, frequency_hz=0.0), "frequency_hz = 0.0"),
+        (
+            lambda p: Disturbed(plant=p, disturbance=StepDisturbance(size=1.0, at_s=0.0), channel=1),
+            "has 1 disturbances",
+        ),
+        (lambda _: RandomDisturbance(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),
+        (lambda _: PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0), "frequency_hz = 0.0"),
     ],
 )
 def test_refused(build, says: str) -> None:  # type: ignore[no-untyped-def]
