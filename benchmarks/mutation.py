@@ -4,7 +4,8 @@ Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every sin
 a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and the group's tests
 run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of processor time
 counts as caught (a loop that no longer ends). `--folder DIR` holds the copies and a socket: start `mutation_server.py
-DIR/server` first. `--cosmic-ray` is the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second
+DIR/server` first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for the survivors' second
+(`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second
 call goes on). Writes `results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
 
 The tests that verify a run share one, made before any fault is planted.
@@ -33,6 +34,8 @@ FAULTS = re.compile(
     r"|ReplaceAndWithOr|ReplaceOrWithAnd|ReplaceBreakWithContinue|ReplaceContinueWithBreak|ExceptionReplacer"
     r"|NumberReplacer|ZeroIterationForLoop)$"
 )
+
+NUMBER = re.compile(r"\b\d[\d_]*(\.\d+)?(e[+-]?\d+)?\b")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,19 +130,23 @@ def planted_faults(session: Path) -> list[tuple[dict[str, object], str]]:
     with sqlite3.connect(session) as base:
         found = list(base.execute(query))
     outcomes = {"KILLED": "caught", "SURVIVED": "survived"}
-    return [
-        (
-            dict(
-                zip(
-                    COLUMNS,
-                    (session.stem, module, line, fault[5:], occurrence, outcomes.get(said, said)),
-                    strict=True,
-                )
-            ),
-            diff,
-        )
-        for module, line, fault, occurrence, said, diff in found
-    ]
+    rows = []
+    for module, line, fault, occurrence, said, diff in found:
+        if not same_numbers(diff):
+            values = (session.stem, module, line, fault[5:], occurrence, outcomes.get(said, said))
+            rows.append((dict(zip(COLUMNS, values, strict=True)), diff))
+    return rows
+
+
+def same_numbers(diff: str) -> bool:
+    """Whether nothing was planted: `1e150` plus one is `1e150`."""
+    lines = [line for line in diff.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
+    removed, added = ([NUMBER.sub(_value, line[1:]) for line in lines if line[0] == sign] for sign in "-+")
+    return removed == added
+
+
+def _value(number: re.Match[str]) -> str:
+    return repr(float(number[0].replace("_", "")))
 
 
 def report(folder: Path) -> None:

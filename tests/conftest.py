@@ -11,6 +11,9 @@ from hypothesis import HealthCheck, settings
 settings.register_profile(
     "ci", max_examples=30, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
 )
+settings.register_profile(
+    "few", max_examples=8, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
 settings.register_profile("soak", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 

@@ -266,12 +266,14 @@ def test_a_compiled_sweep_gives_what_fresh_problems_give() -> None:
         np.testing.assert_allclose(shared.solve(case).k, fresh.solve(case).k, rtol=1e-6, atol=1e-9)
 
 
-def test_smallest_gain_is_no_larger_than_the_others() -> None:
-    case = instance(7, 0.3, (4, 4))
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_smallest_gain_is_no_larger_than_the_others(inputs: int) -> None:
+    case = instance(7, 0.3, (4, 4), inputs)
     smallest = design(LmiSynthesis, case, objective="smallest_gain")
     other = design(ClosedFormSynthesis, case)
     assert isinstance(smallest, StateFeedback)
     assert isinstance(other, StateFeedback)
+    assert smallest.certified
     assert smallest.gain_norm <= other.gain_norm * (1 + 1e-3)
 
 
