@@ -5,8 +5,8 @@ a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the 
 run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of processor time
 counts as caught (a loop that no longer ends). `--folder DIR` holds the copies and a socket: start `mutation_server.py
 DIR/server` first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for the survivors' second
-(`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second
-call goes on). Writes `results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
+(`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the tool's folder, `--groups
+a,b` restricts, `--minutes` stops a group (a second call goes on). Writes `results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
 
 The tests that verify a run share one, made before any fault is planted.
 """
@@ -55,7 +55,8 @@ REFUSES, EXACT = "tests/refusals/test_synthesis_refuses.py", "tests/oracles/test
 LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthesis_frontier.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_mismatch.py tests/oracles/test_loop_integral.py tests/laws/test_auto_choice.py"
-LINE = "tests/oracles/test_study_line.py -k 'claim or tamper or truncated or refuses'"
+LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
+CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
     "verdict": Group(
         modules=_synthesis("exact", "verify", "certificate", "verdict", "problem"),
@@ -70,7 +71,7 @@ GROUPS = {
     ),
     "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=60),
     "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=20),
-    "claims": Group(modules=("results/verify.py",), tests=LINE, planted=15),
+    "claims": Group(modules=("results/verify.py",), tests=CLAIMS, planted=15),
 }
 
 
