@@ -154,18 +154,20 @@ def _bisect(scaffold: Scaffold, w: Float[np.ndarray, "N 1"]) -> Float[np.ndarray
 
 
 def _newton(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
-    return np.stack([_newton_row(scaffold, row) for row in w])
+    values, index = np.unique(w, axis=0, return_inverse=True)  # a reference at rest asks the same at every sample
+    return np.stack([_newton_row(scaffold, row) for row in values])[index.reshape(-1)]
 
 
 def _newton_row(scaffold: Scaffold, w: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m"]:
-    def residual(v: Float[np.ndarray, "m"]) -> float:
-        return float(np.linalg.norm(scaffold(v[None])[0] - w))
-
-    v = np.zeros(scaffold.jacobian(np.zeros_like(w)).shape[1])
+    v, enough = np.zeros(scaffold.jacobian(np.zeros_like(w)).shape[1]), 1e-2 * INVERSION_TOLERANCE
+    missing = w - scaffold(v[None])[0]
     for _ in range(100):
-        step = np.linalg.lstsq(scaffold.jacobian(v), w - scaffold(v[None])[0], rcond=None)[0]
-        length = next((s for s in 0.5 ** np.arange(40) if residual(v + s * step) < residual(v)), 0.0)
-        v = v + length * step
-        if length == 0.0:
+        if np.linalg.norm(missing) <= enough:
             break
+        step = np.linalg.lstsq(scaffold.jacobian(v), missing, rcond=None)[0]
+        trials = ((v + s * step, w - scaffold((v + s * step)[None])[0]) for s in 0.5 ** np.arange(40))
+        nearer = next((t for t in trials if np.linalg.norm(t[1]) < np.linalg.norm(missing)), None)
+        if nearer is None:
+            break
+        v, missing = nearer
     return v
