@@ -24,9 +24,11 @@ from ssm_study.models.network import Network
 from ssm_study.refusal import BadRequest
 from ssm_study.systems import JacobianBall
 
-# The solver's multipliers are taken as they are and the radius recomputed from them by a Schur complement in floats;
-# widened by this share, far above that computation's rounding.
+# The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by this share, far
+# above that computation's rounding.
 ROUNDING_SHARE = 1e-7
+# Any multipliers prove a bound or none. Where the solver stopped just outside, slightly larger ones lie inside.
+ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,13 +71,15 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
     if square.value is None:
         raise BadRequest("bound_method", "lipsdp", f"the solver reports {problem.status}", "use interval")
     found = np.asarray(centre.value, dtype=float).reshape(network.outputs, network.inputs)
-    return MatrixBall(
-        centre=found, radius=_radius(network, [np.asarray(t.value, dtype=float) for t in multipliers], found)
-    )
+    values = [np.asarray(t.value, dtype=float) for t in multipliers]
+    radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
+    if not np.isfinite(radius):
+        raise BadRequest("bound_method", "lipsdp", "the multipliers found do not prove a bound", "use interval")
+    return MatrixBall(centre=found, radius=radius)
 
 
-def _radius(network: Network, multipliers: list[Float[np.ndarray, "h"]], centre: Float[np.ndarray, "k m"]) -> float:
-    """The least L for these multipliers and this centre: the Schur complement onto v of everything else."""
+def _radius(network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]) -> float:
+    """The least L for these multipliers and this centre: the Schur complement onto v of all else. Infinite if none."""
     m, largest = network.inputs, max(float(t.max(initial=0.0)) for t in multipliers)
     kept = [np.maximum(t, 0) + 1e-9 * largest for t in multipliers]  # strictly positive, so the block is invertible
     form = _sectors(network, kept)
@@ -84,9 +88,8 @@ def _radius(network: Network, multipliers: list[Float[np.ndarray, "h"]], centre:
     inner = (form[m:, m:] + form[m:, m:].T) / 2
     try:
         factor = scipy.linalg.cho_factor(inner)
-    except np.linalg.LinAlgError as error:
-        problem = "the multipliers found do not prove a bound"
-        raise BadRequest("bound_method", "lipsdp", problem, "use interval") from error
+    except np.linalg.LinAlgError:
+        return np.inf
     needed = form[:m, m:] @ scipy.linalg.cho_solve(factor, form[m:, :m]) - form[:m, :m]
     return float(np.sqrt(max(np.linalg.eigvalsh((needed + needed.T) / 2)[-1], 0.0)) * (1 + ROUNDING_SHARE))
 

@@ -70,7 +70,11 @@ def _network(network: Network, method: str) -> SlopeBound:
         return interval_bound(network)
     if method == "lipsdp":
         return lipsdp_bound(network)
-    return min(interval_bound(network), lipsdp_bound(network), key=_width)
+    interval = interval_bound(network)
+    try:
+        return min(interval, lipsdp_bound(network), key=_width)
+    except BadRequest:  # the solver failed: what it was to improve on stands
+        return interval
 
 
 def _width(bound: SlopeBound) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ssm_study.bounds import lipsdp
 from ssm_study.bounds.absorb import absorbed
 from ssm_study.bounds.hankel import balance, hankel_singular_values, truncate
 from ssm_study.bounds.lipsdp import lipsdp_ball
@@ -109,6 +110,23 @@ def test_lipsdp_is_tighter_than_the_norm_product_and_the_search_comes_close() ->
     assert ball is not None
     assert ball.upper < jacobian_ball(scaffold, method="spectral").upper
     assert 0.5 < worst_jacobian(scaffold, ball, starts=12).tightness(ball) <= 1
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lipsdp_proves_a_bound_for_wide_networks(seed: int) -> None:
+    """The solver stops just outside its own inequality on most of these; no worse than interval arithmetic beyond."""
+    scaffold = MlpScaffold(network=network(seed, 1, (32,)))
+    found, interval, exact = (jacobian_ball(scaffold, method=name) for name in ("lipsdp", "interval", "exact"))
+    assert found.lower <= exact.lower <= exact.upper <= found.upper
+    assert found.upper - found.lower <= (interval.upper - interval.lower) * (1 + 1e-3)
+
+
+def test_a_solver_that_fails_leaves_the_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    scaffold = MlpScaffold(network=network(0, 2, (4,)))
+    monkeypatch.setattr(lipsdp, "ENLARGED", (-1.0,))  # no multipliers prove nothing
+    with pytest.raises(BadRequest, match="do not prove"):
+        jacobian_ball(scaffold, method="lipsdp")
+    assert jacobian_ball(scaffold).method == "interval"
 
 
 @given(st.floats(-3, 3), st.floats(0, 2))
