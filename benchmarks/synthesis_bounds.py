@@ -1,0 +1,72 @@
+"""How tight the slope bounds are: `OMP_NUM_THREADS=1 python benchmarks/synthesis_bounds.py` (a minute).
+
+Random leaky networks; of each bound the certified radius around its centre, the farthest Jacobian that sampling and
+gradient search find from that centre, and their ratio (found over certified: one is exact, above one would be unsound);
+beside it the norm product of the paper over the upper end of the ball. Writes `certificates/bounds.csv`.
+"""
+
+import time
+from itertools import pairwise
+from statistics import median
+
+import numpy as np
+from synthesis_times import write
+
+from ssm_study.bounds.scaffolds import jacobian_ball
+from ssm_study.bounds.worst_case import worst_jacobian
+from ssm_study.models.network import Network
+from ssm_study.models.scaffold_mlp import MlpScaffold
+
+SHAPES = ((1, (8,)), (1, (32,)), (1, (8, 8)), (2, (8,)), (2, (32,)), (2, (8, 8)), (3, (16,)))
+COUNT, STARTS = 20, 6
+LEAK = 0.1
+
+
+def scaffold(rng: np.random.Generator, channels: int, widths: tuple[int, ...]) -> MlpScaffold:
+    sizes = (channels, *widths, channels)
+    weights = tuple(rng.normal(size=(after, before)) / np.sqrt(before) for before, after in pairwise(sizes))
+    return MlpScaffold(
+        network=Network(
+            weights=weights,
+            biases=tuple(rng.normal(size=width) for width in widths),
+            negative_slopes=tuple(np.full(width, LEAK) for width in widths),
+            positive_slopes=tuple(np.ones(width) for width in widths),
+        )
+    )
+
+
+def row(channels: int, widths: tuple[int, ...], method: str) -> dict[str, object]:
+    rng = np.random.default_rng(0)
+    ratios, against_norms, spent = [], [], []
+    for seed in range(COUNT):
+        network = scaffold(rng, channels, widths)
+        started = time.process_time()
+        ball = jacobian_ball(network, method=method).ball
+        spent.append(1e3 * (time.process_time() - started))
+        assert ball is not None
+        ratios.append(worst_jacobian(network, ball, seed=seed, starts=STARTS).tightness(ball))
+        against_norms.append(jacobian_ball(network, method="spectral").upper / max(abs(ball.lower), abs(ball.upper)))
+    return {
+        "channels": channels,
+        "hidden": "x".join(map(str, widths)),
+        "method": method,
+        "networks": COUNT,
+        "tightness_median": f"{median(ratios):.4f}",
+        "tightness_smallest": f"{min(ratios):.4f}",
+        "tightness_largest": f"{max(ratios):.9f}",
+        "norm_product_over_bound_median": f"{median(against_norms):.3f}",
+        "milliseconds_median": f"{median(spent):.3f}",
+    }
+
+
+def main() -> None:
+    rows = []
+    for channels, widths in SHAPES:
+        for method in ("exact", "lipsdp", "interval") if channels == 1 else ("lipsdp", "interval"):
+            rows.append(row(channels, widths, method))
+            print(rows[-1], flush=True)
+    write("bounds.csv", rows)
+
+
+if __name__ == "__main__":
+    main()
