@@ -113,6 +113,36 @@ def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
     assert claims(part, PLANT) == [f"{side}: the matrices do not fit the model"]
 
 
+EDGE = {"p": 1.0, "y": 1.0, "sigma": float(np.nextafter(0.5, 0)), "rate": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "towards"),
+    [("p", 1.0, 0.0), ("sigma", EDGE["sigma"], 1.0), ("rate", 0.5, 1.0), ("y", float(np.nextafter(0.5, 1)), 0.0)],
+)
+def test_one_unit_in_the_last_place_of_a_stored_number_is_found(name: str, start: float, towards: float) -> None:
+    """`x+ = S(u)`, K = 0: definite iff `(1 - rho) p > sigma` and `2 y > p`; every number is its last admissible float.
+
+    The digest is written anew and the products still fit: exact arithmetic alone can find it.
+    """
+    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    linear, ball = StateSpace(a=zero, b=one, c=one, d=zero), BALLS[0]
+    limit = frontier(zero, one, ball).rate_limit
+    scalar = replace(designed().state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
+    content = json.loads(json.dumps(replace(designed(), state_feedback=scalar).to_json()))
+
+    def claims(value: float) -> list[str]:
+        part = content["state_feedback"] | EDGE | {name: value}
+        part |= {key: [[part[key]]] for key in "py"}
+        said = broken_claims(content | {"state_feedback": part | {"digest": digest(part)}}, linear, BALLS)
+        return [claim for claim in said if claim.startswith("state_feedback")]
+
+    away = 0.0 if towards else 2.0
+    assert claims(start) == claims(float(np.nextafter(start, away))) == []
+    (found,) = claims(float(np.nextafter(start, towards)))
+    assert "in exact arithmetic the inequality fails" in found
+
+
 def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     limit = frontier(PLANT.a, PLANT.b, BALLS[0])
     request = Request(side=CONTROLLER, rate=limit.rate_limit, ball=BALLS[0], frontier=limit, method="any", started=0.0)
