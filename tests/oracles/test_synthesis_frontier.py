@@ -26,7 +26,7 @@ from ssm_study.synthesis.modal_gain import modal_energy, modal_gain
 from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
 from ssm_study.synthesis.paper_lmis import paper_lmis
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution, condition
-from ssm_study.synthesis.riccati import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.riccati import RiccatiSynthesis, _tau_min, at_tau, guaranteed_cost
 from ssm_study.systems import JacobianBall, StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -70,6 +70,16 @@ def asked(case: Instance) -> Problem:
 def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: int) -> None:
     problem = asked(instance(seed, 0.01, inputs=inputs))
     assert holds(problem, whole_solution(problem, 0.5, 1.0))
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.3])
+def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float) -> None:
+    """And its status says where; without a radius there is no frontier below one, and it stays finite all the same."""
+    problem = cost_problem(ball=JacobianBall(alpha=2.0, beta=radius))
+    found = minimum_energy_solution(problem)
+    assert holds(problem, found)
+    said = float(found.status.split()[-1])
+    assert problem.rate < said < frontier(problem.a, problem.b, problem.ball).rate_limit
 
 
 def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagonal_one() -> None:
@@ -233,6 +243,29 @@ def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
     found = at_tau(problem, tau)
     assert found is not None
     assert found.cost <= best * (1 + 1e-3)
+
+
+def test_the_smallest_tau_is_where_the_gain_of_the_equation_changes_sign() -> None:
+    """`kappa > 0` iff `tau > R / (alpha^2 - beta^2)`; alpha is not one here."""
+    problem = cost_problem(ball=JacobianBall(alpha=2.0, beta=0.5))
+    smallest = problem.input_weight / (2.0**2 - 0.5**2)
+    assert _tau_min(problem) == pytest.approx(smallest)
+    assert at_tau(problem, smallest * (1 - 1e-6)) is None
+
+
+def test_the_cost_is_of_output_state_and_input() -> None:
+    """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that users rely on."""
+    linear, ball = random_model(np.random.default_rng(2), 4, "stable", mixed=True), JacobianBall(alpha=1.0, beta=0.3)
+    rates = {"rate_controller": 0.1, "rate_observer": 0.1}
+    asked = RiccatiSynthesis(**rates).controller_problem(linear, ball)
+    np.testing.assert_allclose(asked.state_weight, linear.c.T @ linear.c + 1e-4 * np.eye(4))
+    other = RiccatiSynthesis(**rates, output_weight=3.0, state_weight=0.5, input_weight=7.0)
+    asked = other.controller_problem(linear, ball)
+    np.testing.assert_allclose(asked.state_weight, 3.0 * linear.c.T @ linear.c + 0.5 * np.eye(4))
+    assert asked.input_weight == 7.0
+    told = RiccatiSynthesis(**rates, input_noise=3.0, state_noise=0.5, output_noise=7.0).observer_problem(linear, ball)
+    np.testing.assert_allclose(told.state_weight, 3.0 * linear.b @ linear.b.T + 0.5 * np.eye(4))
+    assert told.input_weight == 7.0
 
 
 def test_no_admissible_tau_is_no_solution() -> None:
