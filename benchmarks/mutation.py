@@ -62,7 +62,7 @@ GROUPS = {
     "verdict": Group(
         modules=_synthesis("exact", "verify", "certificate", "verdict", "problem"),
         tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT}",
-        planted=60,
+        planted=35,
     ),
     "methods": Group(
         modules=_synthesis("frontier", "closed_form", "modal_gain", "modes", "slow_modes", "whole_metric", "doubling")
@@ -70,8 +70,8 @@ GROUPS = {
         tests=f"{REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
-    "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=60),
-    "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=20),
+    "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=35),
+    "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=10),
     "claims": Group(modules=("results/verify.py",), tests=CLAIMS, planted=15),
 }
 
