@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import null_space, solve_discrete_are
+from scipy.optimize import elementwise
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffold import Scaffold
@@ -123,11 +124,11 @@ def _roll(
 
 
 def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
-    """`v` with `S(v) = w`, row by row. Scalar maps by bisection (they are increasing), others by damped Newton steps.
+    """`v` with `S(v) = w`, row by row: scalar maps, which are monotone, in a bracket; others by damped Newton steps.
 
     Raises `BadRequest` when the map does not reach `w`.
     """
-    solve: Callable[[Scaffold, np.ndarray], np.ndarray] = _bisect if w.shape[1] == 1 else _newton
+    solve: Callable[[Scaffold, np.ndarray], np.ndarray] = _scalar_root if w.shape[1] == 1 else _newton
     v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, solve(scaffold, w))  # S(0) = 0 holds exactly
     worst = int(np.abs(scaffold(v) - w).max(axis=1).argmax())
     require(
@@ -140,17 +141,14 @@ def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray
     return v
 
 
-def _bisect(scaffold: Scaffold, w: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 1"]:
-    sign = float(np.sign(scaffold(np.array([[1.0]]))[0, 0] - scaffold(np.array([[-1.0]]))[0, 0])) or 1.0
-    low, high = np.full_like(w, -1.0), np.full_like(w, 1.0)
-    for _ in range(60):
-        low = np.where(sign * (scaffold(low) - w) > 0, 2 * low, low)
-        high = np.where(sign * (scaffold(high) - w) < 0, 2 * high, high)
-    for _ in range(120):
-        middle = (low + high) / 2
-        above = sign * (scaffold(middle) - w) > 0
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return (low + high) / 2
+def _scalar_root(scaffold: Scaffold, w: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 1"]:
+    """Chandrupatla's method from a bracket grown around zero; not a number where none is found."""
+
+    def missing(v: Float[np.ndarray, "N"], w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+        return scaffold(v[:, None])[:, 0] - w
+
+    around = elementwise.bracket_root(missing, -1.0, 1.0, args=(w[:, 0],), maxiter=60)
+    return np.asarray(elementwise.find_root(missing, around.bracket, args=(w[:, 0],)).x)[:, None]
 
 
 def _newton(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
