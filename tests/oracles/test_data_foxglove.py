@@ -1,13 +1,17 @@
 """A recording through the libraries that Foxglove opens files with; runs where node and these are installed.
 
 npm install --prefix /tmp/foxglove @mcap/core@2.2.2 @mcap/nodejs@1.0.2 @mcap/support@1.1.0
+npm install --prefix /tmp/foxglove @foxglove/studio-base@1.48.0 react@17.0.2 react-dom@17.0.2   # the application
 NODE_PATH=/tmp/foxglove/node_modules pytest tests/oracles/test_data_foxglove.py
 """
 
 import json
+import os
+import re
 import shutil
 import struct
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +19,13 @@ import numpy as np
 import pytest
 
 from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.signals import Channel
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "plants_foxglove.cjs"
+
+
+STUDIO = SCRIPT.with_name("plants_foxglove_studio.py")
 
 
 def node(*words: str) -> subprocess.CompletedProcess[str]:
@@ -75,3 +83,27 @@ def test_foxglove_refuses_a_flipped_bit(tmp_path: Path) -> None:
     content[len(content) // 3] ^= 1
     (tmp_path / "a.mcap").write_bytes(content)
     assert node(str(SCRIPT), str(tmp_path / "a.mcap")).returncode != 0
+
+
+def test_the_application_shows_a_recording(smoke_run: Path) -> None:
+    """Foxglove Studio itself: topics with schemas and counts, times, nothing failed, and the numbers of one sample."""
+    modules = [Path(place) for place in os.environ["NODE_PATH"].split(os.pathsep)]
+    holding = [place for place in modules if (place / "@foxglove" / "studio-base").is_dir()]
+    if not holding or shutil.which("chromedriver") is None:
+        pytest.skip("needs Foxglove Studio in NODE_PATH and chromium with chromedriver")
+    recording = smoke_run / "closed_loop.mcap"
+    words = [sys.executable, str(STUDIO), str(recording), "--modules", str(holding[0]), "--beside", "/case_0/states"]
+    ran = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert ran.returncode == 0, ran.stderr
+    seen = json.loads(ran.stdout)
+    assert seen["failures"] == []
+    groups, _ = read_mcap(recording)
+    for group in groups:
+        assert re.search(rf"{group.topic}\nssm_study\.\w+\n{len(group.values)}\n", seen["text"]), group.topic
+    states = next(group for group in groups if group.topic == "/case_0/states")
+    assert f"END TIME\n{states.time_s[-1]:.9f}" in seen["text"]
+    at = float(re.findall(r" @ ([0-9.]+) sec", seen["text"])[0])
+    row = states.values[int(np.argmin(np.abs(states.time_s - at)))]
+    tail = seen["text"][seen["text"].rindex(" sec") :]
+    for channel, value in zip(states.channels, row, strict=True):
+        assert float(re.findall(rf"{channel.name}\s+(\S+)", tail)[0]) == value, channel.name
