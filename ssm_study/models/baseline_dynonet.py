@@ -64,8 +64,11 @@ class TorchDynoNet(TorchModel):
     states = 0
     differentiates_forward = False
 
-    def __init__(self, channels: tuple[int, int], wires: int, terms: tuple[int, int], hidden: int) -> None:
+    def __init__(
+        self, channels: tuple[int, int], wires: int, terms: tuple[int, int], hidden: int, integral_s: float | None
+    ) -> None:
         super().__init__()
+        self.integral_s = integral_s
         lti, static = library("dynonet.lti"), library("dynonet.static")
         (enter, leave), (nb, na) = channels, terms
         self.first = lti.MimoLinearDynamicalOperator(enter, wires, n_b=nb, n_a=na, n_k=1).double()
@@ -74,7 +77,8 @@ class TorchDynoNet(TorchModel):
 
     def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
         del x0  # there is none
-        return self.second(self.bend(self.first(u)))
+        y = self.second(self.bend(self.first(u)))
+        return y if self.integral_s is None else self.integral_s * y.cumsum(-2)
 
     def advance(
         self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
@@ -83,6 +87,8 @@ class TorchDynoNet(TorchModel):
 
     def freeze(self, data: DataSet) -> DynoNet:
         (b1, a1), (b2, a2) = self.first.get_filtdata(), self.second.get_filtdata()
+        if self.integral_s is not None:  # the running sum is one more pole of every last filter
+            b2, a2 = self.integral_s * b2, np.apply_along_axis(np.convolve, -1, a2, [1.0, -1.0])
         weights = {"first_b": b1, "first_a": a1, "second_b": b2, "second_a": a2}
         layers = {"hidden": self.bend.net[0].weight, "bias": self.bend.net[0].bias}
         layers |= {"read": self.bend.net[2].weight, "offset": self.bend.net[2].bias}
@@ -92,12 +98,16 @@ class TorchDynoNet(TorchModel):
 
 @dataclass(frozen=True, kw_only=True)
 class DynoNetSpec(ModelSpec):
-    """`wires` signals between the blocks, each filter with `numerator` and `denominator` coefficients."""
+    """`wires` signals between the blocks, each filter with `numerator` and `denominator` coefficients.
+
+    `integrated`: the last block gives a rate, whose running sum is the output, as its authors model a position.
+    """
 
     wires: int
     numerator: int
     denominator: int
     hidden: int
+    integrated: bool = False
 
     def __post_init__(self) -> None:
         for name in ("wires", "numerator", "denominator", "hidden"):
@@ -108,4 +118,5 @@ class DynoNetSpec(ModelSpec):
         channels = (len(data.input_scale), len(data.output_scale))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            return TorchDynoNet(channels, self.wires, (self.numerator, self.denominator), self.hidden)
+            terms, integral_s = (self.numerator, self.denominator), data.step_s if self.integrated else None
+            return TorchDynoNet(channels, self.wires, terms, self.hidden, integral_s)
