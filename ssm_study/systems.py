@@ -50,10 +50,6 @@ class StateSpace:
             x = x @ turn + forced[..., k, :]
         return states @ self.c.T + u @ self.d.T, x
 
-    def in_coordinates(self, t: Float[np.ndarray, "n n"], t_inverse: Float[np.ndarray, "n n"]) -> "StateSpace":
-        """The same system with state `z = t_inverse x`, `x = t z`."""
-        return StateSpace(a=t_inverse @ self.a @ t, b=t_inverse @ self.b, c=self.c @ t, d=self.d)
-
 
 @dataclass(frozen=True, kw_only=True)
 class JacobianBall:

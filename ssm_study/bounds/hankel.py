@@ -19,18 +19,14 @@ BALANCING_FLOOR = 1e-8
 class Balanced:
     """`z = t_inverse x`: both Gramians of `linear` equal `diag(hankel)`; truncated, `t_inverse t = I` still holds.
 
-    Shapes: `t (n, k)`, `t_inverse (k, n)`, `hankel (n,)` in descending order; `error_bound = 2 sum(hankel[k:])` bounds
-    the H-infinity norm of what truncation dropped (Enns 1984; Glover 1984).
+    Shapes: `t (n, k)`, `t_inverse (k, n)`, `hankel (n,)` in descending order; `2 sum(hankel[k:])` bounds the
+    H-infinity norm of what truncation dropped (Enns 1984; Glover 1984).
     """
 
     linear: StateSpace
     t: Float[np.ndarray, "n k"]
     t_inverse: Float[np.ndarray, "k n"]
     hankel: Float[np.ndarray, "n"]
-
-    @property
-    def error_bound(self) -> float:
-        return float(2 * self.hankel[self.linear.order :].sum())
 
 
 def hankel_singular_values(linear: StateSpace) -> Float[np.ndarray, "n"]:
@@ -64,11 +60,6 @@ def balance(linear: StateSpace, order: int | None = None) -> Balanced:
     t_inverse = scale[:, None] * (left[:, :order].T @ root_o.T)
     reduced = StateSpace(a=t_inverse @ linear.a @ t, b=t_inverse @ linear.b, c=linear.c @ t, d=linear.d)
     return Balanced(linear=reduced, t=t, t_inverse=t_inverse, hankel=hankel)
-
-
-def truncate(linear: StateSpace, order: int) -> StateSpace:
-    """The first `order` balanced states; the H-infinity error is at most `2 sum` of the dropped Hankel values."""
-    return balance(linear, order).linear
 
 
 def _root(gramian: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -51,15 +51,6 @@ def warn_if_two_level(data: DataSet) -> str | None:
     return None
 
 
-def input_spectrum(
-    u: Float[np.ndarray, "T m"], step_s: float
-) -> tuple[Float[np.ndarray, "F"], Float[np.ndarray, "F m"]]:
-    """Frequencies (Hz) and amplitudes of the input about its mean: a sine of amplitude 1 shows as 1 (one-sided FFT)."""
-    samples = len(u)
-    spectrum = 2.0 * np.abs(np.fft.rfft(u - u.mean(axis=0), axis=0)) / samples
-    return np.fft.rfftfreq(samples, step_s), spectrum
-
-
 def persistency_order(u: Float[np.ndarray, "T m"], highest: int = HIGHEST_ORDER) -> int:
     """The largest L <= `highest` for which the block Hankel matrix of L rows of u has full row rank `m L`.
 

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 COLUMN_IN = 3.5
 PAGE_IN = 7.16
-MILLIMETRE_IN = 1 / 25.4
 
 # Okabe & Ito 2008, ordered so that neighbours also differ in lightness.
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7"

@@ -36,12 +36,6 @@ def gather(study: Path) -> pd.DataFrame:
     return table
 
 
-def read_runs(study: Path) -> list[dict[str, Any]]:
-    """One record per run folder, with `study` and `run` as the folders say; unreadable ones have `status = corrupt`."""
-    records = (_record(study, name) for name in sorted(marks_of(study)))
-    return [record for record in records if record is not None]
-
-
 def marks_of(study: Path) -> Marks:
     """Modification time, size and inode of every record below the study folder, by the name of its run."""
     marks: Marks = {}
