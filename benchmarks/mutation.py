@@ -26,7 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "results" / "reference" / "mutation"
 COLUMNS = ("group", "module", "line", "fault", "occurrence", "outcome")
-SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 60, 400
+SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 30, 1200
 # Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would only flatter.
 FAULTS = re.compile(
     r"core/(ReplaceBinaryOperator_(Add_Sub|Sub_Add|Mul_Div|Div_Mul|Pow_Mul)"
@@ -62,7 +62,7 @@ GROUPS = {
     "verdict": Group(
         modules=_synthesis("exact", "verify", "certificate", "verdict", "problem"),
         tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT}",
-        planted=35,
+        planted=30,
     ),
     "methods": Group(
         modules=_synthesis("frontier", "closed_form", "modal_gain", "modes", "slow_modes", "whole_metric", "doubling")
@@ -70,8 +70,8 @@ GROUPS = {
         tests=f"{REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
-    "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=35),
-    "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=10),
+    "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=30),
+    "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=8),
     "claims": Group(modules=("results/verify.py",), tests=CLAIMS, planted=15),
 }
 
