@@ -1,4 +1,4 @@
-"""The settings behind the benchmark table are those that held-out folds chose, as the table of the choice has it."""
+"""The settings behind the benchmark table are those that folds and rehearsals chose, as their tables have it."""
 
 import csv
 import math
@@ -6,33 +6,54 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
 
 ROOT = Path(__file__).resolve().parents[2]
-CHOICE = ROOT / "results" / "reference" / "benchmarks" / "choice.csv"
+TABLES = {"emps": "rehearsal", "ced": "choice", "cascaded_tanks": "choice"}
 DATA = {"emps": "emps_position", "ced": "ced", "cascaded_tanks": "cascaded_tanks"}
 
 
 def rows(benchmark: str) -> list[dict[str, str]]:
-    with CHOICE.open(newline="") as stream:
+    with (ROOT / "results" / "reference" / "benchmarks" / f"{TABLES[benchmark]}.csv").open(newline="") as stream:
         return [row for row in csv.DictReader(stream) if row["benchmark"] == benchmark]
 
 
+def composed(*overrides: str) -> DictConfig:
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return compose("study", overrides=list(overrides))
+
+
 @pytest.mark.parametrize("benchmark", DATA)
-def test_the_table_ranks_by_the_error_over_all_folds(benchmark: str) -> None:
+def test_the_table_ranks_by_the_error_over_all_parts(benchmark: str) -> None:
+    part = "rehearsal" if TABLES[benchmark] == "rehearsal" else "fold"
     pooled = [float(row["held_out_rmse"]) for row in rows(benchmark)]
     assert pooled == sorted(pooled)
     for row, error in zip(rows(benchmark), pooled, strict=True):
-        folds = [float(row[f"fold_{k}"] or "inf") for k in range(4)]  # a setting that failed on a fold is out
-        assert math.sqrt(sum(e**2 for e in folds) / 4) == pytest.approx(error, rel=1e-3)
+        parts = [float(row[f"{part}_{k}"] or "inf") for k in range(4)]  # a setting that failed on one is out
+        assert math.sqrt(sum(e**2 for e in parts) / 4) == pytest.approx(error, rel=1e-3)
 
 
 @pytest.mark.parametrize("benchmark", DATA)
 def test_the_chosen_settings_are_those_that_are_scored(benchmark: str) -> None:
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        asked = ["experiment=benchmarks", f"data={DATA[benchmark]}", "model=ssm"]
-        model = compose("study", overrides=asked).model
+    scored = composed("experiment=benchmarks", f"data={DATA[benchmark]}", "model=ssm")
     best = rows(benchmark)[0]
-    assert model.order == int(best["order"])
-    assert model.hidden_width == int(best["hidden_width"])
-    assert model.slope_lower == float(best["slope_lower"])
-    assert model.scaffold_out._target_.rsplit(".", 1)[-1].lower() == best["scaffold_out"]
+    assert scored.model.order == int(best["order"])
+    assert scored.model.hidden_width == int(best["hidden_width"])
+    assert scored.model.slope_lower == float(best["slope_lower"])
+    assert scored.model.scaffold_out._target_.rsplit(".", 1)[-1].lower() == best["scaffold_out"]
+
+
+def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
+    scored = composed("experiment=benchmarks", "data=emps_position", "model=ssm")
+    rehearsed = composed("experiment=benchmark_rehearsal")
+    assert scored.training == rehearsed.training
+    assert (scored.model.ring_radius, scored.model.ring_frequency) == ([0.9, 0.9999], [0.003, 0.1])
+    assert scored.data.training == rehearsed.data.experiments.training
+    assert scored.data.output_equilibrium == [float(rows("emps")[0]["output_equilibrium"])]
+
+
+@pytest.mark.parametrize("benchmark", DATA)
+def test_the_experiment_of_one_record_is_its_row_of_the_table(benchmark: str) -> None:
+    alone = composed(f"experiment=benchmark_{benchmark}")
+    row = composed("experiment=benchmarks", f"data={DATA[benchmark]}", "model=ssm")
+    assert (alone.data, alone.model, alone.training) == (row.data, row.model, row.training)
