@@ -8,7 +8,7 @@ from ssm_study.report import style
 from ssm_study.report.study_folder import Study
 from ssm_study.report.trajectories import Validation
 
-LONGEST_S = 12.0  # a longer record would be a solid block of ink in a column
+LONGEST = 1200  # samples; a longer record would be a solid block of ink in a column
 
 
 def draw(study: Study) -> Figure:
@@ -21,7 +21,7 @@ def draw(study: Study) -> Figure:
 def figure(record: Validation, fit_percent: float | None) -> Figure:
     fig = style.canvas(style.COLUMN_IN, 3.0)
     output, given = fig.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
-    shown = record.time_s <= record.time_s[0] + LONGEST_S
+    shown = slice(LONGEST)
     time_s = record.time_s[shown]
     output.plot(time_s, record.y[shown, 0], color=style.GREY, lw=0.7, label="measured")
     name = "model" if fit_percent is None else f"model (fit {fit_percent:.1f} % on the whole record)"
