@@ -68,6 +68,21 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     np.testing.assert_allclose(net.freeze(data).simulate(u), expected, rtol=1e-9, atol=1e-9)
 
 
+def test_an_integrated_dynonet_gives_the_running_sum_of_its_rate() -> None:
+    """The stored numbers carry the integrator as one more pole: as the tensors do, and as the rate summed by hand."""
+    pytest.importorskip("dynonet")
+    data = data_set(samples=60, records=2)
+    plain, summed = (read("model", "dynonet", f"+model.integrated={flag}").build(data, 0) for flag in (False, True))
+    u = data.test[0].u
+    rate = (plain.freeze(data).simulate(u) - data.output_equilibrium) / data.output_scale
+    position = summed.freeze(data).simulate(u)
+    by_hand = data.output_equilibrium + data.output_scale * data.step_s * np.cumsum(rate, axis=0)
+    np.testing.assert_allclose(position, by_hand, rtol=1e-9, atol=1e-9)
+    with torch.no_grad():
+        scaled = summed(torch.from_numpy((u - data.input_equilibrium) / data.input_scale)[None])[0].numpy()
+    np.testing.assert_allclose(position, scaled * data.output_scale + data.output_equilibrium, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("side", ["scaffold_in", "scaffold_out"])
 @pytest.mark.parametrize("choice", SCAFFOLDS)
 def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: Path) -> None:
