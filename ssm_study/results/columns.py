@@ -67,8 +67,8 @@ COLUMNS = (
     Column("empirical_rate", "Float64", "high"),
     Column("certified_bound_violations", "Int64", "low"),
     Column("mismatch_gain", "Float64", "low"),
-    Column("mismatch_margin", "Float64", "high", "margin"),
-    Column("resolved_margin", "Float64", "high", "resolved"),
+    Column("mismatch_margin", "Float64", "high", "in total"),
+    Column("resolved_margin", "Float64", "high", "margin"),
     Column("controller_radius", "Float64", "low", "ctl radius"),
     Column("predicted_stable", "boolean", "high", "predicted"),
 )

@@ -1,6 +1,7 @@
 """The table of a study as a person reads it: best first, failures counted and explained, 80 columns wide."""
 
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,7 +29,14 @@ SETTINGS = (
     "rate_observer",
     "synthesis_method",
 )
-OUTCOMES = ("fit_test_percent", "stable_fraction", "settling_time_mean_s", "certified", "mismatch_margin")
+OUTCOMES = (
+    "fit_test_percent",
+    "stable_fraction",
+    "settling_time_mean_s",
+    "certified",
+    "resolved_margin",
+    "predicted_stable",
+)
 CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
 REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
 
@@ -48,7 +56,7 @@ def show(study: Path, by: str | None = None, where: str | None = None, cost: boo
     else:
         print(plain_table(rows, by))
     for line in summary(table, shown=len(rows)):
-        print(line)
+        print(textwrap.fill(line, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
 
 
 def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
