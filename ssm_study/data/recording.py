@@ -126,6 +126,7 @@ class Recording:
 def decimated(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
+    """Every n-th output, and the mean input of the samples from there to the next: what a hold would have applied."""
     periods = len(u) // every
     return u[: periods * every].reshape(periods, every, -1).mean(axis=1), y[: periods * every : every]
 
