@@ -66,6 +66,7 @@ SMALL_SOURCE = {  # pattern: what stands in its place
         r"^ROUNDS = .*": "ROUNDS = 1",
     },
     "report_page.py": {r"^FRAME_S, REST_S = .*": "FRAME_S, REST_S = 0.001, 0.05"},
+    "synthesis_bounds.py": {r"^COUNT, STARTS = .*": "COUNT, STARTS = 1, 1"},
     "synthesis_maps.py": {
         r"^FLOORS = .*": "FLOORS = (0.1, 0.5)",
         r"^RATES = .*": "RATES = (0.05, 0.3)",
