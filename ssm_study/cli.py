@@ -1,6 +1,7 @@
 """`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the request was wrong."""
 
 import argparse
+import gc
 import os
 import re
 import sys
@@ -61,6 +62,7 @@ def configuration_folder() -> Path:
 
 def run(overrides: list[str]) -> int:
     """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
+    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
@@ -68,6 +70,8 @@ def run(overrides: list[str]) -> int:
     from ssm_study import study
     from ssm_study.results.request import check_request, translate
 
+    gc.enable()
+    gc.freeze()
     refuse_more_threads_than_cores()
     overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = (

@@ -17,12 +17,11 @@ from ssm_study.training.together import Member, may_train_together, records_gain
 MAY_DIFFER = frozenset({"slope_lower", "slope_upper", "start", "real_modes", "ring_radius", "ring_frequency"})
 
 
-def sharing(config: DictConfig, stages: Stages) -> Sharing | None:
+def sharing(specification: Specification, stages: Stages) -> Sharing | None:
     """Runs that differ in seed, slope bounds or starting point alone may be trained in one program.
 
     None where the settings forbid it or the model is there.
     """
-    specification = Specification.from_config(config)
     if not may_train_together(specification.training, specification.model) or not short(specification):
         return None
     model = model_stage(specification, stages, dataset_stage(specification, stages))

@@ -1,7 +1,7 @@
 """From a composed configuration to the frozen parts of one run; whatever is wrong is said here, before any work."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from inspect import signature
@@ -56,7 +56,8 @@ class Specification:
     def from_config(cls, config: DictConfig) -> "Specification":
         """Build and check every part; raises `BadRequest` for the first that cannot be."""
         refuse_foreign_targets(config)
-        missing = sorted(key for key in OmegaConf.missing_keys(config) if not key.startswith("hydra."))
+        tree = OmegaConf.to_container(config, resolve=False)
+        missing = [key for key in missing_keys(tree) if not key.startswith("hydra.")]
         require(not missing, missing[0] if missing else "", "???", "is missing", "give it a value on the command line")
         seed = config.seed
         whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32
@@ -86,6 +87,14 @@ class Specification:
             assert self.plant is not None
             return self.data.build(self.plant, self.excitation, self.seed)
         return self.data.build(self.seed)
+
+
+def missing_keys(tree: Any, prefix: str = "") -> Iterator[str]:
+    """The dotted names of the values that nobody gave; as OmegaConf's, which resolves every name and takes 15 ms."""
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
+        if value == "???":
+            yield f"{prefix}{key}"
+        yield from missing_keys(value, f"{prefix}{key}.")
 
 
 def part(name: str, settings: Mapping[str, Any]) -> Any:

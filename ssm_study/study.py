@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from ssm_study import members
 from ssm_study.results.facts import Facts
 from ssm_study.results.gather import gather
-from ssm_study.results.naming import register_resolver, run_name
+from ssm_study.results.naming import plain, register_resolver, run_name, yaml_text
 from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record
 from ssm_study.results.runs import Outcome, Run, execute
 from ssm_study.results.show import show
 from ssm_study.results.store import Stages, Store
-from ssm_study.specification import Specification, plain
+from ssm_study.specification import Specification
 from ssm_study.stages import (
     Kept,
     bounds_stage,
@@ -86,16 +86,17 @@ def study_folder(config: DictConfig) -> Path:
     return Path(str(config.results_dir)) / str(config.study)
 
 
-def check(config: DictConfig) -> None:
+def check(config: DictConfig) -> Specification:
     """Raise `BadRequest` for whatever can be known to be wrong before any long work; recorded data are read for it."""
     specification = Specification.from_config(config)
     if specification.plant is None:
         specification.dataset()
+    return specification
 
 
-def walk(config: DictConfig, stages: Stages) -> None:
+def walk(specification: Specification, stages: Stages) -> None:
     """The line with stages only: nothing is read outside their computation, so that a plan can be made of it."""
-    line(Specification.from_config(config), stages, done=nothing)
+    line(specification, stages, done=nothing)
 
 
 def line(specification: Specification, stages: Stages, done: Callable[[Kept[Any]], None]) -> Kept[Design] | None:
@@ -154,8 +155,4 @@ def kind_of(scaffold: Any) -> str | None:
 def configuration_files(config: DictConfig) -> dict[str, str]:
     """`.hydra/`: the resolved configuration and the overrides that led to it."""
     overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    resolved = OmegaConf.create(plain(config))
-    return {
-        "config.yaml": OmegaConf.to_yaml(resolved),
-        "overrides.yaml": OmegaConf.to_yaml(OmegaConf.create(list(overrides))),
-    }
+    return {"config.yaml": yaml_text(plain(config)), "overrides.yaml": yaml_text(list(overrides))}

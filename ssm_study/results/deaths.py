@@ -12,6 +12,7 @@ from ssm_study.results.durable import locked_or_none
 from ssm_study.results.jobs import LOG
 from ssm_study.results.records import FAILED, INFEASIBLE, LOCK, OK, read_record
 from ssm_study.results.runs import Outcome, outcome_of, write_failure
+from ssm_study.results.server import kill_all_of
 from ssm_study.results.sweep import Job
 
 GRACE_S = 2.0  # between asking a hanging job for its traceback and killing it
@@ -63,7 +64,6 @@ def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
 def stop_hanging(job: Job) -> None:
     """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole group."""
     assert job.process is not None
-    assert job.process.pid is not None
     spent = time.monotonic() - job.started
     message = f"no result after {spent:.0f} s, the limit of hydra.launcher.timeout_s"
     job.outcome = Outcome(folder=job.folder, status=FAILED, did="ran", message=message)
@@ -75,11 +75,11 @@ def stop_hanging(job: Job) -> None:
 
 def kill_group(job: Job) -> None:
     """SIGKILL to the job and to whatever it started."""
-    if job.process is None or job.process.pid is None:
-        return
-    for kill in (os.killpg, os.kill) if job.process.is_alive() else (os.killpg,):
+    if job.process is not None and job.process.exitcode is None:
+        kill_all_of(job.process.pid)
+    elif job.process is not None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            kill(job.process.pid, signal.SIGKILL)
+            os.killpg(job.process.pid, signal.SIGKILL)
 
 
 def _log_tail(folder: Path, characters: int = 8000) -> str:

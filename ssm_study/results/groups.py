@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
 
-from hydra.core.hydra_config import HydraConfig
 from hydra.types import TaskFunction
 
 from ssm_study.results.store import Stages
@@ -34,8 +33,7 @@ def training_programs(task_function: TaskFunction, jobs: Sequence[Job], stages: 
     sharing: Callable[..., Sharing | None] | None = task_hook(task_function, "sharing")
     kinds: defaultdict[str, dict[str, list[Job]]] = defaultdict(dict)
     for job in jobs if sharing and len(jobs) > 1 else ():
-        HydraConfig.instance().set_config(job.config)
-        shared = sharing(job.config, stages) if sharing else None
+        shared = sharing(job.checked, stages) if sharing else None
         if shared is not None:
             kinds[shared.kind].setdefault(shared.key, []).append(job)
     return [program for models in kinds.values() for program in _programs(list(models.values()), at_once)]

@@ -5,22 +5,19 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing.connection import wait
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
-from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, setup_globals
 from omegaconf import OmegaConf
 
 from ssm_study.refusal import require
 from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.compose import Composer
-from ssm_study.results.deaths import GRACE_S, conclude, kill_group, stop_hanging
+from ssm_study.results.deaths import conclude, kill_group, stop_hanging
 from ssm_study.results.groups import close, next_to_start, training_programs
 from ssm_study.results.jobs import run_in_this_process, train_in_this_process
 from ssm_study.results.plan import PlannedStages, plan
@@ -67,30 +64,29 @@ class Processes:
             before = standing(job.folder)
             if not is_to_run(before, retry):
                 job.outcome = outcome_of(job.folder, before)
-        server = Server(preload=self.preload, threads=self.threads)
-        to_do, only_tell = [job for job in unique if job.outcome is None], OmegaConf.select(sweep.config, "dry_run")
         refuse_foreign_targets(sweep.config)
-        if to_do and not only_tell:
-            server.start()  # it imports while the configurations are checked
-        check_all(sweep.task_function, to_do)
-        if only_tell:
+        check_all(sweep.task_function, [job for job in unique if job.outcome is None])
+        if OmegaConf.select(sweep.config, "dry_run"):
             self._tell(sweep, unique)
         else:
-            self._run_all(sweep, server, unique)
+            self._run_all(sweep, unique)
         ends = {job.folder: job.outcome for job in unique}
         return [_returned(job, ends[job.folder]) for job in jobs]
 
-    def _run_all(self, sweep: Sweep, server: Server, jobs: list[Job]) -> None:
+    def _run_all(self, sweep: Sweep, jobs: list[Job]) -> None:
         to_do = [job for job in jobs if job.outcome is None]
         waiting, running = [*self._programs(sweep, to_do), *to_do], list[Job]()
-        with Progress(total=len(jobs)) as progress, _stopped_by_signals(running):
+        numbers = {id(job): number for number, job in enumerate(waiting)}
+        server = Server([_task(sweep, job) for job in waiting], preload=self.preload, threads=self.threads)
+        with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
                     progress.done(job.outcome.status, reused=True)
             while waiting or running:
                 while len(running) < self.jobs and (ready := next_to_start(waiting, running)):
-                    running.append(self._start(sweep, server, ready))
-                for job in self._ended(running, progress):
+                    running.append(ready)
+                    ready.process, ready.started = server.fork(numbers[id(ready)]), time.monotonic()
+                for job in self._ended(server, running, progress):
                     running.remove(job)
                     if job.members:
                         close(job)
@@ -100,10 +96,10 @@ class Processes:
             progress.tick(running=0)
 
     def _tell(self, sweep: Sweep, jobs: list[Job]) -> None:
-        """Print the plan: `walk(configuration, stages)` of the task's module takes each run's stages down the line."""
+        """Print the plan: `walk(checked, stages)` of the task's module takes each run's stages down the line."""
         walk = task_hook(sweep.task_function, "walk")
         to_do = [job for job in jobs if job.outcome is None]
-        walks = [partial(walk, job.config) for job in to_do] if walk else []
+        walks = [partial(walk, job.checked) for job in to_do] if walk else []
         finished, programs = len(jobs) - len(to_do), [job.models for job in self._programs(sweep, to_do)]
         store = _store(sweep)
         told = plan(store, walks, runs=len(jobs), finished=finished, jobs_at_once=self.jobs, together=programs)
@@ -112,22 +108,10 @@ class Processes:
     def _programs(self, sweep: Sweep, jobs: list[Job]) -> list[Job]:
         return training_programs(sweep.task_function, jobs, PlannedStages(_store(sweep)), self.jobs)
 
-    def _start(self, sweep: Sweep, server: Server, job: Job) -> Job:
-        singletons = Singleton.get_state()["instances"]
-        if job.members:
-            configs = [member.config for member in job.members]
-            arguments: tuple[Any, ...] = (job.folder, configs, sweep.task_function, singletons)
-            job.process = server.fork(train_in_this_process, arguments, name=job.name)
-        else:
-            arguments = (job.folder, job.config, sweep.hydra_context, sweep.task_function, singletons)
-            job.process = server.fork(run_in_this_process, arguments, name=job.name)
-        job.started = time.monotonic()
-        return job
-
-    def _ended(self, running: list[Job], progress: Progress) -> list[Job]:
+    def _ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
         """Wait a moment; the jobs that have ended, of themselves or by the time limit."""
-        sentinels = {job.process.sentinel: job for job in running if job.process}
-        ended = [sentinels[ready] for ready in wait(list(sentinels), timeout=0.5) if isinstance(ready, int)]
+        server.listen(0.5)
+        ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.tick(running=len(running))
         for job in running:
             limit = self.timeout_s * job.models if self.timeout_s else math.inf
@@ -135,6 +119,13 @@ class Processes:
                 stop_hanging(job)
                 ended.append(job)
         return ended
+
+
+def _task(sweep: Sweep, job: Job) -> Callable[[], object]:
+    """What the job's process does."""
+    if job.members:
+        return partial(train_in_this_process, job.folder, [one.config for one in job.members], sweep.task_function)
+    return partial(run_in_this_process, job.folder, job.config, sweep.hydra_context, sweep.task_function)
 
 
 def _store(sweep: Sweep) -> Store:
@@ -149,7 +140,7 @@ def _returned(job: Job, outcome: Outcome | None) -> JobReturn:
 
 
 @contextlib.contextmanager
-def _stopped_by_signals(running: list[Job]) -> Iterator[None]:
+def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
     """Ctrl-C and SIGTERM end the sweep at once and take its jobs along; their runs are then `lost`, to be run again."""
 
     def stop(number: int, _: FrameType | None) -> None:
@@ -163,7 +154,6 @@ def _stopped_by_signals(running: list[Job]) -> Iterator[None]:
     finally:
         for job in running:
             kill_group(job)
-            if job.process:
-                job.process.join(GRACE_S)
+        server.close()
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -25,7 +25,9 @@ class Progress:
     def __init__(self, total: int) -> None:
         self.total, self.counts, self.reused, self.running = total, Counter[str](), 0, 0
         self.started = self.spoken = time.monotonic()
-        self.live = Live(console=Console(stderr=True), transient=True) if sys.stderr.isatty() else None
+        self.live = (
+            Live(console=Console(stderr=True), transient=True, auto_refresh=False) if sys.stderr.isatty() else None
+        )
 
     def __enter__(self) -> "Progress":
         if self.live:
@@ -66,7 +68,7 @@ class Progress:
 
     def _say(self) -> None:
         if self.live:
-            self.live.update(Text(self.line()))
+            self.live.update(Text(self.line()), refresh=True)
         elif time.monotonic() - self.spoken > QUIET_S:
             self.spoken = time.monotonic()
             print(self.line(), file=sys.stderr, flush=True)

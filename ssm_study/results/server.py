@@ -1,13 +1,21 @@
-"""The server that jobs are forked from: it has imported the heavy libraries once, so that a job starts at once."""
+"""The server that jobs are forked from: it was itself forked off the sweep, so it has all libraries and configurations.
+
+A job then starts at once and is handed nothing. The server also sees to it that no job outlives the sweep.
+"""
 
 import contextlib
+import ctypes
+import gc
+import importlib
 import os
-from collections.abc import Callable, Iterator
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from multiprocessing import forkserver, get_context
-from multiprocessing.context import ForkServerProcess
-from tempfile import TemporaryFile
-from typing import IO, Any
+from multiprocessing.connection import Connection, Pipe, wait
+from typing import Any, NoReturn
 
 from ssm_study.refusal import BadRequest
 
@@ -17,38 +25,150 @@ ALLOCATOR = {
     "MALLOC_TRIM_THRESHOLD_": "4294967296",
     "MALLOC_TOP_PAD_": "67108864",
 }
+ALLOCATOR_NOW = ((-3, 2**31 - 1), (-1, 2**31 - 1), (-2, 64 << 20))  # the same for mallopt, in a process that is running
+PR_SET_PDEATHSIG = 1
+SERVER_DIED = 255
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass
+class Child:
+    """A job's process; `exitcode` is None while it lives, and minus the signal's number if one killed it."""
+
+    pid: int
+    listen: Callable[[float | None], object]
+    exitcode: int | None = None
+
+    def join(self, timeout: float | None = None) -> None:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while self.exitcode is None and (deadline is None or time.monotonic() < deadline):
+            self.listen(None if deadline is None else max(0.0, deadline - time.monotonic()))
+
+
+@dataclass
 class Server:
-    """`preload` names what it imports; `threads` is what every job may use."""
+    """Forks processes at work on `tasks[number]()`; `preload` is imported before, `threads` is what each may use."""
 
+    tasks: Sequence[Callable[[], object]]
     preload: tuple[str, ...]
     threads: int
-    complaints: IO[bytes] = field(default_factory=TemporaryFile)
+    children: dict[int, Child] = field(default_factory=dict)
+    line: Connection | None = None
+    pid: int = 0
 
-    def start(self) -> None:
-        """Let it import while the caller goes on; harmless when it is running already."""
-        get_context("forkserver").set_forkserver_preload(list(self.preload))
-        with _environment(thread_limits(self.threads) | ALLOCATOR), _errors_into(self.complaints.fileno()):
-            forkserver.ensure_running()
+    def fork(self, number: int) -> Child:
+        """A fresh process at work on a task; raises `BadRequest` if a module to preload cannot be imported."""
+        if self.line is None:
+            self._start()
+        assert self.line is not None
+        self.line.send(number)
+        while not isinstance(born := self._hear(), Child):
+            if self.line is None:  # the server was killed before it could fork
+                return Child(pid=0, listen=self.listen, exitcode=SERVER_DIED)
+        return born
 
-    def fork(self, target: Callable[..., object], arguments: tuple[Any, ...], name: str) -> ForkServerProcess:
-        """A fresh process at work on `target(*arguments)`; raises `BadRequest` if importing ended the server."""
-        process = get_context("forkserver").Process(target=target, args=arguments, name=name)
-        self.start()
+    def listen(self, timeout: float | None) -> None:
+        """Wait for the next end of a job, `timeout` seconds at most, and note it in its `Child`."""
+        if self.line is not None and self.line.poll(timeout):
+            self._hear()
+
+    def close(self) -> None:
+        """The server ends, and whatever job is left with it."""
+        if self.line is not None:
+            self.line.close()
+            os.waitpid(self.pid, 0)
+            self.line = None
+
+    def _hear(self) -> Child | None:
+        assert self.line is not None
         try:
-            process.start()
+            pid, exitcode = self.line.recv()
         except (EOFError, ConnectionError):
-            problem, modules = f"importing these for the jobs failed ({self._last_words()})", ", ".join(self.preload)
-            remedy = f"mend it (python -c 'import {modules}' says where), or leave the module out"
-            raise BadRequest("hydra.launcher.preload", modules, problem, remedy) from None
-        return process
+            self.close()
+            for child in self.children.values():
+                child.exitcode = SERVER_DIED
+            self.children.clear()
+            return None
+        if exitcode is None:
+            self.children[pid] = Child(pid=pid, listen=self.listen)
+            return self.children[pid]
+        self.children.pop(pid).exitcode = exitcode
+        return None
 
-    def _last_words(self) -> str:
-        self.complaints.seek(0)
-        lines = self.complaints.read().decode(errors="replace").splitlines()
-        return next((line.strip() for line in reversed(lines) if line.strip()), "killed without a word")
+    def _start(self) -> None:
+        with _environment(thread_limits(self.threads)):
+            self._import()
+            gc.freeze()  # what has been imported is not looked at again: a job would copy all of it
+            for stream in (sys.stdout, sys.stderr):
+                stream.flush()
+            self.line, theirs = Pipe()
+            self.pid = os.fork()
+            if self.pid == 0:
+                self.line.close()
+                _serve(theirs, self.tasks, self.threads)
+            theirs.close()
+
+    def _import(self) -> None:
+        for module in self.preload:
+            try:
+                importlib.import_module(module)
+            except Exception as error:  # whatever a module raises
+                problem = f"importing it for the jobs failed ({type(error).__name__}: {error})"
+                remedy = f"mend it (python -c 'import {module}' says where), or leave the module out"
+                raise BadRequest("hydra.launcher.preload", module, problem, remedy) from error
+
+
+def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
+    """Fork when asked to, tell of every end; when the sweep is gone, however it went, so is all it has started."""
+    os.setsid()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    _settle_memory_and_threads(threads)
+    living: dict[int, int] = {}  # process by its descriptor
+    with contextlib.suppress(BaseException):
+        while True:
+            for ready in wait([sweep, *living]):
+                if ready is sweep:
+                    pid = _fork(sweep, tasks[sweep.recv()])
+                    living[os.pidfd_open(pid)] = pid
+                    sweep.send((pid, None))
+                elif isinstance(ready, int):
+                    pid, status = os.waitpid(living.pop(ready), 0)
+                    os.close(ready)
+                    sweep.send((pid, os.waitstatus_to_exitcode(status)))
+    for pid in living.values():
+        kill_all_of(pid)
+    os._exit(0)
+
+
+def _fork(sweep: Connection, task: Callable[[], object]) -> int:
+    server = os.getpid()
+    pid = os.fork()
+    if pid:
+        return pid
+    status = 1
+    try:
+        sweep.close()
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != server:
+            os._exit(status)
+        task()
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 1
+    except BaseException:  # nothing may return into the server's loop
+        traceback.print_exc()
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(status)
+
+
+def kill_all_of(pid: int) -> None:
+    """A job's process and whatever it has started."""
+    for kill in (os.killpg, os.kill):  # a group of its own is the first thing it makes, not the birth of it
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            kill(pid, signal.SIGKILL)
 
 
 def thread_limits(threads: int) -> dict[str, str]:
@@ -57,24 +177,21 @@ def thread_limits(threads: int) -> dict[str, str]:
     return counts | {"OMP_WAIT_POLICY": "passive"}
 
 
+def _settle_memory_and_threads(threads: int) -> None:
+    """What the variables would do, for libraries that the sweep's own process has loaded already."""
+    with contextlib.suppress(AttributeError):  # another C library
+        for parameter, value in ALLOCATOR_NOW:
+            ctypes.CDLL(None).mallopt(parameter, value)
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.set_num_threads(threads)
+
+
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in variables}
+    before: dict[str, Any] = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
         yield
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
-
-
-@contextlib.contextmanager
-def _errors_into(descriptor: int) -> Iterator[None]:
-    """What a process started meanwhile says on stderr goes to this file."""
-    mine = os.dup(2)
-    os.dup2(descriptor, 2)
-    try:
-        yield
-    finally:
-        os.dup2(mine, 2)
-        os.close(mine)

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import dataclass, field
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.compose import Composer
 from ssm_study.results.runs import Outcome, run_folder
+from ssm_study.results.server import Child
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,10 +36,11 @@ class Job:
     config: DictConfig
     folder: Path
     outcome: Outcome | None = None
-    process: ForkServerProcess | None = None
+    process: Child | None = None
     started: float = field(default=0.0)
     members: tuple["Job", ...] = ()
     models: int = 1
+    checked: Any = None
 
     @property
     def name(self) -> str:
@@ -61,6 +62,8 @@ def job_of(composer: Composer, overrides: list[str], number: int) -> Job:
 def check_all(task_function: TaskFunction, jobs: list[Job]) -> None:
     """The allow-list and `check(configuration)` of the task's module on every job, before any starts.
 
+    What `check` returns, or else the configuration, is what the further hooks get (`Job.checked`).
+
     The `BadRequest` names the job.
     """
     check = task_hook(task_function, "check")
@@ -68,8 +71,8 @@ def check_all(task_function: TaskFunction, jobs: list[Job]) -> None:
         try:
             HydraConfig.instance().set_config(job.config)
             refuse_foreign_targets(job.config)
-            if check is not None:
-                check(job.config)
+            checked = check(job.config) if check is not None else None
+            job.checked = job.config if checked is None else checked
         except BadRequest as refusal:
             where = f"{refusal.field} (of the run {' '.join(job.overrides)})"
             raise BadRequest(where, refusal.value, refusal.problem, refusal.remedy) from refusal

@@ -197,7 +197,7 @@ def test_a_module_that_cannot_be_imported_for_the_jobs_is_one_sentence(tmp_path:
     (tmp_path / "cvxpy.py").write_text("raise RuntimeError('half edited')\n")
     status, output = sweep(tmp_path, "seed=0,1", "hydra.launcher.preload=[cvxpy]")
     assert status != 0
-    assert "BadRequest: hydra.launcher.preload = cvxpy: importing these for the jobs failed" in output.splitlines()[-1]
+    assert "BadRequest: hydra.launcher.preload = cvxpy: importing it for the jobs failed" in output.splitlines()[-1]
     assert "RuntimeError: half edited" in output.splitlines()[-1]
     assert "EOFError" not in output
     assert living(tmp_path) == []

@@ -188,6 +188,29 @@ def test_a_run_is_named_by_what_it_computes_alone() -> None:
     assert resolved.name == name
 
 
+def test_a_saved_configuration_reads_back_to_the_same_values() -> None:
+    """OmegaConf reads more texts as numbers than YAML does; and `reproduce` goes by the file."""
+    words = [
+        "1e5",
+        "nan",
+        "-inf",
+        ".5",
+        "010",
+        "1:30",
+        "yes",
+        "null",
+        "~",
+        "",
+        "a: b",
+        "# c",
+        "${x}",
+        "é",
+        "two\nlines",
+    ]
+    values = {"texts": words, "numbers": [1e5, 1e-9, -3, True, None], "inner": {"a": {}, "b": [], "1e3": 2}}
+    assert OmegaConf.to_container(OmegaConf.create(naming.yaml_text(values))) == values
+
+
 @pytest.mark.parametrize(
     ("study", "name"),
     [("..", "r"), ("a/b", "r"), ("s", "../r"), ("s", "/etc"), ("", "r"), ("s", ".hidden"), ("s", "x" * 300)],

@@ -1,7 +1,6 @@
 """Runs whose models one program trains: dealt out over the processes, and none the worse when that program dies."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,10 +23,13 @@ ROOT = Path(__file__).resolve().parents[2]
 def programs(kinds: list[tuple[str, str] | None], at_once: int, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """The names of the members of each program, for runs with these (kind, model key)."""
     shared = {f"run{i}": kind for i, kind in enumerate(kinds)}
-    hook = lambda config, _: Sharing(*shared[config.name]) if shared[config.name] else None  # noqa: E731
+
+    def hook(checked: str, _: object) -> Sharing | None:
+        kind = shared[checked]
+        return Sharing(*kind) if kind else None
+
     monkeypatch.setattr(groups, "task_hook", lambda *_: hook)
-    monkeypatch.setattr(groups.HydraConfig, "instance", lambda: SimpleNamespace(set_config=lambda _: None))
-    jobs = [Job(overrides=[], config=OmegaConf.create({"name": name}), folder=Path("/s") / name) for name in shared]
+    jobs = [Job(overrides=[], config=OmegaConf.create(), folder=Path("/s") / name, checked=name) for name in shared]
     stages: Any = Store(Path("/nowhere"))
     made = training_programs(lambda _: None, jobs, stages, at_once)
     return [[member.name for member in program.members] for program in made]
@@ -90,14 +92,14 @@ def configured(results: Path, *words: str) -> DictConfig:
 def test_seeds_and_slope_bounds_share_other_settings_do_not(tmp_path: Path) -> None:
     stages = PlannedStages(Store(tmp_path / ".store"))
     members = (["seed=0"], ["seed=1"], ["seed=0", "model.slope_lower=0.1"])
-    shared = [study.sharing(configured(tmp_path, *words), stages) for words in members]
+    shared = [study.sharing(study.check(configured(tmp_path, *words)), stages) for words in members]
     assert len({one.kind for one in shared if one}) == 1
     assert len({one.key for one in shared if one}) == 3
-    other = study.sharing(configured(tmp_path, "model.order=6"), stages)
+    other = study.sharing(study.check(configured(tmp_path, "model.order=6")), stages)
     assert other is not None
     assert other.kind != (shared[0].kind if shared[0] else "")
     for alone in (["training/optimiser=adam"], ["data.samples=5000"], ["training.precision=32"]):
-        assert study.sharing(configured(tmp_path, *alone), stages) is None, alone
+        assert study.sharing(study.check(configured(tmp_path, *alone)), stages) is None, alone
     lines = plan(Store(tmp_path), [], runs=8, finished=0, together=[4, 4]).lines()
     assert "trained together: 2 groups (4+4 models)" in lines
     assert not any("together" in line for line in plan(Store(tmp_path), [], runs=8, finished=0).lines())
@@ -110,8 +112,8 @@ def test_a_members_stage_holds_what_training_alone_gives(tmp_path: Path, capsys:
     assert "left to its own run" not in capsys.readouterr().err
     numbers = []
     for config in configs[:3]:
-        assert study.sharing(config, PlannedStages(Store(tmp_path / ".store"))) is None, "the model is there"
-        specification = study.Specification.from_config(config)
+        specification = study.check(config)
+        assert study.sharing(specification, PlannedStages(Store(tmp_path / ".store"))) is None, "the model is there"
         stages = [Store(tmp_path / ".store"), Store(tmp_path / "alone")]
         found, alone = (study.model_stage(specification, s, study.dataset_stage(specification, s)) for s in stages)
         facts = study.read_json(found.result.path / "facts.json")
