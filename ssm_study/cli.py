@@ -192,7 +192,9 @@ def _parser() -> argparse.ArgumentParser:
         "--cost", action="store_true", help="what was computed, what reused, and how long each stage took"
     )
     export.add_argument("--to", type=Path, required=True, metavar="DIR", help="the folder to write into")
-    report.add_argument("--only", action="append", metavar="NAME", help="draw only this figure (may be repeated)")
+    figures = sorted(path.stem for path in (Path(__file__).parent / "report" / "figures").glob("[!_]*.py"))
+    told = f"draw only this figure (may be repeated): {', '.join(figures)}"
+    report.add_argument("--only", action="append", metavar="NAME", help=told)
     mlflow.add_argument("--store", metavar="ADDRESS", help="tracking address (default: sqlite:///STUDY/mlflow.db)")
     actions = {gather: _gather, show: _show, verify: _verify, reproduce: _reproduce, export: _export, report: _report}
     actions |= {mlflow: _export_mlflow}
