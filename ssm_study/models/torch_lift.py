@@ -79,12 +79,12 @@ class _AffineRuns(torch.autograd.Function):
         ctx.save_for_backward(counts, ranked, order)
         slope = torch.repeat_interleave(slopes, counts, output_size=len(ranked))
         offset = torch.repeat_interleave(offsets, counts, output_size=len(ranked))
-        return (offset + slope * ranked)[back]
+        return torch.addcmul(offset, slope, ranked).index_select(0, back)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         counts, ranked, order = ctx.saved_tensors
-        sorted_upstream = upstream[0][order]
+        sorted_upstream = upstream[0].index_select(0, order)
         slopes = torch.segment_reduce(sorted_upstream * ranked, "sum", lengths=counts, initial=0.0)
         offsets = torch.segment_reduce(sorted_upstream, "sum", lengths=counts, initial=0.0)
         return slopes, offsets, None, None, None, None

@@ -33,7 +33,7 @@ class LRU(nn.Module):
         self.theta = nn.Parameter(modes[self.reals :].angle())
         self.register_buffer("flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64))
         self.register_buffer("pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False)
-        single = start.b.shape[1] == 1
+        self.single = single = start.b.shape[1] == 1
         b, c = torch.from_numpy(start.b), torch.from_numpy(start.c)
         gain = torch.sqrt(1 - radius**2)[:, None]
         if single:  # y = C diag(b) x: the input column moves into C
@@ -53,10 +53,14 @@ class LRU(nn.Module):
     def modes(self) -> Modes:
         """Free to explicit parameters: the only place that knows how stability is kept."""
         damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
-        decay = torch.complex(-damping, torch.cat([self.flip, self.theta], -1))
+        angle = torch.cat([self.flip, self.theta], -1) if self.reals else self.theta
         gain = torch.sqrt(-torch.expm1(-2 * damping))[..., None]
-        b = _join(gain * self.b_real, gain[..., self.reals :, :] * self.b_imag)
-        return Modes(decay=decay, b=b, c=_join(self.pairs[..., None] * self.c_real, 2.0 * self.c_imag).mT, d=self.d)
+        if self.single:
+            b = torch.complex(gain, torch.zeros_like(gain))
+        else:
+            b = _join(gain * self.b_real, gain[..., self.reals :, :] * self.b_imag)
+        c = _join(self.pairs[..., None] * self.c_real, 2.0 * self.c_imag).mT
+        return Modes(decay=torch.complex(-damping, angle), b=b, c=c, d=self.d)
 
     def to_state_space(self) -> StateSpace:
         """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per pair."""
@@ -116,4 +120,5 @@ def _parts(values: Complex[Tensor, "n k"], reals: int, trained: bool) -> tuple[n
 
 
 def _join(real: Float[Tensor, "*c n k"], imag: Float[Tensor, "*c pairs k"]) -> Complex[Tensor, "*c n k"]:
-    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, real.shape[-2] - imag.shape[-2], 0)))
+    reals = real.shape[-2] - imag.shape[-2]
+    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, reals, 0)) if reals else imag)

@@ -18,7 +18,8 @@ def apart(rows: Num[Tensor, "*rows n"]) -> Num[Tensor, "*rows n"]:
 
 def product(a: Complex[Tensor, "*a n"], b: Complex[Tensor, "*b n"]) -> Complex[Tensor, "*c n"]:
     """`a b` in real operations, which round alike everywhere, their derivatives too: for a few numbers."""
-    return torch.complex(a.real * b.real - a.imag * b.imag, a.real * b.imag + a.imag * b.real)
+    (ar, ai), (br, bi) = torch.view_as_real(a).unbind(-1), torch.view_as_real(b).unbind(-1)
+    return torch.complex(ar * br - ai * bi, ar * bi + ai * br)
 
 
 def whole_lanes(count: int) -> int:

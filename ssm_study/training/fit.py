@@ -11,6 +11,7 @@ from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 from torch.func import functional_call
 
+from ssm_study.models.torch_recurrence import forward_derivatives
 from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 from ssm_study.training.objective import Records, fit_of_loss
 from ssm_study.training.optimisers import Adam, Levenberg, OptimiserSpec
@@ -76,7 +77,8 @@ class Fit(pl.LightningModule):
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])
         values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
-        return functional_call(_Residual(self), {f"fit.{name}": value for name, value in values.items()}, ())
+        with forward_derivatives():
+            return functional_call(_Residual(self), {f"fit.{name}": value for name, value in values.items()}, ())
 
     def _penalty(self) -> Tensor:
         """What is added to the squared error: see `Penalties`."""

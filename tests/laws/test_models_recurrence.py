@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 
 from ssm_study.models import torch_recurrence as recurrence
 from ssm_study.models.start import on_ring
+from ssm_study.models.torch_convolution import power_sums, tables
 from ssm_study.models.torch_lru import LRU
 
 EVALUATIONS = {
     "convolution": recurrence.by_convolution,
+    "plain convolution": recurrence.by_plain_convolution,
     "chunks": recurrence.by_chunks,
     "scan": recurrence.by_scan,
 }
@@ -110,28 +112,49 @@ def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
     decay = np.log(rng.uniform(0.1, 0.999, 5)) + 1j * rng.uniform(-np.pi, np.pi, 5)
     weights = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
     direct = (weights @ np.exp(decay[:, None] * np.arange(samples))).real
-    fast = recurrence.power_sum(torch.from_numpy(weights), torch.from_numpy(decay), samples)
+    fast = power_sums(torch.from_numpy(weights), tables(torch.from_numpy(decay), samples))[:, :samples]
     np.testing.assert_allclose(fast.numpy(), direct, atol=1e-10)
 
 
-@pytest.mark.parametrize(("m", "p", "samples"), [(1, 1, 17), (2, 3, 50), (1, 1, 1), (2, 1, 2)])
-def test_the_derivatives_written_out_are_those_of_the_law(m: int, p: int, samples: int) -> None:
-    """Backward against finite differences; forward and vectorised against autograd through the scan."""
-    rng = torch.Generator().manual_seed(m + p + samples)
-    real = torch.rand(3, generator=rng, dtype=torch.float64)
-    shapes = {"b": (3, m), "c": (p, 3), "x0": (2, 3)}
-    parts = [torch.randn(*shape, generator=rng, dtype=torch.complex128) for shape in shapes.values()]
-    decay = torch.complex(-0.5 * real - 0.01, 3 * torch.rand(3, generator=rng, dtype=torch.float64))
-    d, u = (torch.randn(*shape, generator=rng, dtype=torch.float64) for shape in ((p, m), (2, samples, m)))
-    at = (decay, *parts, d, u)
+@pytest.mark.parametrize("moving", [True, False])
+@pytest.mark.parametrize("name", ["convolution", "chunks"])
+@pytest.mark.parametrize(("m", "p", "samples"), [(1, 1, 17), (2, 3, 70), (1, 1, 1), (2, 1, 2), (1, 1, 64)])
+def test_the_derivatives_written_out_are_those_of_the_law(
+    name: str, m: int, p: int, samples: int, moving: bool
+) -> None:
+    """Backward, against finite differences."""
+    at = _operands(m, p, samples)[: 6 if moving else 5]
 
-    def run(law: Evaluation) -> Callable[..., torch.Tensor]:
-        return lambda decay, b, c, x0, d, u: law(recurrence.Modes(decay=decay, b=b, c=c, d=d), u, x0)
+    def run(*operands: torch.Tensor) -> torch.Tensor:
+        decay, b, c, d, u, *x0 = operands
+        return EVALUATIONS[name](recurrence.Modes(decay=decay, b=b, c=c, d=d), u, *x0)
 
-    torch.autograd.gradcheck(run(recurrence.by_convolution), [part.clone().requires_grad_() for part in at])
+    torch.autograd.gradcheck(run, [part.clone().requires_grad_() for part in at])
+
+
+def test_forward_derivatives_are_those_of_the_law() -> None:
+    """Vectorised, where `respond` is told so, against the scan."""
+    at, rng = _operands(2, 3, 50), torch.Generator().manual_seed(1)
     push = [torch.randn(4, *part.shape, generator=rng, dtype=part.dtype) for part in at]
 
     def pushed(law: Evaluation) -> torch.Tensor:
-        return torch.func.vmap(lambda *tangents: torch.func.jvp(run(law), at, tangents)[1])(*push)
+        def run(
+            decay: torch.Tensor, b: torch.Tensor, c: torch.Tensor, d: torch.Tensor, *u: torch.Tensor
+        ) -> torch.Tensor:
+            return law(recurrence.Modes(decay=decay, b=b, c=c, d=d), *u)
 
-    torch.testing.assert_close(pushed(recurrence.by_convolution), pushed(recurrence.by_scan), rtol=1e-9, atol=1e-9)
+        return torch.func.vmap(lambda *tangents: torch.func.jvp(run, at, tangents)[1])(*push)
+
+    with recurrence.forward_derivatives():
+        found = pushed(recurrence.respond)
+    torch.testing.assert_close(found, pushed(recurrence.by_scan), rtol=1e-9, atol=1e-9)
+
+
+def _operands(m: int, p: int, samples: int) -> tuple[torch.Tensor, ...]:
+    """`decay, b, c, d, u, x0` of two records and three modes."""
+    rng = torch.Generator().manual_seed(m + p + samples)
+    real = torch.rand(3, generator=rng, dtype=torch.float64)
+    decay = torch.complex(-0.5 * real - 0.01, 3 * torch.rand(3, generator=rng, dtype=torch.float64))
+    b, c, x0 = (torch.randn(*s, generator=rng, dtype=torch.complex128) for s in ((3, m), (p, 3), (2, 3)))
+    d, u = (torch.randn(*shape, generator=rng, dtype=torch.float64) for shape in ((p, m), (2, samples, m)))
+    return decay, b, c, d, u, x0
