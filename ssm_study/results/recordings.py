@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.mcap_reading import read_mcap
-from ssm_study.loop.rollout import Rollouts
+from ssm_study.loop.rollout import STAYED, Rollouts
 from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import Simulator
 from ssm_study.plants.plant import Plant
@@ -89,6 +89,7 @@ def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Pla
     facts = {
         "step_s": repr(run.step_s),
         "settling_band": repr(plant.settling_band),
+        "input_equilibrium": json.dumps(plant.equilibrium().u.tolist()),
         "left_at_sample": json.dumps(run.left_at_sample.tolist()),
         "bound": json.dumps(np.minimum(run.bound, NO_BOUND).tolist()),
     }
@@ -97,10 +98,15 @@ def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Pla
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedLoop:
-    """What `write_rollouts` kept: the runs, and the band that counts as settled."""
+    """What `write_rollouts` kept: the runs, the same left alone, the band that counts as settled, the input at rest.
+
+    `alone` and `input_equilibrium` are None where the recording, an older one perhaps, does not say.
+    """
 
     run: Rollouts
     settling_band: float
+    alone: Rollouts | None = None
+    input_equilibrium: Float[np.ndarray, "m"] | None = None
 
 
 def read_rollouts(path: Path) -> RecordedLoop:
@@ -123,7 +129,12 @@ def read_rollouts(path: Path) -> RecordedLoop:
         bound=np.array(json.loads(about["bound"]), dtype=float),
         left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
     )
-    return RecordedLoop(run=run, settling_band=float(about["settling_band"]))
+    left_alone = None
+    if f"{cases[0]}/uncontrolled" in parts:
+        left_alone = replace(run, y=stack("uncontrolled"), left_at_sample=np.full(len(cases), STAYED))
+    rest = np.array(json.loads(about["input_equilibrium"]), dtype=float) if "input_equilibrium" in about else None
+    band = float(about["settling_band"])
+    return RecordedLoop(run=run, settling_band=band, alone=left_alone, input_equilibrium=rest)
 
 
 def _group(

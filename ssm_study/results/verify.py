@@ -2,7 +2,8 @@
 
 What is recomputed: the seals of the files; the slopes of the scaffoldings from their break points; both theorems in
 exact rational arithmetic on the stored matrices; the frontier; the fits and the mismatch margin from the recordings;
-the controller's inputs from the measured outputs with the certified gains; and the counts and times of the loop.
+the controller's inputs from the measured outputs with the certified gains; and what the closed loop did. Not the fit on
+the training records, which are not kept; not Gramians, coverage, the solver's opinion and times, which decide nothing.
 """
 
 import json
@@ -16,13 +17,13 @@ from omegaconf import OmegaConf
 
 from ssm_study.bounds.scaffolds import certified_balls
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import bound_columns
-from ssm_study.loop.settling import settling_times_s
+from ssm_study.loop.metrics import behaviour, bound_columns
+from ssm_study.loop.regulation import ClosedLoop
 from ssm_study.models.free_run import free_run
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest, require
-from ssm_study.results.facts import design_facts, linear_facts, slope_facts
+from ssm_study.results.facts import design_facts, linear_facts, rmse_over, slope_facts
 from ssm_study.results.recordings import RecordedLoop, Simulation, read_rollouts, read_simulation
 from ssm_study.results.records import FAILED, INFEASIBLE, OK, RECORD, read_record
 from ssm_study.results.store import intact_manifest
@@ -125,6 +126,7 @@ def _fits(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
             claim=f"{file} /simulated", holds=apart <= FLOAT_AGREEMENT, found=f"model.json replays it to {apart:.1e}"
         )
         yield from _same(record, {name: _fit(kept, again)}, FLOAT_AGREEMENT)
+    yield from _same(record, {"rmse_test": rmse_over(model, kept.records, kept.start_up_samples)}, FLOAT_AGREEMENT)
 
 
 def _fit(kept: Simulation, simulated: list[np.ndarray]) -> float:
@@ -146,16 +148,25 @@ def _loop(run: Path, record: dict[str, Any]) -> Iterator[Finding]:
         holds=apart <= ITERATED_AGREEMENT,
         found=f"the certified gains give it from the measured output to {apart:.1e}",
     )
-    settled = [t for t in settling_times_s(kept.run, kept.settling_band) if t is not None]
-    derived = {
-        "initial_conditions": len(kept.run.y),
-        "stable_count": len(settled),
-        "settling_time_mean_s": float(np.mean(settled)) if settled else None,
-    }
-    bounds = bound_columns(kept.run, on_model.run, feedback, observer)
+    derived, bounds = _behaviour(kept), bound_columns(kept.run, on_model.run, feedback, observer)
     missing_in_older = {"estimate_decay_rate", "certified_bound_excess_plant"} - set(record)
     derived |= {name: value for name, value in bounds.items() if name not in missing_in_older}
     yield from _same(record, derived, FLOAT_AGREEMENT)
+
+
+def _behaviour(kept: RecordedLoop) -> dict[str, Any]:
+    """The columns of `loop.metrics.behaviour` that the recording decides: an older one lacks the input at rest."""
+    rest = np.zeros(kept.run.u.shape[2]) if kept.input_equilibrium is None else kept.input_equilibrium
+    loop = ClosedLoop(
+        controlled=kept.run,
+        uncontrolled=kept.alone or kept.run,
+        on_model=None,
+        settling_band=kept.settling_band,
+        input_equilibrium=rest,
+    )
+    unknown = {"input_peak_v", "control_energy"} if kept.input_equilibrium is None else set()
+    unknown |= {"settling_time_open_loop_s"} if kept.alone is None else set()
+    return {name: value for name, value in behaviour(loop).items() if name not in unknown}
 
 
 def input_limits(run: Path) -> tuple[float, float]:
