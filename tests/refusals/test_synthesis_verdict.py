@@ -152,11 +152,13 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     assert replace(request, rate=float(np.nextafter(limit.rate_limit, 0))).refused() is None
 
 
-@pytest.mark.parametrize("rate", [0.0, 1.0, 1.5])
-def test_a_problem_with_a_rate_outside_the_unit_interval(rate: float) -> None:
-    weights = {"state_weight": np.eye(2), "input_weight": 1.0}
-    with pytest.raises(BadRequest, match="rate"):
-        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS[0], rate=rate, **weights)
+@pytest.mark.parametrize(
+    ("name", "value"), [("rate", 0.0), ("rate", 1.0), ("rate", 1.5), ("input_weight", 0.0), ("input_weight", -1.0)]
+)
+def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
+    asked = {"rate": 0.1, "input_weight": 1.0, name: value}
+    with pytest.raises(BadRequest, match=name):
+        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS[0], state_weight=np.eye(2), **asked)
 
 
 def test_the_margin_is_that_of_the_exact_inequality() -> None:
