@@ -262,5 +262,7 @@ def _report(options: argparse.Namespace) -> int:
     return DONE
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+if __name__ == "__main__":  # by the name that Hydra knows `StudyCallback` by: it is there that a failure is noted
+    from ssm_study.cli import main as command
+
+    sys.exit(command())

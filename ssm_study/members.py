@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from pathlib import Path
 
 from omegaconf import DictConfig
 
@@ -42,24 +43,28 @@ def short(specification: Specification) -> bool:
 
 
 def train_members(configs: list[DictConfig]) -> None:
-    """The models of these runs into the store, trained together as far as they can be."""
-    members: dict[Member, tuple[Specification, Kept[DataSet]]] = {}
+    """The models of these runs into the store, trained together as far as they can be.
+
+    Meanwhile no other sweep trains one of them; what another has trained before is left.
+    """
+    members: dict[str, tuple[Member, Specification, Kept[DataSet]]] = {}
+    store = Store(Path(str(configs[0].results_dir)) / ".store")
 
     def prepare(config: DictConfig) -> None:
         made = Specification.from_config(config)
-        data = dataset_stage(made, Store(made.store))
-        key = model_stage(made, PlannedStages(Store(made.store)), data).key
-        if key not in known:
-            known.add(key)
+        data = dataset_stage(made, store)
+        key = model_stage(made, PlannedStages(store), data).key
+        if key not in members:
             member = Member(spec=made.model, data=data.value, seed=made.seed, training=made.training)
-            members[member] = made, data
+            members[key] = member, made, data
 
     def keep(member: Member, number: int) -> None:
-        made, data = members[member]
-        store = Store(made.store)
+        made, data = next((made, data) for one, made, data in members.values() if one is member)
         attempt(lambda: model_stage(made, store, data, lambda folder: member.conclude(folder, number)), "keeping")
 
-    known: set[str] = set()
     for config in configs:
         attempt(partial(prepare, config), "preparing")
-    train_together(list(members), keep)
+    with store.hold("model", members):
+        missing = [member for key, (member, *_) in members.items() if store.find("model", key) is None]
+        if missing:
+            train_together(missing, keep)

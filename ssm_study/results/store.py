@@ -6,8 +6,9 @@ import shutil
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,7 @@ class Store(Stages):
     """
 
     root: Path
+    held: set[str] = field(default_factory=set, compare=False)
 
     def stage(
         self,
@@ -81,12 +83,29 @@ class Store(Stages):
         key = stage_key(name, config, tuple(upstream), code_version)
         if found := self.find(name, key):
             return found
-        with locked(self.root / ".locks" / f"{name}-{key}.lock"):
+        with nullcontext() if key in self.held else locked(self._lock(name, key)):
             if found := self.find(name, key):  # another process was faster
                 return found
             self._set_damaged_aside(name, key)
             note = {"stage": name, "key": key, "upstream": list(upstream), "code_version": code_version}
             return self._compute(name, key, note, compute)
+
+    @contextmanager
+    def hold(self, name: str, keys: Iterable[str]) -> Iterator[None]:
+        """Meanwhile these stages are computed through this very store alone; whoever else asks for one waits.
+
+        It waits itself until nobody computes one of them; a holder that dies lets go. The order keeps two from waiting
+        for each other.
+        """
+        with ExitStack() as locks:
+            for key in sorted(keys):
+                locks.enter_context(locked(self._lock(name, key)))
+                self.held.add(key)
+                locks.callback(self.held.discard, key)
+            yield
+
+    def _lock(self, name: str, key: str) -> Path:
+        return self.root / ".locks" / f"{name}-{key}.lock"
 
     def find(self, name: str, key: str) -> StageResult | None:
         """The intact stage of this key, or None; a damaged one counts as absent."""

@@ -1,5 +1,6 @@
 """The store: one key, one computation, the same bytes for ever; whatever happens to a file is noticed."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -176,6 +177,36 @@ def test_four_processes_compute_a_stage_once(tmp_path: Path) -> None:
     workers = [subprocess.Popen(command) for _ in range(4)]
     assert [worker.wait(timeout=120) for worker in workers] == [0] * 4
     assert len((tmp_path / "ledger").read_text().splitlines()) == 1
+
+
+TOGETHER = """
+import os, sys, time
+from pathlib import Path
+from ssm_study.results.keys import stage_key
+from ssm_study.results.store import Store
+store, ledger, names = Store(Path(sys.argv[1])), Path(sys.argv[2]), sys.argv[3:]
+def compute(folder):
+    with ledger.open("a") as stream:
+        stream.write(f"{os.getpid()}\\n")
+    time.sleep(0.2)
+    if "killed" in os.environ:
+        os.kill(os.getpid(), 9)
+    (folder / "model.json").write_text("{}")
+with store.hold("model", [stage_key("model", name, (), "v") for name in names]):
+    for name in names:
+        store.stage("model", name, [], "v", compute)
+"""
+
+
+def test_two_who_train_the_same_models_wait_for_each_other_and_a_killed_holder_lets_go(tmp_path: Path) -> None:
+    """Real processes, two orders of the same models: no deadlock, each computed once; the third is killed at work."""
+    command = [sys.executable, "-c", TOGETHER, str(tmp_path / "store"), str(tmp_path / "ledger")]
+    killed = subprocess.Popen([*command, "a", "b"], env=os.environ | {"killed": "yes"})
+    workers = [subprocess.Popen([*command, *names]) for names in (("a", "b", "c"), ("c", "b", "a"))]
+    assert [worker.wait(timeout=120) for worker in (killed, *workers)] in ([-9, 0, 0], [0, 0, 0])
+    computed = [line for line in (tmp_path / "ledger").read_text().splitlines() if line != str(killed.pid)]
+    assert len(computed) == 3
+    assert len(set(computed)) == 1, "one of them has computed all"
 
 
 def test_two_who_do_not_see_each_others_locks_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 from test_engine_launcher import records, sweep
 
-from ssm_study import study
+from ssm_study import members, study
 from ssm_study.results import groups
 from ssm_study.results.groups import Sharing, next_to_start, training_programs
 from ssm_study.results.naming import register_resolver
@@ -105,7 +105,9 @@ def test_seeds_and_slope_bounds_share_other_settings_do_not(tmp_path: Path) -> N
     assert not any("together" in line for line in plan(Store(tmp_path), [], runs=8, finished=0).lines())
 
 
-def test_a_members_stage_holds_what_training_alone_gives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_members_stage_holds_what_training_alone_gives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     words = [["seed=0"], ["seed=1"], ["seed=2", "model.slope_lower=0.1"], ["seed=0", "synthesis.rate_controller=0.5"]]
     configs = [configured(tmp_path, *one) for one in words]
     study.train_members(configs)
@@ -125,4 +127,7 @@ def test_a_members_stage_holds_what_training_alone_gives(tmp_path: Path, capsys:
         for matrix in "abc":
             mine, theirs = (getattr(one.value.linear, matrix) for one in (found, alone))
             np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-9)
+    monkeypatch.setattr(members, "train_together", None)  # a second sweep's program finds them there
+    study.train_members(configs)
+    assert "left to its own run" not in capsys.readouterr().err
     assert max(numbers) > 1, "at least two of three seeds must have the same number of real modes"
