@@ -79,6 +79,8 @@ def test_the_papers_lower_bound_is_unsound() -> None:
     paper = jacobian_ball(MlpScaffold(network=net), method="spectral")
     assert paper.lower == pytest.approx(0.02)
     assert not paper.sound_lower
+    assert paper.sound_upper
+    assert not paper.sound
     assert paper.ball is None
     assert jacobian_ball(MlpScaffold(network=net)).upper == 0.0  # the truth
 
@@ -278,7 +280,8 @@ def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() 
     with pytest.raises(BadRequest, match="spectral_radius"):
         balance(unstable)
     dead = StateSpace(a=np.diag([0.9, 0.5]), b=np.array([[1.0], [1e-12]]), c=np.ones((1, 2)), d=np.zeros((1, 1)))
-    with pytest.raises(BadRequest, match="truncate_to"):
+    largest = f"{hankel_singular_values(dead)[0]:.3g}"
+    with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
         balance(dead)
 
     class Model:
