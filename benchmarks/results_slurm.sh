@@ -16,8 +16,12 @@ sweep() {
     echo "exit status $status"
     python -m ssm_study.cli show "$dir/results/smoke" | grep -A9 ' shown): '
 }
-on_node() { # every process that Slurm has started there
-    grep -lz "^SLURMD_NODENAME=$1\$" /proc/[0-9]*/environ 2>/dev/null | cut -d/ -f3
+on_node() { # every process that Slurm has started there, and the one that would tell of their end
+    started=$(grep -lz "^SLURMD_NODENAME=$1\$" /proc/[0-9]*/environ 2>/dev/null | cut -d/ -f3)
+    ps -o ppid=,comm= -p "$(echo $started | tr ' ' ,)" | while read -r parent _; do
+        if [ "$(cat "/proc/$parent/comm")" = slurmstepd ]; then echo "$parent"; fi
+    done
+    echo "$started"
 }
 
 sweep &

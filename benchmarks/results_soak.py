@@ -78,14 +78,13 @@ def processes_of(folder: Path) -> list[int]:
     return found
 
 
-def disturb(process: "subprocess.Popen[bytes]", folder: Path, rng: random.Random, longest_s: float) -> str:
+def disturb(process: "subprocess.Popen[bytes]", folder: Path, rng: random.Random, done: "Soak") -> str:
     """Wait a random while, then kill something; what was killed, or `finished` if nothing was left to kill."""
     if rng.random() < AT_WORK:
-        while process.poll() is None and not jobs_of(folder):
-            time.sleep(0.05)
-        time.sleep(rng.uniform(0.0, longest_s / 3))
+        until_at_work(process, folder)
+        time.sleep(rng.uniform(0.0, done.working_s))
     else:
-        time.sleep(rng.uniform(0.0, longest_s))
+        time.sleep(rng.uniform(0.0, done.longest_s))
     if process.poll() is not None:
         return "finished"
     target = rng.choice(["sweep KILL", "sweep KILL", "sweep TERM", "sweep INT", "job KILL", "job KILL"])
@@ -100,6 +99,11 @@ def disturb(process: "subprocess.Popen[bytes]", folder: Path, rng: random.Random
     os.kill(rng.choice(jobs), signal.SIGKILL)
     process.wait(timeout=300)
     return target
+
+
+def until_at_work(process: "subprocess.Popen[bytes]", folder: Path) -> None:
+    while process.poll() is None and not jobs_of(folder):
+        time.sleep(0.05)
 
 
 def jobs_of(folder: Path) -> list[int]:
@@ -145,13 +149,15 @@ def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
     """Kill until `kills` have been dealt and the study is finished; raises AssertionError if a promise is broken."""
     done, undisturbed = Soak.read(folder), folder / "undisturbed"
     if not done.longest_s:
-        begun = time.monotonic()
-        assert start(undisturbed).wait(timeout=600) == 0
-        done.longest_s = 1.1 * (time.monotonic() - begun)
+        begun, process = time.monotonic(), start(undisturbed)
+        until_at_work(process, undisturbed)
+        at_work = time.monotonic()
+        assert process.wait(timeout=600) == 0
+        done.longest_s, done.working_s = time.monotonic() - begun, time.monotonic() - at_work
     while done.kills < kills and time.monotonic() < until:
         here = folder / f"round{done.rounds}"
         process, rng = start(here), random.Random(done.counts.total())
-        done.counts[what := disturb(process, here, rng, done.longest_s)] += 1
+        done.counts[what := disturb(process, here, rng, done)] += 1
         if what == "finished":
             assert process.returncode == 0
             check(here, undisturbed, damages)
@@ -168,11 +174,12 @@ def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
 
 @dataclass
 class Soak:
-    """What has been dealt out so far; `longest_s` is how long the undisturbed study took, and a tenth more."""
+    """What has been dealt out so far; `longest_s` is how long the undisturbed study took, `working_s` its jobs."""
 
     counts: Counter[str]
     rounds: int = 0
     longest_s: float = 0.0
+    working_s: float = 0.0
 
     @property
     def kills(self) -> int:

@@ -7,13 +7,13 @@ import sys
 import traceback
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus, configure_log
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from ssm_study.results.records import read_record
 from ssm_study.results.runs import error_facts, write_failure
+from ssm_study.results.sweep import adopt
 
 LOG = "run.log"
 OUT_OF_MEMORY_SCORE = 500  # when memory runs out the system stops a job, not the sweep
@@ -30,7 +30,7 @@ def run_in_this_process(
     _speak_into(folder)
     with read_write(config.hydra.runtime), open_dict(config.hydra.runtime):
         config.hydra.runtime.output_dir = str(folder)
-    HydraConfig.instance().set_config(config)
+    adopt(config)
     task_config = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     if config.hydra.job.chdir:
         os.chdir(folder)

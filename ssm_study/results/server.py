@@ -15,6 +15,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
+from pathlib import Path
 from typing import Any, NoReturn
 
 from ssm_study.refusal import BadRequest
@@ -26,7 +27,8 @@ ALLOCATOR = {
     "MALLOC_TOP_PAD_": "67108864",
 }
 ALLOCATOR_NOW = ((-3, 2**31 - 1), (-1, 2**31 - 1), (-2, 64 << 20))  # the same for mallopt, in a process that is running
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG, MADV_COLLAPSE = 1, 25
+LARGE_PAGE, MANY = 2 << 20, 40  # bytes; jobs from which on large pages pay
 SERVER_DIED = 255
 
 
@@ -123,6 +125,8 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     _settle_memory_and_threads(threads)
+    if len(tasks) >= MANY:
+        _into_large_pages()
     living: dict[int, int] = {}  # process by its descriptor
     with contextlib.suppress(BaseException):
         while True:
@@ -184,6 +188,21 @@ def _settle_memory_and_threads(threads: int) -> None:
             ctypes.CDLL(None).mallopt(parameter, value)
     if (torch := sys.modules.get("torch")) is not None:
         torch.set_num_threads(threads)
+
+
+def _into_large_pages() -> None:
+    """What the server has in memory, so that a fork copies a short page table: 35 -> 13 ms per job, for 0.8 s once.
+
+    Linux 6.1 and later; elsewhere nothing happens.
+    """
+    madvise = ctypes.CDLL(None).madvise
+    madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        region, rights = line.split()[:2]
+        first, last = (int(address, 16) for address in region.split("-"))
+        if rights == "rw-p":
+            for page in range(-(-first // LARGE_PAGE), last // LARGE_PAGE):
+                madvise(page * LARGE_PAGE, LARGE_PAGE, MADV_COLLAPSE)
 
 
 @contextlib.contextmanager
