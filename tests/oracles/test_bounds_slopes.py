@@ -123,6 +123,13 @@ def test_lipsdp_proves_a_bound_for_wide_networks(seed: int) -> None:
     assert found.upper - found.lower <= (interval.upper - interval.lower) * (1 + 1e-3)
 
 
+@pytest.mark.parametrize("widths", [(7,), (5, 4), (3, 4, 3)])
+def test_interval_arithmetic_goes_through_every_layer(widths: tuple[int, ...]) -> None:
+    scaffold = MlpScaffold(network=network(1, 1, widths))
+    interval, exact = jacobian_ball(scaffold, method="interval"), jacobian_ball(scaffold)
+    assert interval.lower <= exact.lower <= exact.upper <= interval.upper
+
+
 def test_a_solver_that_fails_leaves_the_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     scaffold = MlpScaffold(network=network(0, 2, (4,)))
     monkeypatch.setattr(lipsdp, "ENLARGED", (-1.0,))  # no multipliers prove nothing
@@ -275,6 +282,16 @@ def response(linear: StateSpace, z: complex) -> complex:
     return (linear.c @ np.linalg.solve(z * np.eye(linear.order) - linear.a, linear.b) + linear.d)[0, 0]
 
 
+class Model:
+    """A linear part alone."""
+
+    def __init__(self, linear: StateSpace) -> None:
+        self.linear = linear
+
+    def with_linear(self, linear: StateSpace) -> "Model":
+        return Model(linear)
+
+
 def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
     unstable = StateSpace(a=np.array([[1.1]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
     with pytest.raises(BadRequest, match="spectral_radius"):
@@ -284,15 +301,18 @@ def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() 
     with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
         balance(dead)
 
-    class Model:
-        def __init__(self, linear: StateSpace) -> None:
-            self.linear = linear
-
-        def with_linear(self, linear: StateSpace) -> "Model":
-            return Model(linear)
-
     assert Reduction().reduce(Model(dead)).linear.order == 1
     assert Reduction(balanced=False).reduce(Model(dead)).linear.order == 2
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
+    """Two decoupled states, one a thousandth as strong; what unit the output has does not matter."""
+
+    a, b = np.diag([0.5, -0.5]), np.array([[1.0], [1.0]])
+    linear = StateSpace(a=a, b=b, c=scale * np.array([[1.0, 1e-3]]), d=np.zeros((1, 1)))
+    assert Reduction(drop_below=1e-1).reduce(Model(linear)).linear.order == 1
+    assert Reduction(drop_below=1e-6).reduce(Model(linear)).linear.order == 2
 
 
 @pytest.mark.parametrize("bad", [{"truncate_to": 0}, {"drop_below": 0.0}, {"balanced": False, "truncate_to": 2}])
