@@ -10,6 +10,7 @@ from report_runs import random_run, write_recordings
 
 from ssm_study.refusal import BadRequest
 from ssm_study.report import figures, style
+from ssm_study.report.figures import learned_dead_zone
 from ssm_study.report.study_folder import Study
 from ssm_study.report.verdict import best_first
 
@@ -101,3 +102,13 @@ def test_figures_of_failures_say_why_they_are_empty(studies: dict[str, Path]) ->
 def drawn(name: str, folder: Path) -> Figure:
     with style.paper():
         return figures._module(name).draw(Study(folder=folder))
+
+
+def test_a_recording_has_no_true_dead_zone() -> None:
+    """The plant's group has a default beside recorded data too; its curve is nobody's truth there."""
+    plant = {"dead_zone_v": 0.4}
+    simulated, recorded = (
+        {"data": {"_target_": f"x.{name}"}, "plant": plant} for name in ("SimulatedData", "Rehearsal")
+    )
+    assert learned_dead_zone._known_plant(simulated) == plant
+    assert learned_dead_zone._known_plant(recorded) == {}

@@ -24,7 +24,13 @@ def draw(study: Study) -> Figure:
     if run.model.scaffold_in.inputs != 1:
         return style.message("S$_u$ has several inputs: there is no curve to draw.", style.PAGE_IN)
     slopes = (run.record.get("input_slope_lower"), run.record.get("input_slope_upper"))
-    return figure(run.model, run.config.get("plant") or {}, slopes)
+    return figure(run.model, _known_plant(run.config), slopes)
+
+
+def _known_plant(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The numbers of the plant that was simulated; none for a recording, beside which the group's default stands."""
+    simulated = str((config.get("data") or {}).get("_target_", "")).endswith(".SimulatedData")
+    return (config.get("plant") or {}) if simulated else {}
 
 
 def figure(model: SSM, plant: Mapping[str, Any], slopes: tuple[float | None, float | None]) -> Figure:
