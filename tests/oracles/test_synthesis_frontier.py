@@ -76,10 +76,13 @@ def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: i
 def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float) -> None:
     """And its status says where; without a radius there is no frontier below one, and it stays finite all the same."""
     problem = cost_problem(ball=JacobianBall(alpha=2.0, beta=radius))
-    found = minimum_energy_solution(problem)
-    assert holds(problem, found)
-    said = float(found.status.split()[-1])
-    assert problem.rate < said < frontier(problem.a, problem.b, problem.ball).rate_limit
+    limit = frontier(problem.a, problem.b, problem.ball).rate_limit
+    said = []
+    for found in (minimum_energy_solution(problem), whole_solution(problem, 0.5, 1.0)):
+        assert holds(problem, found)
+        said.append(found.status.split("at rate ")[1].split(",")[0])
+    assert said[0] == said[1]
+    assert problem.rate < float(said[0]) < limit
 
 
 def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagonal_one() -> None:
