@@ -10,6 +10,8 @@ import torch
 
 from ssm_study.results.server import ALLOCATOR, thread_limits
 
+TURN_S = 0.03
+
 
 def as_in_a_run() -> None:
     """Starts this program again with one thread and the allocator settings that every run of a study has."""
@@ -19,7 +21,11 @@ def as_in_a_run() -> None:
 
 
 def interleaved(contenders: dict[str, Callable[[], object]], seconds: float = 4.0, least: int = 5) -> dict[str, float]:
-    """Median CPU milliseconds of each contender; they take turns, so that a disturbance hits all of them."""
+    """Median CPU milliseconds of each contender; they take turns, so that a disturbance hits all of them.
+
+    A turn is one run that is not clocked and then some that are: in a training, too, a step follows its like, and what
+    a contender costs must not depend on whose numbers it finds in the caches.
+    """
     torch.set_num_threads(1)
     for run in contenders.values():
         run()
@@ -28,9 +34,14 @@ def interleaved(contenders: dict[str, Callable[[], object]], seconds: float = 4.
     deadline = time.perf_counter() + seconds
     while time.perf_counter() < deadline or min(len(t) for t in times.values()) < least:
         for name, run in contenders.items():
-            began = time.process_time()
             run()
-            times[name].append(1e3 * (time.process_time() - began))
+            until = time.perf_counter() + TURN_S
+            while True:
+                began = time.process_time()
+                run()
+                times[name].append(1e3 * (time.process_time() - began))
+                if time.perf_counter() > until:
+                    break
     return {name: statistics.median(values) for name, values in times.items()}
 
 

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import lightning.pytorch as pl
 import numpy as np
@@ -24,7 +25,7 @@ from ssm_study.models.scaffold_specs import Frame, Mlp
 from ssm_study.models.start import on_ring
 from ssm_study.models.torch_lift import Lift
 from ssm_study.models.torch_lru import LRU
-from ssm_study.models.torch_recurrence import by_convolution
+from ssm_study.models.torch_recurrence import by_plain_convolution
 from ssm_study.models.torch_scaffold import TorchIdentity
 from ssm_study.models.torch_ssm import TorchSSM
 
@@ -75,51 +76,59 @@ def contenders() -> dict[str, Callable[[], None]]:
             list(fast.parameters()), lambda: fast.respond(levels(fast.scaffold_in)), y
         ),
         "plain eager FFT": stepper(
-            [*fft.lru.parameters(), *plain_fft.parameters()], lambda: by_convolution(fft.lru.modes(), plain_fft(u)), y
+            [*fft.lru.parameters(), *plain_fft.parameters()],
+            lambda: by_plain_convolution(fft.lru.modes(), plain_fft(u)),
+            y,
         ),
         "public scan": stepper([*public.parameters(), *plain.parameters()], lambda: public(plain(u)), y),
     }
 
 
 class Bare(pl.LightningModule):
-    """A step of three numbers: nearly all of its cost inside a bare trainer is overhead."""
+    """Steps of three numbers, `steps` in each call as in `Fit`: nearly all of their cost in a trainer is overhead."""
 
-    def __init__(self) -> None:
+    def __init__(self, steps: int) -> None:
         super().__init__()
-        self.numbers = nn.Parameter(torch.zeros(3))
+        self.numbers, self.steps, self.automatic_optimization = nn.Parameter(torch.zeros(3)), steps, False
 
-    def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:  # noqa: ARG002
-        return self.numbers.square().sum()
+    def evaluate(self) -> Tensor:
+        self.zero_grad()
+        loss = self.numbers.square().sum()
+        loss.backward()
+        return loss
+
+    def training_step(self, batch: Tensor, batch_idx: int) -> None:  # noqa: ARG002
+        optimiser: Any = self.optimizers()
+        for _ in range(self.steps):
+            optimiser.step(self.evaluate)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         return torch.optim.Adam(self.parameters(), fused=True)
 
 
-def overhead_ms(pairs: int = 7, steps: int = 400) -> float:
+def overhead_ms(steps_per_call: int, pairs: int = 7, steps: int = 400) -> float:
     """Lightning's step minus one of our own loop, start-up left out of both; median over alternating stretches."""
-    module, excess = Bare(), []
+    module, excess = Bare(steps_per_call), []
     optimiser = module.configure_optimizers()
     for _ in range(pairs):
-        inside = lightning_ms(20 + steps) - lightning_ms(20)
+        inside = lightning_ms(steps_per_call, 50 + steps) - lightning_ms(steps_per_call, 50)
         began = time.process_time()
         for _ in range(steps):
-            optimiser.zero_grad()
-            module.training_step(torch.zeros(()), 0).backward()
-            optimiser.step()
+            optimiser.step(module.evaluate)
         excess.append((inside - 1e3 * (time.process_time() - began)) / steps)
     return statistics.median(excess)
 
 
-def lightning_ms(steps: int) -> float:
-    """CPU milliseconds of a whole training of so many steps."""
+def lightning_ms(steps_per_call: int, steps: int) -> float:
+    """CPU milliseconds of a whole training of so many steps; each call is an epoch, as in `Training`."""
     with tempfile.TemporaryDirectory() as folder:
         trainer = pl.Trainer(
-            max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
-            enable_model_summary=False, default_root_dir=folder,
+            max_epochs=steps // steps_per_call, accelerator="cpu", logger=False, enable_checkpointing=False,
+            enable_progress_bar=False, enable_model_summary=False, default_root_dir=folder,
         )  # fmt: skip
-        batches: DataLoader = DataLoader(range(steps), batch_size=1)  # type: ignore[arg-type]
-        module, began = Bare(), time.process_time()
-        trainer.fit(module, batches)
+        one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type]
+        module, began = Bare(steps_per_call), time.process_time()
+        trainer.fit(module, one)
         return 1e3 * (time.process_time() - began)
 
 
@@ -130,7 +139,8 @@ def main(parts: list[str]) -> None:
         with TARGET.open(newline="") as file:
             kept = {row["contender"]: row for row in csv.DictReader(file)}
     times = interleaved(contenders(), seconds=8.0) if "step" in parts else {}
-    times |= {"Lightning's overhead": overhead_ms()} if "overhead" in parts else {}
+    if "overhead" in parts:  # Adam's yaml has 50 steps per epoch
+        times |= {f"Lightning's overhead, {k} steps per epoch": overhead_ms(k) for k in (10, 50)}
     rows = kept | {name: {"contender": name, "cpu_ms": f"{ms:.3g}", "machine": machine()} for name, ms in times.items()}
     with TARGET.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["contender", "cpu_ms", "machine"])

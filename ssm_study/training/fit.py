@@ -13,8 +13,9 @@ from torch.func import functional_call
 
 from ssm_study.models.torch_recurrence import forward_derivatives
 from ssm_study.models.torch_ssm import TorchModel, TorchSSM
+from ssm_study.training.levenberg import LevenbergMarquardt
 from ssm_study.training.objective import Records, fit_of_loss
-from ssm_study.training.optimisers import Adam, Levenberg, OptimiserSpec
+from ssm_study.training.optimisers import Adam, OptimiserSpec
 from ssm_study.training.penalties import Penalties
 from ssm_study.training.start_up import StartUp
 from ssm_study.training.windows import Continuity, Starts
@@ -47,12 +48,22 @@ class Fit(pl.LightningModule):
         self.penalties = penalties or Penalties(roughness_weight=0.0, hankel_weight=0.0)
         self.starts, self.continuity, self.whole, self.start_up = starts, continuity, whole, start_up
         self.last_loss = math.inf
-        self.automatic_optimization = not isinstance(optimiser, Levenberg)
+        self.automatic_optimization = False
 
-    def training_step(self, batch: Any, batch_idx: int) -> Tensor | None:  # noqa: ARG002 - the records are the batch
-        if not self.automatic_optimization:
-            self._squares_step()
-            return None
+    def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
+        """An epoch: what Lightning does around each call costs more than a step of a small model."""
+        optimiser: Any = self.optimizers()
+        for _ in range(self.optimiser.calls_per_epoch):
+            optimiser.step(self._evaluate)
+
+    def _evaluate(self) -> Tensor:
+        self.zero_grad()
+        loss = self.loss()
+        loss.backward()
+        return loss
+
+    def loss(self) -> Tensor:
+        """What gradients are taken of; the squared error in it is noted as `last_loss`."""
         y_hat, defects = self.run()
         with torch.no_grad():
             self.last_loss = float(self.training_records.loss(y_hat))
@@ -65,12 +76,6 @@ class Fit(pl.LightningModule):
             return self.training_records.simulate(self.model, x0), self.training_records.y.new_zeros(0, 0)
         y_hat, ends = self.training_records.advance(self.model, x0)
         return y_hat, self.continuity(ends, x0)
-
-    def _squares_step(self) -> None:
-        """One step of an optimiser that works on the residuals themselves."""
-        wrapped: Any = self.optimizers()
-        wrapped.optimizer.residual = self.residual
-        self.last_loss = wrapped.step()
 
     def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
         """`sqrt(weight) (y_hat - y)`, then the defects, as a function of all trainable parameters in a row."""
@@ -97,9 +102,19 @@ class Fit(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         optimiser = self.optimiser.build(self, self.max_epochs)
+        if isinstance(optimiser, LevenbergMarquardt):
+            optimiser.residual, optimiser.seen = self.residual, self._note
         if isinstance(self.optimiser, Adam):
             return {"optimizer": optimiser, "lr_scheduler": self.optimiser.schedule(optimiser, self.max_epochs)}
         return optimiser
+
+    def _note(self, loss: float) -> None:
+        self.last_loss = loss
+
+    def on_train_epoch_end(self) -> None:
+        rates: Any = self.lr_schedulers()
+        if rates is not None:
+            rates.step()
 
 
 class _Residual(nn.Module):

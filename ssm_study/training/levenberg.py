@@ -20,13 +20,15 @@ class LevenbergMarquardt(torch.optim.Optimizer):
     """`(J^T J + damping diag(J^T J)) step = -J^T r`; the damping falls after a good step and grows after a bad one.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once, where the linear model
-    holds. `residual(flat parameters)` is set by the training; `step` takes one accepted step, or none.
+    holds. `residual(flat parameters)` and `seen(loss)`, told of the loss before each step, are set by the training;
+    `step` takes one accepted step, or none.
     Source: Nocedal & Wright (2006), section 10.3; Marquardt (1963) for the scaling.
     """
 
     def __init__(self, named: list[tuple[str, torch.nn.Parameter]], damping: float, longest_step: float) -> None:
         super().__init__([parameter for _, parameter in named], {"damping": damping})
         self.residual: Residual | None = None
+        self.seen: Callable[[float], object] = float
         limits = [
             torch.full((p.numel(),), longest_step if n.endswith(("nu", "theta")) else torch.inf) for n, p in named
         ]
@@ -39,6 +41,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
         r, j = self.residual(flat), jacobian(self.residual, flat)
         loss, gradient, normal = float(r @ r), j.T @ r, j.T @ j
+        self.seen(loss)
         scale = normal.diagonal().clamp(min=WEAKEST * float(normal.diagonal().max()))
         for _ in range(TRIES):
             step = torch.linalg.solve(normal + torch.diag(group["damping"] * scale), -gradient)

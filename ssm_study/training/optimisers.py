@@ -12,9 +12,13 @@ from ssm_study.training.levenberg import LevenbergMarquardt
 
 
 class OptimiserSpec(ABC):
-    """`build` returns a torch optimiser over the trainable parameters."""
+    """`build` returns a torch optimiser over the trainable parameters; an epoch is `calls_per_epoch` calls of it."""
 
     steps_per_epoch: int
+
+    @property
+    def calls_per_epoch(self) -> int:
+        return self.steps_per_epoch
 
     @abstractmethod
     def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer: ...
@@ -30,6 +34,10 @@ class Lbfgs(OptimiserSpec):
     def __post_init__(self) -> None:
         _check_steps(self.steps_per_epoch)
         require(self.history >= 1, "optimiser.history", self.history, "needs at least one pair", "use 20 or so")
+
+    @property
+    def calls_per_epoch(self) -> int:
+        return 1  # it iterates by itself
 
     def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - no schedule
         return torch.optim.LBFGS(
@@ -76,7 +84,7 @@ class Adam(OptimiserSpec):
         _check_steps(self.steps_per_epoch)
 
     def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - see `schedule`
-        return torch.optim.Adam(trainable(model), lr=self.learning_rate)
+        return torch.optim.Adam(trainable(model), lr=self.learning_rate, fused=True)
 
     def schedule(self, optimiser: torch.optim.Optimizer, max_epochs: int) -> torch.optim.lr_scheduler.LRScheduler:
         """Half a cosine over all epochs, stepped once per epoch."""

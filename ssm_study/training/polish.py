@@ -15,8 +15,7 @@ def polish(fit: Fit) -> None:
 
     def closure() -> float:
         optimiser.zero_grad()
-        loss = fit.training_step(None, 0)
-        assert loss is not None  # polish is for optimisers of a loss
+        loss = fit.loss()
         loss.backward()
         return float(loss.detach())
 

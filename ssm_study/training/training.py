@@ -111,7 +111,7 @@ class Training:
             write_best(folder / BEST, keeper.kept, belongs_to)
             load_state(folder / BEST, fit)
         fit.to("cpu", torch.float64)
-        if self.precision == 32 and fit.automatic_optimization:
+        if self.precision == 32 and not isinstance(self.optimiser, Levenberg):  # which leaves the penalties out
             polish(fit)
         seconds = rows[-1]["seconds"] if rows else 0.0
         return _scored(fit.model.freeze(data), data, seconds, rows, keeper.ended)
@@ -154,12 +154,10 @@ class Training:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module="lightning")  # advice on Slurm, of no use here
             trainer = self._trainer([*callbacks, *([Line(self.max_epochs)] if progress else [])], folder)
-        steps = self.optimiser.steps_per_epoch if not isinstance(fit.configure_optimizers(), torch.optim.LBFGS) else 1
-        batches: DataLoader = DataLoader(range(steps), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
-        one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type]
+        one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module="lightning")  # advice on workers and loggers, of no use here
-            trainer.fit(fit, batches, one, ckpt_path=resume_from)
+            trainer.fit(fit, one, one, ckpt_path=resume_from)
         if trainer.interrupted:
             raise KeyboardInterrupt
         if not keeper.ended:

@@ -51,13 +51,13 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data, steps = data_set(noise=0.05), iter(range(10_000))
-    step = Fit.training_step
+    objective = Fit.loss
 
-    def poisoned(self: Fit, batch: object, batch_idx: int) -> torch.Tensor:
-        loss = step(self, batch, batch_idx)
+    def poisoned(self: Fit) -> torch.Tensor:
+        loss = objective(self)
         return loss * float("nan") if next(steps) >= 20 else loss
 
-    monkeypatch.setattr(Fit, "training_step", poisoned)
+    monkeypatch.setattr(Fit, "loss", poisoned)
     adam = Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)
     found = training(adam).identify(spec(), data, 0, tmp_path)
     assert "not finite" in found.ended

@@ -48,8 +48,7 @@ def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **se
 
 def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
     """The objective, and its gradient by the names of the model's parameters."""
-    loss = fit.training_step(None, 0)
-    assert loss is not None
+    loss = fit.loss()
     loss.backward()
     return loss.detach(), {n: p.grad for n, p in fit.model.named_parameters() if p.grad is not None}
 
@@ -122,18 +121,16 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
     with torch.no_grad():
         fit.starts.free += 0.3 * torch.randn(fit.starts.free.shape, generator=rng, dtype=torch.float64)
     direction = [torch.randn(p.shape, generator=rng, dtype=torch.float64) for p in parameters]
-    loss = fit.training_step(None, 0)
-    assert loss is not None
+    loss = fit.loss()
     slope = sum((g * d).sum() for g, d in zip(torch.autograd.grad(loss, parameters), direction, strict=True))
     seen = []
     for side in (1e-6, -1e-6):
         with torch.no_grad():
             for p, d in zip(parameters, direction, strict=True):
                 p += side * d
-            moved = fit.training_step(None, 0)
+            moved = fit.loss()
             for p, d in zip(parameters, direction, strict=True):
                 p -= side * d
-        assert moved is not None
         seen.append(float(moved))
     assert (seen[0] - seen[1]) / 2e-6 == pytest.approx(float(slope), rel=1e-5)
 
@@ -145,8 +142,7 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
     with torch.no_grad():
         fit.starts.free += 0.5
     flat = torch.cat([p.detach().flatten() for p in fit.parameters() if p.requires_grad])
-    objective = fit.training_step(None, 0)
-    assert objective is not None
+    objective = fit.loss()
     torch.testing.assert_close(fit.residual(flat).square().sum(), objective.detach())
     assert fit.run()[1].square().sum() > 0.1
 
