@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
@@ -90,6 +90,7 @@ def test_the_sound_file_is_read(sound, suffix: str) -> None:  # type: ignore[no-
 
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
 @given(changes=edits)
+@example(changes=[("flip", 0.8269672421898115, b"\x01")])  # a schema whose refusal by protobuf has two lines
 def test_damaged_files(sound, suffix: str, changes: list[tuple[str, float, bytes]]) -> None:  # type: ignore[no-untyped-def]
     content, path = sound(suffix)
     path.write_bytes(edited(content, changes))
@@ -128,3 +129,10 @@ def test_no_damaged_recording_gives_other_numbers(sound, changes: list[tuple[str
     except BadRequest:
         return
     np.testing.assert_array_equal(group.values[:, 1], COLUMNS["y"])
+
+
+def test_a_library_that_answers_in_lines_is_quoted_in_one() -> None:
+    refusal = BadRequest(
+        "path", "a.mcap", 'damaged (no such type:\n  "Dat" (did you mean\n  "Data"))', "record it again"
+    )
+    assert str(refusal) == 'path = a.mcap: damaged (no such type: "Dat" (did you mean "Data")); record it again.'
