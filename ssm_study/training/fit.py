@@ -55,6 +55,9 @@ class Fit(pl.LightningModule):
         optimiser: Any = self.optimizers()
         for _ in range(self.optimiser.calls_per_epoch):
             optimiser.step(self._evaluate)
+        rates: Any = self.lr_schedulers()
+        if rates is not None:
+            rates.step()
 
     def _evaluate(self) -> Tensor:
         self.zero_grad()
@@ -110,11 +113,6 @@ class Fit(pl.LightningModule):
 
     def _note(self, loss: float) -> None:
         self.last_loss = loss
-
-    def on_train_epoch_end(self) -> None:
-        rates: Any = self.lr_schedulers()
-        if rates is not None:
-            rates.step()
 
 
 class _Residual(nn.Module):
