@@ -39,6 +39,7 @@ SWEEP = (
     "progress=false",
 )
 AT_WORK = 0.75  # of the kills wait until jobs are at work
+EARLY = 0.6  # of the time the jobs took undisturbed: later hardly any is left to kill, and each attempt comes further
 # What a second attempt may change: when, where, how often.
 STUDY, STATE = "smoke", "state.json"
 VOLATILE = (
@@ -82,9 +83,9 @@ def disturb(process: "subprocess.Popen[bytes]", folder: Path, rng: random.Random
     """Wait a random while, then kill something; what was killed, or `finished` if nothing was left to kill."""
     if rng.random() < AT_WORK:
         until_at_work(process, folder)
-        time.sleep(rng.uniform(0.0, done.working_s))
+        time.sleep(rng.uniform(0.0, EARLY * done.working_s))
     else:
-        time.sleep(rng.uniform(0.0, done.longest_s))
+        time.sleep(rng.uniform(0.0, done.longest_s - done.working_s))
     if process.poll() is not None:
         return "finished"
     target = rng.choice(["sweep KILL", "sweep KILL", "sweep TERM", "sweep INT", "job KILL", "job KILL"])
@@ -162,6 +163,7 @@ def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
             assert process.returncode == 0
             check(here, undisturbed, damages)
             shutil.rmtree(here)
+            done.longest_s, done.working_s = 0.8 * done.longest_s, 0.8 * done.working_s  # too late: strike sooner
             done.rounds += 1
         elif damages and rng.random() < 0.3:
             done.counts[damage(here, rng)] += 1
