@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import torch
 
-from ssm_study.results.server import ALLOCATOR, thread_limits
+from ssm_study.sweeps.server import ALLOCATOR, thread_limits
 
 TURN_S = 0.03
 

@@ -23,9 +23,9 @@ from hydra import compose, initialize_config_dir
 from models_clock import machine
 
 from ssm_study.results.naming import register_resolver
-from ssm_study.results.server import ALLOCATOR, thread_limits
 from ssm_study.signals import DataSet
 from ssm_study.specification import Specification
+from ssm_study.sweeps.server import ALLOCATOR, thread_limits
 from ssm_study.training.identification import Identification
 from ssm_study.training.together import Member, train_together
 

@@ -25,9 +25,10 @@ CHAPTERS = {
     ],
     "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "engine.md"],
     "Results": ["findings.md"],
+    "Inside": ["maintainers.md"],
 }
 PICTURES = "results/reference/certificates"
-ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop", "results", "report")
+ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop", "results", "report", "sweeps")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

@@ -20,7 +20,7 @@ class ProcessesConf:
     threads: int = 1  # per job; n_jobs * threads may not exceed the cores
     timeout_s: float | None = None  # a job that takes longer is stopped and recorded as failed; null: never
     preload: list[str] = field(
-        default_factory=lambda: ["torch", "lightning", "ssm_study.study", "ssm_study.results.warm"]
+        default_factory=lambda: ["torch", "lightning", "ssm_study.study", "ssm_study.sweeps.warm"]
     )
 
 
@@ -52,7 +52,7 @@ class ProcessesLauncher(Launcher):
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        from ssm_study.results.launcher import Processes, Sweep
+        from ssm_study.sweeps.launcher import Processes, Sweep
 
         sweep = Sweep(hydra_context=self.hydra_context, task_function=self.task_function, config=self.config)
         processes = Processes(n_jobs=self.n_jobs, threads=self.threads, timeout_s=self.timeout_s, preload=self.preload)

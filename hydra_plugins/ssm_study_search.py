@@ -49,7 +49,7 @@ class SearchSweeper(Sweeper):
         )
 
     def sweep(self, arguments: list[str]) -> Any:
-        from ssm_study.results.search import Search
+        from ssm_study.sweeps.search import Search
 
         words = [*(f"{key}={value}" for key, value in self.params.items()), *arguments]
         parsed = OverridesParser.create(config_loader=self.hydra_context.config_loader).parse_overrides(words)
@@ -66,9 +66,9 @@ class SearchSweeper(Sweeper):
         return search.run(space, fixed, self._answer)
 
     def _answer(self, jobs: list[list[str]]) -> list[Mapping[str, Any] | None]:
-        from ssm_study.results.compose import Composer
         from ssm_study.results.records import read_record
-        from ssm_study.results.sweep import job_of
+        from ssm_study.sweeps.compose import Composer
+        from ssm_study.sweeps.sweep import job_of
 
         self.launcher.launch(jobs, initial_job_idx=0)
         composer = Composer(self.hydra_context.config_loader, self.config)

@@ -68,7 +68,7 @@ def run(overrides: list[str]) -> int:
     from omegaconf.errors import OmegaConfBaseException
 
     from ssm_study import study
-    from ssm_study.results.request import check_request, translate
+    from ssm_study.sweeps.request import check_request, translate
 
     gc.enable()
     gc.freeze()
@@ -107,7 +107,7 @@ class StudyCallback(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
-        from ssm_study.results.request import check_sweep, watch_sweep
+        from ssm_study.sweeps.request import check_sweep, watch_sweep
 
         if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
             _refusing(lambda: watch_sweep(check_sweep(config, study.job)))

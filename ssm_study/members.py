@@ -7,12 +7,12 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from ssm_study.data.simulated import SimulatedData
-from ssm_study.results.groups import Sharing, attempt
 from ssm_study.results.plan import PlannedStages
 from ssm_study.results.store import Stages, Store
 from ssm_study.signals import DataSet
 from ssm_study.specification import Specification
 from ssm_study.stages import Kept, dataset_stage, model_stage, select
+from ssm_study.sweeps.groups import Sharing, attempt
 from ssm_study.training.together import Member, may_train_together, records_gain, train_together
 
 MAY_DIFFER = frozenset({"slope_lower", "slope_upper", "start", "real_modes", "ring_radius", "ring_frequency"})

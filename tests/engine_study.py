@@ -13,10 +13,10 @@ import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.refusal import require
-from ssm_study.results.groups import Sharing
 from ssm_study.results.keys import code_version
 from ssm_study.results.runs import Run, execute
 from ssm_study.results.store import StageResult, Stages, Store
+from ssm_study.sweeps.groups import Sharing
 
 CONF = {
     "study": "study",

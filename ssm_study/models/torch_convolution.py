@@ -105,6 +105,7 @@ class Convolution(torch.autograd.Function):
 def impulse_response(
     d: Float[Tensor, "*models p m"], sums: Float[Tensor, "*models r K"], samples: int
 ) -> Float[Tensor, "*models p m T"]:
+    """`h[0] = D, h[t] = C lambda^(t-1) B`, cut from the sums that the two-level kernel makes."""
     p, m = d.shape[-2:]
     tail = sums[..., : p * m, : samples - 1]
     return torch.cat([d.flatten(-2)[..., None], tail], -1).unflatten(-2, (p, m))

@@ -1,16 +1,13 @@
 """The recordings of a run folder as arrays a figure can draw."""
 
-import re
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.mcap import SignalGroup
-from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.refusal import require
+from ssm_study.results.recordings import Case, read_cases, signal, stacked
 from ssm_study.signals import Channel
 
 
@@ -68,8 +65,8 @@ class Excitation:
 
 def read_validation(path: Path) -> Validation:
     """Topics `/input`, `/measured`, `/simulated`; of several records (`/record_0/input`, ...) the first."""
-    _, topics = min(_by_case(path).items())
-    u, y, simulated = (_topic(topics, name, path) for name in ("input", "measured", "simulated"))
+    first = next(iter(read_cases(path)[0].values()))
+    u, y, simulated = (signal(first, name, path) for name in ("input", "measured", "simulated"))
     return Validation(
         time_s=y.time_s,
         u=u.values,
@@ -82,26 +79,23 @@ def read_validation(path: Path) -> Validation:
 
 def read_closed_loop(path: Path) -> ClosedLoop:
     """Topics `/case_0/input`, `/case_0/output`, ...; `/case_0/uncontrolled` where the plant was left alone too."""
-    cases = [topics for case, topics in sorted(_by_case(path).items()) if case]
-    require(len(cases) > 0, "closed_loop", path, "holds no closed-loop case", "run the study again")
+    cases = _named(path, "closed_loop", "holds no closed-loop case")
     first, left_alone = cases[0], all("uncontrolled" in topics for topics in cases)
-    output = _topic(first, "output", path)
+    output = signal(first, "output", path)
     return ClosedLoop(
         time_s=output.time_s,
-        reference=_topic(first, "reference", path).values,
-        u=_stack(cases, "input", path),
-        y=_stack(cases, "output", path),
-        uncontrolled=_stack(cases, "uncontrolled", path) if left_alone else None,
-        input_label=label(_topic(first, "input", path).channels[0]),
+        reference=signal(first, "reference", path).values,
+        u=stacked(cases, "input", path),
+        y=stacked(cases, "output", path),
+        uncontrolled=stacked(cases, "uncontrolled", path) if left_alone else None,
+        input_label=label(signal(first, "input", path).channels[0]),
         output_label=label(output.channels[0]),
     )
 
 
 def read_excitation(path: Path) -> Excitation:
     """Topics `/record_0/input`, `/record_1/input`, ... of the training records."""
-    records = [topics for case, topics in sorted(_by_case(path).items()) if case]
-    require(len(records) > 0, "excitation", path, "holds no training record", "run the study again")
-    inputs = [_topic(topics, "input", path) for topics in records]
+    inputs = [signal(record, "input", path) for record in _named(path, "excitation", "holds no training record")]
     return Excitation(
         u=tuple(group.values[:, 0] for group in inputs),
         step_s=float(inputs[0].time_s[1] - inputs[0].time_s[0]),
@@ -115,19 +109,7 @@ def label(channel: Channel) -> str:
     return f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
 
 
-def _by_case(path: Path) -> dict[tuple[int, ...], dict[str, SignalGroup]]:
-    """Groups by the numbers in their topic, then by its last word: `/case_3/output` -> `(3,)`, `output`."""
-    cases: dict[tuple[int, ...], dict[str, SignalGroup]] = defaultdict(dict)
-    for group in read_mcap(path)[0]:
-        *parents, name = group.topic.strip("/").split("/")
-        cases[tuple(int(n) for n in re.findall(r"\d+", "/".join(parents)))][name] = group
+def _named(path: Path, field: str, problem: str) -> list[Case]:
+    cases = [case for prefix, case in read_cases(path)[0].items() if prefix]
+    require(len(cases) > 0, field, path, problem, "run the study again")
     return cases
-
-
-def _topic(topics: dict[str, SignalGroup], name: str, path: Path) -> SignalGroup:
-    require(name in topics, "topic", name, f"{path.name} lacks it", "run the study again")
-    return topics[name]
-
-
-def _stack(cases: list[dict[str, SignalGroup]], name: str, path: Path) -> Float[np.ndarray, "N T c"]:
-    return np.stack([_topic(topics, name, path).values for topics in cases])

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectory
 
 NO_BOUND = 1e300  # a recorded bound is finite
+
+Case = dict[str, SignalGroup]
 
 
 def write_simulation(path: Path, model: Simulator, records: tuple[Trajectory, ...], data: DataSet) -> None:
@@ -55,13 +58,11 @@ class Simulation:
 
 def read_simulation(path: Path) -> Simulation:
     """Raises `BadRequest` if the file lacks a topic."""
-    groups, about = read_mcap(path)
-    parts = {group.topic: group.values for group in groups}
-    prefixes = sorted({topic.rpartition("/")[0] for topic in parts}, key=_number)
+    cases, about = read_cases(path)
     step_s = float(about["step_s"])
     records, simulated = [], []
-    for prefix in prefixes:
-        u, y, y_hat = (_topic(parts, f"{prefix}/{name}", path) for name in ("input", "measured", "simulated"))
+    for prefix, case in cases.items():
+        u, y, y_hat = (signal(case, name, path).values for name in ("input", "measured", "simulated"))
         records.append(Trajectory(u=u, y=y, step_s=step_s, name=prefix or path.stem))
         simulated.append(y_hat)
     return Simulation(
@@ -111,27 +112,22 @@ class RecordedLoop:
 
 def read_rollouts(path: Path) -> RecordedLoop:
     """Raises `BadRequest` if the file lacks a topic."""
-    groups, about = read_mcap(path)
-    parts = {group.topic: group.values for group in groups}
-    cases = sorted({topic.rpartition("/")[0] for topic in parts}, key=_number)
-
-    def stack(name: str) -> Float[np.ndarray, "N T c"]:
-        return np.stack([_topic(parts, f"{case}/{name}", path) for case in cases])
-
+    found, about = read_cases(path)
+    cases = list(found.values())
     run = Rollouts(
         step_s=float(about["step_s"]),
-        reference=stack("reference")[0],
-        u=stack("input"),
-        y=stack("output"),
-        measured=stack("measured"),
-        estimate=stack("estimate"),
-        states=stack("states"),
+        reference=stacked(cases, "reference", path)[0],
+        u=stacked(cases, "input", path),
+        y=stacked(cases, "output", path),
+        measured=stacked(cases, "measured", path),
+        estimate=stacked(cases, "estimate", path),
+        states=stacked(cases, "states", path),
         bound=np.array(json.loads(about["bound"]), dtype=float),
         left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
     )
     left_alone = None
-    if f"{cases[0]}/uncontrolled" in parts:
-        left_alone = replace(run, y=stack("uncontrolled"), left_at_sample=np.full(len(cases), STAYED))
+    if "uncontrolled" in cases[0]:
+        left_alone = replace(run, y=stacked(cases, "uncontrolled", path), left_at_sample=np.full(len(cases), STAYED))
     rest = np.array(json.loads(about["input_equilibrium"]), dtype=float) if "input_equilibrium" in about else None
     band = float(about["settling_band"])
     return RecordedLoop(run=run, settling_band=band, alone=left_alone, input_equilibrium=rest)
@@ -143,11 +139,30 @@ def _group(
     return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
 
 
-def _number(topic: str) -> int:
-    found = re.search(r"\d+$", topic)
+def read_cases(path: Path) -> tuple[dict[str, Case], dict[str, str]]:
+    """Signals by what stands before the last `/` of their topic, in the order of its number, and the metadata.
+
+    `/case_3/output` is the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name.
+    """
+    groups, about = read_mcap(path)
+    cases: dict[str, Case] = defaultdict(dict)
+    for group in groups:
+        prefix, _, name = group.topic.rpartition("/")
+        cases[prefix][name] = group
+    return dict(sorted(cases.items(), key=lambda case: _number(case[0]))), about
+
+
+def _number(prefix: str) -> int:
+    found = re.search(r"\d+$", prefix)
     return int(found.group()) if found else 0
 
 
-def _topic(parts: dict[str, np.ndarray], topic: str, path: Path) -> Float[np.ndarray, "T c"]:
-    require(topic in parts, topic, path.name, "the recording lacks this topic", "run the study again")
-    return parts[topic]
+def signal(case: Case, name: str, path: Path) -> SignalGroup:
+    """Raises `BadRequest` if the recording lacks it."""
+    require(name in case, "topic", name, f"{path.name} lacks it", "run the study again")
+    return case[name]
+
+
+def stacked(cases: list[Case], name: str, path: Path) -> Float[np.ndarray, "N T c"]:
+    """One signal of all cases; raises `BadRequest` if one of them lacks it."""
+    return np.stack([signal(case, name, path).values for case in cases])

@@ -237,7 +237,7 @@ def test_shared_compositions_are_hydras_own() -> None:
     from hydra.types import RunMode
     from omegaconf import OmegaConf
 
-    from ssm_study.results.compose import Composer
+    from ssm_study.sweeps.compose import Composer
 
     jobs = [
         ["seed=3"],

@@ -17,7 +17,7 @@ optuna = pytest.importorskip("optuna", reason="the extra `search` is not install
 
 from optuna.trial import TrialState  # noqa: E402
 
-from ssm_study.results.search import FOLDER, JOURNAL, FlockedJournal, Search, objectives  # noqa: E402
+from ssm_study.sweeps.search import FOLDER, JOURNAL, FlockedJournal, Search, objectives  # noqa: E402
 
 
 def space(*words: str) -> dict[str, Override]:

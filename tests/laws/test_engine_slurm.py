@@ -13,11 +13,11 @@ from omegaconf import OmegaConf
 from ssm_study.results.gather import gather
 from ssm_study.results.records import read_record
 from ssm_study.results.runs import execute
-from ssm_study.results.sweep import Job
+from ssm_study.sweeps.sweep import Job
 
 submitit = pytest.importorskip("submitit", reason="the extra `slurm` is not installed")
 
-from ssm_study.results.slurm import executor, settled  # noqa: E402
+from ssm_study.sweeps.slurm import executor, settled  # noqa: E402
 
 
 def begun(folder: Path, how: str) -> JobReturn:

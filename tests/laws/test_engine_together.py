@@ -10,12 +10,12 @@ from omegaconf import DictConfig, OmegaConf
 from test_engine_launcher import records, sweep
 
 from ssm_study import members, study
-from ssm_study.results import groups
-from ssm_study.results.groups import Sharing, next_to_start, training_programs
 from ssm_study.results.naming import register_resolver
 from ssm_study.results.plan import PlannedStages, plan
 from ssm_study.results.store import Store
-from ssm_study.results.sweep import Job
+from ssm_study.sweeps import groups
+from ssm_study.sweeps.groups import Sharing, next_to_start, training_programs
+from ssm_study.sweeps.sweep import Job
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -19,6 +19,7 @@ FLOW = [
     "loop",
     "results",
     "report",
+    "sweeps",
     "specification",
     "stages",
     "members",
@@ -26,13 +27,13 @@ FLOW = [
     "cli",
 ]
 ROOMS = {
-    "lightning": {"training", "results"},  # results: the forkserver preloads it for the jobs
-    "torch": {"models", "training", "results", "report"},  # report: ONNX export needs a torch cell
+    "lightning": {"training", "sweeps"},  # sweeps: the forkserver preloads it for the jobs
+    "torch": {"models", "training", "sweeps", "report"},  # report: ONNX export needs a torch cell
     "cvxpy": {"bounds", "synthesis"},
     "flint": {"synthesis"},
     "matplotlib": {"report"},
     "seaborn": {"report"},
-    "hydra": {"results", "specification", "study", "cli"},
+    "hydra": {"sweeps", "specification", "study", "cli"},
     "foxglove": {"data"},
     "mcap": {"data"},
 }

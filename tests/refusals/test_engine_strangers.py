@@ -12,7 +12,7 @@ from ssm_study.cli import main
 from ssm_study.refusal import BadRequest
 from ssm_study.results.allow_list import PLUGINS, is_ours, refuse_foreign_targets
 from ssm_study.results.records import parse_record
-from ssm_study.results.request import check_request, translate
+from ssm_study.sweeps.request import check_request, translate
 
 ROOT = Path(__file__).resolve().parents[2]
 EVIL_TARGETS = [

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.results.durable import locked_or_none
-from ssm_study.results.jobs import LOG
 from ssm_study.results.records import FAILED, INFEASIBLE, LOCK, OK, read_record
 from ssm_study.results.runs import Outcome, outcome_of, write_failure
-from ssm_study.results.server import kill_all_of
-from ssm_study.results.sweep import Job
+from ssm_study.sweeps.jobs import LOG
+from ssm_study.sweeps.server import kill_all_of
+from ssm_study.sweeps.sweep import Job
 
 GRACE_S = 2.0  # between asking a hanging job for its traceback and killing it
 

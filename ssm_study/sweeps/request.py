@@ -12,9 +12,9 @@ from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.results.allow_list import refuse_foreign_targets
-from ssm_study.results.compose import Composer
-from ssm_study.results.progress import Watch
-from ssm_study.results.sweep import Job, check_all, job_of
+from ssm_study.sweeps.compose import Composer
+from ssm_study.sweeps.progress import Watch
+from ssm_study.sweeps.sweep import Job, check_all, job_of
 
 OPTIONS = {"--dry-run": ("hydra/launcher=processes", "dry_run=true"), "--retry-failed": ("retry_failed=true",)}
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.

@@ -16,16 +16,16 @@ from omegaconf import OmegaConf
 
 from ssm_study.refusal import require
 from ssm_study.results.allow_list import refuse_foreign_targets
-from ssm_study.results.compose import Composer
-from ssm_study.results.deaths import conclude, kill_group, stop_hanging
-from ssm_study.results.groups import close, next_to_start, training_programs
-from ssm_study.results.jobs import run_in_this_process, train_in_this_process
 from ssm_study.results.plan import PlannedStages, plan
-from ssm_study.results.progress import Progress
 from ssm_study.results.runs import Outcome, is_to_run, outcome_of, standing
-from ssm_study.results.server import Server
 from ssm_study.results.store import Store
-from ssm_study.results.sweep import Job, Sweep, check_all, job_of, task_hook
+from ssm_study.sweeps.compose import Composer
+from ssm_study.sweeps.deaths import conclude, kill_group, stop_hanging
+from ssm_study.sweeps.groups import close, next_to_start, training_programs
+from ssm_study.sweeps.jobs import run_in_this_process, train_in_this_process
+from ssm_study.sweeps.progress import Progress
+from ssm_study.sweeps.server import Server
+from ssm_study.sweeps.sweep import Job, Sweep, check_all, job_of, task_hook
 
 
 @dataclass(frozen=True, kw_only=True)

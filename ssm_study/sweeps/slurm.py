@@ -9,9 +9,9 @@ from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus
 from submitit.core.utils import UncompletedJobError
 
-from ssm_study.results.compose import Composer
-from ssm_study.results.deaths import note_death
-from ssm_study.results.sweep import Job, job_of
+from ssm_study.sweeps.compose import Composer
+from ssm_study.sweeps.deaths import note_death
+from ssm_study.sweeps.sweep import Job, job_of
 
 AUTO = frozenset({"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"})
 """What submitit's executor knows for every scheduler; all else is Slurm's own."""

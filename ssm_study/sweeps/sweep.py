@@ -11,9 +11,9 @@ from omegaconf import DictConfig, open_dict
 
 from ssm_study.refusal import BadRequest
 from ssm_study.results.allow_list import refuse_foreign_targets
-from ssm_study.results.compose import Composer
 from ssm_study.results.runs import Outcome, run_folder
-from ssm_study.results.server import Child
+from ssm_study.sweeps.compose import Composer
+from ssm_study.sweeps.server import Child
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from ssm_study.results.records import read_record
 from ssm_study.results.runs import error_facts, write_failure
-from ssm_study.results.sweep import adopt
+from ssm_study.sweeps.sweep import adopt
 
 LOG = "run.log"
 OUT_OF_MEMORY_SCORE = 500  # when memory runs out the system stops a job, not the sweep

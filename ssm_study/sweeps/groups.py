@@ -11,7 +11,7 @@ from math import ceil
 from hydra.types import TaskFunction
 
 from ssm_study.results.store import Stages
-from ssm_study.results.sweep import Job, task_hook
+from ssm_study.sweeps.sweep import Job, task_hook
 
 LARGEST = 8  # members per program: measured in benchmarks/training_together.py, more gain nothing
 FOLDER = ".together"  # in the study folder: a program's log while it runs, or when it failed
