@@ -74,14 +74,11 @@ def run(overrides: list[str]) -> int:
     gc.freeze()
     refuse_more_threads_than_cores()
     overrides = translate(overrides)
-    os.environ["HYDRA_FULL_ERROR"] = (
-        "1"  # Hydra then raises instead of printing, so that one sentence can be made of it
-    )
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
     sys.argv = ["ssm-study run", *overrides]
     StudyCallback.failed = False
-    application = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(
-        study.job
-    )
+    hydra_main = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
+    application = hydra_main(study.job)
     try:
         check_request(overrides, configuration_folder(), "study")
         application()
@@ -173,33 +170,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     commands.add_parser("run", help="one study run, or with -m a sweep; see `ssm-study run --help`", add_help=False)
-    gather = commands.add_parser("gather", help="(re)build runs.parquet and runs.csv of a study folder")
-    show = commands.add_parser("show", help="print the study's table, best first; failures with reasons")
-    verify = commands.add_parser("verify", help="re-derive every claim of a run from its files alone")
-    reproduce = commands.add_parser("reproduce", help="do a run again from its configuration and compare every number")
-    export = commands.add_parser("export", help="the controller for use elsewhere: C, ONNX, python-control")
-    report = commands.add_parser("report", help="figures and the report page of a study")
-    mlflow = commands.add_parser("export-mlflow", help="write a finished study into an MLflow store (extra mlflow)")
-    for command in (gather, show, report, mlflow):
-        command.add_argument("study", type=Path, metavar="STUDY", help="the study folder, e.g. results/paper")
-    for command in (verify, reproduce, export):
-        command.add_argument("run", type=Path, metavar="RUN", help="the run folder, e.g. results/paper/<run>")
-    show.add_argument("--by", metavar="COLUMN", help="sort by this column, in its better direction")
-    show.add_argument(
-        "--where", metavar="EXPR", help="keep runs for which this holds, e.g. 'order == 8 and status == \"ok\"'"
-    )
-    show.add_argument(
-        "--cost", action="store_true", help="what was computed, what reused, and how long each stage took"
-    )
-    export.add_argument("--to", type=Path, required=True, metavar="DIR", help="the folder to write into")
-    figures = sorted(path.stem for path in (Path(__file__).parent / "report" / "figures").glob("[!_]*.py"))
-    told = f"draw only this figure (may be repeated): {', '.join(figures)}"
-    report.add_argument("--only", action="append", metavar="NAME", help=told)
-    mlflow.add_argument("--store", metavar="ADDRESS", help="tracking address (default: sqlite:///STUDY/mlflow.db)")
-    actions = {gather: _gather, show: _show, verify: _verify, reproduce: _reproduce, export: _export, report: _report}
-    actions |= {mlflow: _export_mlflow}
-    for command, action in actions.items():
+    for name, (action, subject, told) in ACTIONS.items():
+        command = commands.add_parser(name, help=told)
+        command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
         command.set_defaults(command=action)
+        for words, settings in OPTIONS.get(name, {}).items():
+            command.add_argument(words, **settings)
     return parser
 
 
@@ -260,6 +236,41 @@ def _report(options: argparse.Namespace) -> int:
 
         print(write_page(options.study))
     return DONE
+
+
+# Command: what it does, on what, and what its help says.
+ACTIONS: dict[str, tuple[Callable[[argparse.Namespace], int], str, str]] = {
+    "gather": (_gather, "study", "(re)build runs.parquet and runs.csv of a study folder"),
+    "show": (_show, "study", "print the study's table, best first; failures with reasons"),
+    "verify": (_verify, "run", "re-derive every claim of a run from its files alone"),
+    "reproduce": (_reproduce, "run", "do a run again from its configuration and compare every number"),
+    "export": (_export, "run", "the controller for use elsewhere: C, ONNX, python-control"),
+    "report": (_report, "study", "figures and the report page of a study"),
+    "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
+}
+SUBJECTS = {"study": "the study folder, e.g. results/paper", "run": "the run folder, e.g. results/paper/<run>"}
+FIGURES = sorted(path.stem for path in (Path(__file__).parent / "report" / "figures").glob("[!_]*.py"))
+OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
+    "show": {
+        "--by": {"metavar": "COLUMN", "help": "sort by this column, in its better direction"},
+        "--where": {
+            "metavar": "EXPR",
+            "help": "keep runs for which this holds, e.g. 'order == 8 and status == \"ok\"'",
+        },
+        "--cost": {"action": "store_true", "help": "what was computed, what reused, and how long each stage took"},
+    },
+    "export": {"--to": {"type": Path, "required": True, "metavar": "DIR", "help": "the folder to write into"}},
+    "report": {
+        "--only": {
+            "action": "append",
+            "metavar": "NAME",
+            "help": f"draw only this figure (may be repeated): {', '.join(FIGURES)}",
+        }
+    },
+    "export-mlflow": {
+        "--store": {"metavar": "ADDRESS", "help": "tracking address (default: sqlite:///STUDY/mlflow.db)"}
+    },
+}
 
 
 if __name__ == "__main__":  # by the name that Hydra knows `StudyCallback` by: it is there that a failure is noted
