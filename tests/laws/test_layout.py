@@ -27,7 +27,7 @@ FLOW = [
     "cli",
 ]
 ROOMS = {
-    "lightning": {"training", "sweeps"},  # sweeps: the forkserver preloads it for the jobs
+    "lightning": {"training", "sweeps"},  # sweeps: the server of jobs preloads it
     "torch": {"models", "training", "sweeps", "report"},  # report: ONNX export needs a torch cell
     "cvxpy": {"bounds", "synthesis"},
     "flint": {"synthesis"},
