@@ -38,7 +38,7 @@ def begun(folder: Path, how: str) -> JobReturn:
 def submitted(folder: Path, how: str) -> Any:
     """submitit's own local scheduler: real processes that return, die and are cancelled as Slurm's do."""
     local = submitit.AutoExecutor(cluster="local", folder=folder / "logs")
-    local.update_parameters(timeout_min=1)
+    local.update_parameters(timeout_min=10)  # half a minute before its end submitit would ask the job to stop
     return local.submit(begun, folder / "study" / how, how)
 
 
@@ -57,7 +57,7 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
         assert settled(job, running).return_value.status == ("ok" if how == "returns" else "failed")
     rows = gather(tmp_path / "study").set_index("run")
     assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
-    assert rows.loc[["killed", "waits"], "failure_transient"].all()
+    assert rows.loc[["killed", "waits"], "failure_transient"].all(), rows["error_message"].to_dict()
     assert rows.loc[["killed", "waits"], "error_message"].str.startswith("Slurm ended job").all()
     assert (tmp_path / "study" / "killed" / "traceback.txt").read_text().strip()
     assert begun(tmp_path / "study" / "killed", "returns").return_value.status == "ok"

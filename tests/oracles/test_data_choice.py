@@ -50,10 +50,3 @@ def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
     assert (scored.model.ring_radius, scored.model.ring_frequency) == ([0.9, 0.9999], [0.003, 0.1])
     assert scored.data.training == rehearsed.data.experiments.training
     assert scored.data.output_equilibrium == [float(rows("emps")[0]["output_equilibrium"])]
-
-
-@pytest.mark.parametrize("benchmark", DATA)
-def test_the_experiment_of_one_record_is_its_row_of_the_table(benchmark: str) -> None:
-    alone = composed(f"experiment=benchmark_{benchmark}")
-    row = composed("experiment=benchmarks", f"data={DATA[benchmark]}", "model=ssm")
-    assert (alone.data, alone.model, alone.training) == (row.data, row.model, row.training)
