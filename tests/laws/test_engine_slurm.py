@@ -54,7 +54,7 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     jobs["waits"].cancel(check=False)
     for how, running in jobs.items():
         job = Job(overrides=[], config=OmegaConf.create(), folder=tmp_path / "study" / how)
-        returned = settled(job, running, patience_s=600)  # submitit's local scheduler has no accounts to ask
+        returned = settled(job, running, patience_s=600.0)  # submitit's local scheduler has no accounts to ask
         assert returned.return_value.status == ("ok" if how == "returns" else "failed")
     rows = gather(tmp_path / "study").set_index("run")
     assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
