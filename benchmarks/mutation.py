@@ -14,12 +14,13 @@ The tests that verify a run share one, made before any fault is planted.
 
 import argparse
 import csv
+import hashlib
 import json
-import random
 import re
 import sqlite3
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,7 +72,9 @@ GROUPS = {
         planted=70,
     ),
     "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=30),
-    "choice": Group(modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral"), tests=CHOSEN, planted=8),
+    "choice": Group(
+        modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral", "sensitivity"), tests=CHOSEN, planted=20
+    ),
     "claims": Group(modules=("results/verify.py",), tests=CLAIMS, planted=15),
 }
 
@@ -111,17 +114,25 @@ def fresh_copy(tree: Path) -> None:
 
 
 def sample(session: Path, tree: Path, planted: int) -> None:
-    """Keep so many of the session's faults, drawn with `SEED`; none in a dataclass's own decorator."""
+    """Keep the session's faults that come first in an order drawn with `SEED`; none in a dataclass's own decorator.
+
+    A fault's place in that order hangs on its own line alone, so the draw outlives changes elsewhere.
+    """
     with sqlite3.connect(session) as base:
-        specs = list(base.execute("select job_id, module_path, operator_name, start_pos_row from mutation_specs"))
+        query = "select job_id, module_path, operator_name, start_pos_row, start_pos_col from mutation_specs"
+        specs = list(base.execute(f"{query} order by module_path, operator_name, occurrence"))
         lines = {path: (tree / path).read_text().splitlines() for path in {spec[1] for spec in specs}}
-        eligible = [s for s in specs if FAULTS.match(s[2]) and not lines[s[1]][s[3] - 1].lstrip().startswith("@")]
-        eligible.sort(key=lambda spec: spec[1:])
-        kept = {spec[0] for spec in random.Random(SEED).sample(eligible, min(planted, len(eligible)))}
+        place, seen = {}, Counter[tuple[str, ...]]()
+        for job, path, operator, row, column in specs:
+            line = lines[path][row - 1].strip()
+            if FAULTS.match(operator) and not line.startswith("@"):
+                fault = path, operator, line, str(column)
+                seen[fault] += 1
+                place[job] = hashlib.sha256(repr((SEED, fault, seen[fault])).encode()).hexdigest()
+        kept = set(sorted(place, key=place.__getitem__)[:planted])
         for table in ("mutation_specs", "work_items"):
-            dropped = [(spec[0],) for spec in specs if spec[0] not in kept]
-            base.executemany(f"delete from {table} where job_id = ?", dropped)
-    print(f"{session.stem}: {len(kept)} of {len(eligible)} faults planted", flush=True)
+            base.executemany(f"delete from {table} where job_id = ?", [(s[0],) for s in specs if s[0] not in kept])
+    print(f"{session.stem}: {len(kept)} of {len(place)} faults planted", flush=True)
 
 
 def planted_faults(session: Path) -> list[tuple[dict[str, object], str]]:

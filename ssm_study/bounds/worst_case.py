@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
+import scipy.special
 from jaxtyping import Float
 
 from ssm_study.models.network import Network
@@ -69,7 +70,7 @@ def _smooth_jacobian(network: Network, v: Float[np.ndarray, "m"], temperature: f
     layers = zip(network.weights, network.biases, network.negative_slopes, network.positive_slopes, strict=False)
     for w, b, low, high in layers:
         z = w @ d + b
-        slope = low + (high - low) / (1 + np.exp(-np.clip(z / temperature, -50, 50)))
+        slope = low + (high - low) * scipy.special.expit(z / temperature)
         product = slope[:, None] * (w @ product)
         d = np.where(z >= 0, high, low) * z - np.where(b >= 0, high, low) * b
     return network.weights[-1] @ product

@@ -205,7 +205,7 @@ def _same(record: dict[str, Any], derived: dict[str, Any], relative: float) -> I
 def _agrees(stored: Any, value: Any, relative: float, resolution: float) -> bool:
     """Equal, or finite numbers as near as two machines' roundings."""
     if isinstance(value, float) and np.isfinite(value) and type(stored) in (int, float):
-        return abs(stored - value) <= max(relative * abs(value), resolution)
+        return abs(stored - value) <= relative * abs(value) + resolution
     return bool(stored == value)
 
 

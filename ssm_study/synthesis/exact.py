@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 import scipy.linalg
-from flint import fmpq, fmpq_mat, fmpz, fmpz_mat
+from flint import fmpq, fmpq_mat, fmpz_mat
 from jaxtyping import Float
 
 Matrix = fmpq_mat
@@ -153,12 +153,12 @@ def _proved_by_dominance(integer: fmpz_mat, scaled: Float[np.ndarray, "s s"]) ->
     if product is None:
         return False
     rows = product.tolist()
-    return all(row[i] > sum((abs(v) for j, v in enumerate(row) if j != i), fmpz(0)) for i, row in enumerate(rows))
+    return all(row[i] > sum(abs(v) for j, v in enumerate(row) if j != i) for i, row in enumerate(rows))
 
 
 def _refuted_by_vector(integer: fmpz_mat, scaled: Float[np.ndarray, "s s"]) -> bool:
     vectors = np.linalg.eigh(np.clip(scaled, -1e150, 1e150))[1]
-    product = _congruence(integer, vectors[:, :1].T)
+    product = _congruence(integer, np.atleast_2d(vectors[:, 0]))
     return product is not None and bool(product[0, 0] <= 0)
 
 
@@ -169,7 +169,7 @@ def _congruence(integer: fmpz_mat, rows: Float[np.ndarray, "k s"]) -> fmpz_mat |
     """
     halved = _halved_exponents(integer)
     top = max(halved)
-    shift = [1 << (top - e) for e in halved]
+    shift = [2 ** (top - e) for e in halved]
     scale = np.ldexp(1.0, MANTISSA_BITS - np.frexp(np.abs(rows).max(axis=1))[1])
     rounded = np.rint(rows * scale[:, None])
     if not rounded.any():

@@ -58,7 +58,7 @@ def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: Jac
     """Infimum of the `r` at which `beta/|alpha| < ratio_limit(a, b, r)`.
 
     A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the input does not reach
-    keep theirs. In between one input has a closed form; several need a scalar search within closed-form brackets.
+    keep theirs. In between several inputs need a scalar search within closed-form brackets, which meet for one input.
     """
     _require_finite(a, b)
     moduli = np.sort(np.abs(np.linalg.eigvals(a)))[::-1]
@@ -68,8 +68,6 @@ def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: Jac
     product = _product_limit(moduli, ball.relative_radius)
     if unreached >= product:
         return Frontier(contraction_limit=unreached, decided_by="a mode out of reach")
-    if b.shape[1] == 1 or ball.beta == 0:
-        return Frontier(contraction_limit=product, decided_by="the slopes")
     lowest = max(unreached, _product_limit(moduli, ball.relative_radius ** b.shape[1]))
     limit = _search(a, b, ball.relative_radius, lowest, product)
     return Frontier(contraction_limit=limit, decided_by="the slopes" if limit > unreached else "a mode out of reach")
@@ -85,7 +83,7 @@ def ratio_limit(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contra
         return 0.0
     if b.shape[1] == 1:
         moduli = np.abs(np.linalg.eigvals(a))
-        return float(np.prod(contraction / moduli[moduli > contraction]))
+        return float(np.prod(contraction / np.maximum(moduli, contraction)))
     return float(1 / np.sqrt(1 + _largest_energy(a, b, contraction)))
 
 
@@ -149,20 +147,15 @@ def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the one whose r lies
     between its neighbours, and the largest candidate is that one.
     """
-    if ratio == 0:
-        return 0.0
     with np.errstate(divide="ignore"):
         logs = (np.log(ratio) + np.cumsum(np.log(moduli))) / np.arange(1, len(moduli) + 1)
     return float(min(np.exp(logs.max()), moduli[0]))
 
 
 def _search(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ratio: float, low: float, high: float) -> float:
-    """Bisection on `r`: `ratio_limit` grows with `r`; 60 halvings exhaust double precision."""
+    """Bisection on `r` until doubles are exhausted: `ratio_limit` grows with `r`."""
     low = max(low, np.finfo(float).tiny)
-    for _ in range(60):
-        middle = float(np.sqrt(low * high)) if low > 0 else high / 2
-        if not low < middle < high:
-            break
+    while low < (middle := float(np.sqrt(low * high))) < high:
         feasible = 1 / np.sqrt(1 + _largest_energy(a, b, middle)) > ratio
         low, high = (low, middle) if feasible else (middle, high)
     return high

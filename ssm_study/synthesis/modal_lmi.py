@@ -26,10 +26,8 @@ SHARES = (0.3, 0.1, 0.6)
 FASTEST = 0.5
 
 
-def solve_on_fast_modes(problem: Problem, share: float, limit: float, objective: str, solver: str) -> Solution:
-    """The inequality at the harder rate on its fast modes; raises `NoSolution` like its parts."""
-    r = problem.contraction
-    faster = float(r * (max(limit, FASTEST * r) / r) ** share)
+def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver: str) -> Solution:
+    """The inequality at a contraction `faster` than asked, on its fast modes; raises `NoSolution` like its parts."""
     modes = split_modes(problem.a, problem.b, faster)
     m = problem.b.shape[1]
     if modes.fast == 0:
@@ -70,9 +68,9 @@ class ModalLmiSynthesis(Synthesis):
         require(self.solver in SOLVERS, "synthesis.solver", self.solver, "unknown", f"use one of {tuple(SOLVERS)}")
 
     def solve(self, problem: Problem) -> Solution:
-        return solve_on_fast_modes(problem, 0.0, 0.0, self.objective, self.solver)
+        return solve_on_fast_modes(problem, problem.contraction, self.objective, self.solver)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        limit = frontier.contraction_limit
-        solve = partial(solve_on_fast_modes, problem, limit=limit, objective=self.objective, solver=self.solver)
-        return [partial(solve, share=share) for share in SHARES]
+        r, solve = problem.contraction, partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
+        floor = max(frontier.contraction_limit, FASTEST * r)
+        return [partial(solve, problem, float(r * (floor / r) ** share)) for share in SHARES]
