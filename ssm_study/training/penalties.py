@@ -27,5 +27,5 @@ class Penalties:
             total = total + self.roughness_weight * (model.scaffold_in.roughness() + model.scaffold_out.roughness())
         if self.hankel_weight > 0:
             sigma = hankel_singular_values(model.lru.modes(), model.lru.reals)
-            total = total + self.hankel_weight * sigma.sum() / sigma.detach().max()
+            total = total + self.hankel_weight * sigma.sum() / sigma.max()
         return total

@@ -156,18 +156,22 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
 
 
 def test_the_hankel_penalty_drives_redundant_states_out(tmp_path: Path) -> None:
+    """Of three starting points: what one training reaches is a matter of the processor's last bits."""
     data = data_set(noise=0.05)
-    ratios = {}
-    for weight in (0.0, 3e-3):
-        found = training(hankel_weight=weight).identify(spec(order=6), data, 0, tmp_path / str(weight))
+
+    def redundant(weight: float, seed: int) -> float:
+        settings = training(hankel_weight=weight, max_epochs=12)
+        found = settings.identify(spec(order=6), data, seed, tmp_path / f"{weight}_{seed}")
+        assert mean_fit(found.model, data.test, data) > 94.0
         assert isinstance(found.model, SSM)
         linear = found.model.linear
         reach = solve_discrete_lyapunov(linear.a, linear.b @ linear.b.T)
         see = solve_discrete_lyapunov(linear.a.T, linear.c.T @ linear.c)
         sigma = np.sqrt(np.sort(np.abs(np.linalg.eigvals(reach @ see)))[::-1])
-        ratios[weight] = sigma[3] / sigma[0]
-        assert mean_fit(found.model, data.test, data) > 94.0
-    assert ratios[3e-3] < 0.2 * ratios[0.0]
+        return float(sigma[3] / sigma[0])
+
+    with_penalty, without = (np.median([redundant(weight, seed) for seed in range(3)]) for weight in (3e-3, 0.0))
+    assert with_penalty < 0.2 * without
 
 
 def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:

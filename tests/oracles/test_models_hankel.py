@@ -1,15 +1,21 @@
 """Hankel singular values in closed form against SciPy's Lyapunov solver on the real state space."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
+from torch import Tensor
 
 from ssm_study.models.start import on_ring
 from ssm_study.models.torch_hankel import gramians, hankel_singular_values
 from ssm_study.models.torch_lru import LRU
+from ssm_study.models.torch_scaffold import TorchIdentity
+from ssm_study.models.torch_ssm import TorchSSM
+from ssm_study.training.penalties import Penalties
 
 
 def unit(seed: int, order: int, real_modes: int, m: int, p: int) -> LRU:
@@ -40,16 +46,27 @@ def test_without_the_conjugate_it_is_another_system() -> None:
     assert (wrong - right).abs().max() > 0.1 * right.abs().max()
 
 
-def test_the_gradient_agrees_with_finite_differences() -> None:
+def summed(lru: LRU) -> Tensor:
+    return hankel_singular_values(lru.modes(), lru.reals).sum()
+
+
+def penalty(lru: LRU) -> Tensor:
+    """What a line search relies on: a gradient that leaves out the division by the largest value misleads it."""
+    model = TorchSSM(TorchIdentity(1), lru, TorchIdentity(1))
+    return Penalties(roughness_weight=0.0, hankel_weight=0.1).of(model)
+
+
+@pytest.mark.parametrize("value", [summed, penalty])
+def test_the_gradient_agrees_with_finite_differences(value: Callable[[LRU], Tensor]) -> None:
     lru = unit(3, 5, 1, 1, 1)
-    hankel_singular_values(lru.modes(), lru.reals).sum().backward()
+    value(lru).backward()
     for parameter in (lru.nu, lru.theta, lru.c_real):
         direction = torch.from_numpy(np.random.default_rng(4).normal(size=tuple(parameter.shape)))
         values = []
         with torch.no_grad():
             for step in (1e-5, -2e-5):
                 parameter += step * direction
-                values.append(hankel_singular_values(lru.modes(), lru.reals).sum().item())
+                values.append(value(lru).item())
             parameter += 1e-5 * direction
         assert parameter.grad is not None
         slope = (parameter.grad * direction).sum().item()
