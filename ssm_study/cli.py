@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -76,12 +77,13 @@ def run(overrides: list[str]) -> int:
     overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
     sys.argv = ["ssm-study run", *overrides]
-    StudyCallback.failed = False
+    StudyCallback.conclude = None
     hydra_main = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
     application = hydra_main(study.job)
     try:
         check_request(overrides, configuration_folder(), "study")
         application()
+        return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
     except (HydraException, OmegaConfBaseException) as error:
         asked = " ".join(overrides) or "(no override)"
         remedy = meant(one_sentence(error), overrides) or "see `ssm-study run --help`"
@@ -89,36 +91,39 @@ def run(overrides: list[str]) -> int:
     except OSError as error:
         problem = error.strerror or type(error).__name__
         raise BadRequest("results_dir", error.filename, problem, "choose a folder that you may write to") from error
-    return SOME_FAILED if StudyCallback.failed else DONE
 
 
 class StudyCallback(Callback):
-    """Before a run: refuse what is wrong. After it: gather the study, draw its figures, say how it went."""
+    """Before a run: refuse what is wrong. After it: note what remains to be done, for Hydra swallows what that raises.
 
-    failed = False
+    `conclude()` gathers the study, draws its figures and says how it went; True if runs failed.
+    """
+
+    conclude: Callable[[], bool] | None = None
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
-        _refusing(lambda: study.check(config))
+        _refusing(lambda: (study.check(config), study.check_retry(config, study.run_name(config))))
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
         from ssm_study.sweeps.request import check_sweep, watch_sweep
 
+        _refusing(lambda: study.check_retry(config))
         if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
             _refusing(lambda: watch_sweep(check_sweep(config, study.job)))
 
     def on_run_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
-        StudyCallback.failed |= study.conclude_run(config)
+        StudyCallback.conclude = partial(study.conclude_run, config)
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
         if not config.dry_run:
-            StudyCallback.failed |= study.conclude_sweep(config)
+            StudyCallback.conclude = partial(study.conclude_sweep, config)
 
 
 def _refusing(check: Callable[[], object]) -> None:
@@ -273,7 +278,7 @@ OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-if __name__ == "__main__":  # by the name that Hydra knows `StudyCallback` by: it is there that a failure is noted
+if __name__ == "__main__":  # by the name that Hydra knows `StudyCallback` by: it is there that the end is noted
     from ssm_study.cli import main as command
 
     sys.exit(command())

@@ -13,10 +13,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from ssm_study import members
+from ssm_study.refusal import require
 from ssm_study.results.facts import Facts
 from ssm_study.results.gather import gather
 from ssm_study.results.naming import plain, register_resolver, run_name, yaml_text
-from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, read_record
+from ssm_study.results.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
 from ssm_study.results.runs import Outcome, Run, execute
 from ssm_study.results.show import show
 from ssm_study.results.store import Stages, Store
@@ -92,6 +93,14 @@ def check(config: DictConfig) -> Specification:
     if specification.plant is None:
         specification.dataset()
     return specification
+
+
+def check_retry(config: DictConfig, run: str = "*") -> None:
+    """Raise `BadRequest` where failed runs are to be run again and there is no run yet."""
+    study = study_folder(config)
+    there = any(study.glob(f"{run}/{RECORD}"))
+    problem, remedy = f"there is nothing in {study} to run again", "leave it out the first time"
+    require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
 
 
 def walk(specification: Specification, stages: Stages) -> None:

@@ -110,6 +110,8 @@ def lock_of(command: str) -> str:
 def executed(command: str, clone: Path, written: Path | None = None) -> None:
     words = [word for word in shlex.split(command) if "=" not in word or not word.split("=")[0].isupper()]
     program, *arguments = words
+    if "--retry-failed" in arguments:  # of a study that is there
+        executed(command.replace(" --retry-failed", ""), clone, written)
     if program == "ssm-study" and arguments[0] == "run":
         more = [] if written is None else ["--config-dir", str(written)]
         assert status(["run", *more, *small(arguments[1:], written)]) == cli.DONE

@@ -33,6 +33,8 @@ WRONG = {
     "unrecognized arguments": ["--nonsense"],
     "training.optimiser.nonsense": ["+training.optimiser.nonsense=1"],
     "plant._target_": ["plant._target_=os.system"],
+    "retry_failed": ["experiment=smoke", "--retry-failed"],
+    "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
 }
 
 
