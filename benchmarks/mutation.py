@@ -54,7 +54,9 @@ def _synthesis(*names: str) -> tuple[str, ...]:
 
 
 REFUSES, EXACT = "tests/refusals/test_synthesis_refuses.py", "tests/oracles/test_synthesis_exact.py"
+BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.py"
 LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthesis_frontier.py"
+ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_mismatch.py tests/oracles/test_loop_integral.py tests/laws/test_auto_choice.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
@@ -68,10 +70,10 @@ GROUPS = {
     "methods": Group(
         modules=_synthesis("frontier", "closed_form", "modal_gain", "modes", "slow_modes", "whole_metric", "doubling")
         + _synthesis("riccati", "lmi", "modal_lmi", "paper_lmis", "design"),
-        tests=f"{REFUSES} {EXACT} {LIMITS}",
+        tests=f"{ATTEMPTS} {REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
-    "bounds": Group(modules=("bounds",), tests=f"tests/oracles/test_bounds_slopes.py {CONTRACTS}", planted=30),
+    "bounds": Group(modules=("bounds",), tests=f"{BOUNDS} {CONTRACTS}", planted=30),
     "choice": Group(
         modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral", "sensitivity"), tests=CHOSEN, planted=20
     ),

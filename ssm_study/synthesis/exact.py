@@ -104,9 +104,6 @@ def is_positive_definite(matrix: Matrix) -> bool:
     if matrix != matrix.transpose():
         return False
     integer, _ = matrix.numer_denom()  # the common denominator is positive
-    diagonal = [integer[i, i] for i in range(integer.nrows())]
-    if any(value <= 0 for value in diagonal):
-        return False
     scaled = _scaled_floats(integer)
     if _proved_by_dominance(integer, scaled):
         return True
@@ -117,9 +114,9 @@ def is_positive_definite(matrix: Matrix) -> bool:
 
 def has_positive_leading_minors(integer: fmpz_mat) -> bool:
     """Sylvester's criterion through the fraction-free elimination, whose pivots are the leading principal minors."""
-    eliminated, _, order, rank = integer._fflu()
+    eliminated, _, order, _ = integer._fflu()
     size = integer.nrows()
-    return rank == size and order == list(range(size)) and all(eliminated[i, i] > 0 for i in range(size))
+    return order == list(range(size)) and all(eliminated[i, i] > 0 for i in range(size))
 
 
 def _halved_exponents(integer: fmpz_mat) -> list[int]:

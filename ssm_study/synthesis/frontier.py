@@ -111,7 +111,7 @@ class FastPart:
 
     @property
     def order(self) -> int:
-        return self.a.shape[0]
+        return len(self.a)
 
 
 def fast_part(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> FastPart:

@@ -67,7 +67,7 @@ def _crossings(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
     """Frequencies at which some singular value equals `gamma`, ascending, both signs."""
     a, b, c, d = system.a, system.b, system.c, system.d
     r = gamma**2 * np.eye(d.shape[1]) - d.T @ d
-    s = gamma**2 * np.eye(d.shape[0]) - d @ d.T
+    s = gamma**2 * np.eye(len(d)) - d @ d.T
     f = a + b @ np.linalg.solve(r, d.T @ c)
     top = np.hstack([f, gamma * b @ np.linalg.solve(r, b.T)])
     bottom = np.hstack([-gamma * c.T @ np.linalg.solve(s, c), -f.T])

@@ -111,17 +111,18 @@ class CompiledLmi:
         return cp.bmat(rows)
 
     def _strict(self, matrix: cp.Expression) -> cp.Constraint:
-        return matrix >> STRICTNESS * np.eye(matrix.shape[0])
+        return matrix >> STRICTNESS * _identity_beside(matrix)
 
     def _feasibility(self) -> tuple[cp.Expression, list[cp.Constraint]]:
         """Any solution: what the bare theorem asks for."""
         matrix = self._theorem([])
-        return cp.Constant(0), [matrix >> np.eye(matrix.shape[0])]
+        return cp.Constant(0), [matrix >> _identity_beside(matrix)]
 
     def _largest_margin(self) -> tuple[cp.Expression, list[cp.Constraint]]:
         """`max t` with the block matrix `>= t I` at fixed trace: the solution deepest inside."""
         matrix, t = self._theorem([]), cp.Variable()
-        return -t, [matrix >> t * np.eye(matrix.shape[0]), cp.trace(matrix) == matrix.shape[0]]
+        identity = _identity_beside(matrix)
+        return -t, [matrix >> t * identity, cp.trace(matrix) == np.trace(identity)]
 
     def _smallest_gain(self) -> tuple[cp.Expression, list[cp.Constraint]]:
         """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
@@ -139,6 +140,11 @@ class CompiledLmi:
         z = cp.Variable((n, n), symmetric=True)
         matrix = self._theorem([root @ y, np.sqrt(self.input_weight) * x])
         return cp.trace(z), [matrix >> 0, cp.bmat([[z, np.eye(n)], [np.eye(n), p]]) >> 0]
+
+
+def _identity_beside(matrix: cp.Expression) -> Float[np.ndarray, "s s"]:
+    size, _ = matrix.shape
+    return np.eye(size)
 
 
 def compiled(problem: Problem, objective: str, full: bool) -> CompiledLmi:

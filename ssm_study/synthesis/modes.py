@@ -34,7 +34,7 @@ class Modes:
 
     @property
     def fast(self) -> int:
-        return self.a_fast.shape[0]
+        return len(self.a_fast)
 
 
 def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> Modes:
@@ -43,15 +43,15 @@ def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contra
     Raises `NoSolution` when an eigenvalue lies so close to the circle of radius r that the two parts cannot be told
     apart.
     """
-    t, z, k = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction)
+    try:
+        t, z, k = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction)
+    except np.linalg.LinAlgError as error:
+        raise NoSolution("fast and slow modes cannot be separated") from error
     lower = t.T  # z^T A z, block lower triangular
     a_fast, a_slow, coupling = lower[:k, :k], lower[k:, k:], lower[k:, :k]
     left, right = z.T.copy(), z.copy()
     if 0 < k < len(a):
-        try:
-            x = scipy.linalg.solve_sylvester(a_slow, -a_fast, -coupling)
-        except np.linalg.LinAlgError as error:
-            raise NoSolution("fast and slow modes cannot be separated") from error
+        x = scipy.linalg.solve_sylvester(a_slow, -a_fast, -coupling)
         left[k:] -= x @ left[:k]
         right[:, :k] += right[:, k:] @ x
     b_z = left @ b

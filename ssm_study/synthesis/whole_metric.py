@@ -53,6 +53,6 @@ def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "
     reach += SLOW_FLOOR * (np.trace(reach) or 1.0) * np.eye(slow)
     try:
         gramian = scipy.linalg.solve_discrete_lyapunov(modes.a_slow / problem.contraction, reach)
-        return scipy.linalg.block_diag(root, np.linalg.cholesky((gramian + gramian.T) / 2))
+        return scipy.linalg.block_diag(root, np.linalg.cholesky(gramian))
     except np.linalg.LinAlgError as error:
         raise NoSolution("a slow mode lies on the circle |lambda| = r") from error

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from flint import fmpz_mat
+from flint import fmpq_mat, fmpz_mat
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -117,3 +117,20 @@ def test_a_poor_factor_proves_nothing() -> None:
     """The dominance proof with the identity for G: `[[1, 2], [2, 1]]` has a positive diagonal and is indefinite."""
     assert not exact._proved_by_dominance(fmpz_mat([[1, 2], [2, 1]]), np.eye(2))
     assert exact._proved_by_dominance(fmpz_mat([[2, 1], [1, 2]]), np.eye(2))
+
+
+def test_each_cheap_route_decides_alone_what_it_is_for() -> None:
+    """Rows and columns in units that are `2^40` apart; a singular matrix is refuted by its null vector."""
+    apart = fmpz_mat([[2, 2**40], [2**40, 2 * 2**80]])
+    assert exact._proved_by_dominance(apart, exact._scaled_floats(apart))
+    assert not exact._refuted_by_vector(apart, exact._scaled_floats(apart))
+    for refuted in (fmpz_mat([[1, 1], [1, 1]]), fmpz_mat([[1, 2], [2, 1]]), fmpz_mat([[1, 2**41], [2**41, 2**80]])):
+        assert exact._refuted_by_vector(refuted, exact._scaled_floats(refuted))
+        assert not exact._proved_by_dominance(refuted, exact._scaled_floats(refuted))
+
+
+@pytest.mark.parametrize(
+    "rows", [[[0]], [[-1]], [[0, 0], [0, 1]], [[1, 0], [0, 0]], [[0, 1], [1, 0]], [[-1, 0], [0, 1]]]
+)
+def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
+    assert not exact.is_positive_definite(fmpq_mat(rows))

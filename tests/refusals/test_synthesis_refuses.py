@@ -195,6 +195,14 @@ def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None
     assert unreached_modulus(plant.a, plant.b) == pytest.approx(0.9)
 
 
+@pytest.mark.parametrize("unit", [1e-15, 1e-6, 1.0, 1e6, 1e15])
+def test_what_is_out_of_reach_does_not_hang_on_the_inputs_unit(unit: float) -> None:
+    reached, split = system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0]), np.array([[unit], [0.0]])
+    assert unreached_modulus(reached.a, unit * reached.b) == 0
+    assert unreached_modulus(np.diag([0.9, 0.5]), split) == pytest.approx(0.5)
+    assert unreached_modulus(np.diag([0.9, 0.9]), split) == pytest.approx(0.9)
+
+
 def clustered(order: int) -> StateSpace:
     """Modes a thousandth apart under one input: the gain that moves them all is lost in rounding."""
     return system(np.diag(0.9 + 1e-3 * np.arange(order)).tolist(), [1.0] * order, [1.0] * order)

@@ -143,6 +143,20 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(name: str, start
     assert "in exact arithmetic the inequality fails" in found
 
 
+@pytest.mark.parametrize("rate", [1.0, 1.5, 3.0])
+def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(rate: float) -> None:
+    """With `p < 0` the corner `(1 - rho) p - sigma` is positive, and so are `2 y - p` and sigma."""
+    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    linear = StateSpace(a=zero, b=one, c=one, d=zero)
+    forged = replace(designed().state_feedback, a=zero, b=one, p=-one, y=zero, k=zero, x=zero, sigma=0.1, rate=rate)
+    assert exact.is_positive_definite(
+        exact.theorem_one(zero, one, forged.alpha, forged.beta, rate, -one, zero, zero, 0.1)
+    ) is (rate > 1)
+    content = json.loads(json.dumps(replace(designed(), state_feedback=forged).to_json()))
+    said = broken_claims(content, linear, BALLS)
+    assert any("state_feedback.certified = True" in claim for claim in said)
+
+
 def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     limit = frontier(PLANT.a, PLANT.b, BALLS[0])
     request = Request(side=CONTROLLER, rate=limit.rate_limit, ball=BALLS[0], frontier=limit, method="any", started=0.0)

@@ -1,0 +1,104 @@
+"""Laws of what the methods try in turn: each asks for more than was asked and less than the frontier allows."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from ssm_study.synthesis import modal_lmi
+from ssm_study.synthesis.closed_form import minimum_energy_attempts
+from ssm_study.synthesis.frontier import Frontier, frontier
+from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.riccati import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.systems import JacobianBall
+
+BALLS = [JacobianBall(alpha=1.0, beta=0.0), JacobianBall.from_slopes(0.4, 1.0)]  # a frontier at r = 0, one above it
+
+
+def problem(ball: JacobianBall, rate: float = 0.1) -> Problem:
+    a = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
+    b = np.array([[0.1], [1.0], [0.5]])
+    return Problem(a=a, b=b, ball=ball, rate=rate, state_weight=np.eye(3), input_weight=1.0)
+
+
+def limits(asked: Problem) -> Frontier:
+    return frontier(asked.a, asked.b, asked.ball)
+
+
+@pytest.mark.parametrize("ball", BALLS)
+def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> None:
+    """As the status of each says; no two are the same matrices, as they would be with scales a power of two apart."""
+    asked = problem(ball)
+    made: list[tuple[float, str]] = []
+    for attempt in minimum_energy_attempts(asked):
+        try:
+            found = attempt()
+        except NoSolution:
+            continue
+        rate = float(found.status.split("at rate ")[1].split(",")[0])
+        assert asked.rate < rate < limits(asked).rate_limit
+        assert 1 <= found.sigma < 2
+        made.append((found.sigma, found.status))
+    assert len(set(made)) == len(made) > 20
+
+
+@pytest.mark.parametrize("ball", BALLS)
+def test_the_inequality_on_the_fast_modes_is_asked_inside_the_room(
+    ball: JacobianBall, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, tried = problem(ball), []
+
+    def noted(_: Problem, faster: float, objective: str, solver: str) -> Solution:
+        tried.append(faster)
+        raise NoSolution(f"{objective} {solver}")
+
+    monkeypatch.setattr(modal_lmi, "solve_on_fast_modes", noted)
+    method = ModalLmiSynthesis(rate_controller=0.1, rate_observer=0.1)
+    for attempt in method.attempts(asked, limits(asked)):
+        with pytest.raises(NoSolution, match="largest_margin CLARABEL"):
+            attempt()
+    assert len(set(tried)) > 1
+    assert all(limits(asked).contraction_limit < faster < asked.contraction for faster in tried)
+
+
+@pytest.mark.parametrize("ball", BALLS)
+def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: JacobianBall) -> None:
+    tried: list[float] = []
+
+    class Noting(RiccatiSynthesis):
+        def solve(self, problem: Problem) -> Solution:
+            tried.append(problem.rate)
+            raise NoSolution("noted")
+
+    asked = problem(ball)
+    attempts: list[Callable[[], Solution]] = super(
+        RiccatiSynthesis, Noting(rate_controller=0.1, rate_observer=0.1)
+    ).attempts(asked, limits(asked))
+    for attempt in attempts:
+        with pytest.raises(NoSolution):
+            attempt()
+    first, *repairs = tried
+    assert first == asked.rate
+    assert len(repairs) > 1
+    assert all(asked.rate < rate < limits(asked).rate_limit for rate in repairs)
+    assert repairs == sorted(repairs)  # the mildest first
+
+
+def test_the_smallest_tau_itself_is_not_admissible() -> None:
+    """`kappa = 0`: the equation says nothing of the input, though it still has a solution where A is stable."""
+    one = np.ones((1, 1))
+    asked = Problem(a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=0.1 * one, input_weight=1.0)
+    assert at_tau(asked, 1.0) is None
+    assert at_tau(asked, 2.0) is not None
+
+
+def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> None:
+    """Of `(A/r, alpha B/r)`: a ball without radius is a known linear input."""
+    ball, r = JacobianBall(alpha=2.0, beta=0.0), np.sqrt(0.9)
+    asked = problem(ball)
+    a, b = asked.a / r, 2.0 * asked.b / r
+    s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, np.eye(1))
+    gain = -np.linalg.solve(np.eye(1) + b.T @ s @ b, b.T @ s @ a)
+    np.testing.assert_allclose(guaranteed_cost(asked).k, gain, rtol=1e-6)

@@ -1,0 +1,124 @@
+"""What each objective of the inequality promises of the matrices that come back, checked in NumPy."""
+
+import numpy as np
+import pytest
+
+from ssm_study.synthesis import lmi
+from ssm_study.synthesis.lmi import CompiledLmi
+from ssm_study.synthesis.modes import split_modes
+from ssm_study.synthesis.paper_lmis import theorem_one_alone
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.riccati import guaranteed_cost
+from ssm_study.systems import JacobianBall, StateSpace
+
+A = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
+INPUTS = {1: np.array([[0.1], [1.0], [0.5]]), 2: np.array([[0.1, 0.7], [1.0, -0.2], [0.5, 0.3]])}
+
+
+def problem(inputs: int, beta: float = 0.3) -> Problem:
+    ball = JacobianBall(alpha=1.2, beta=beta)
+    weight = np.diag([1.0, 0.5, 2.0])
+    return Problem(a=A, b=INPUTS[inputs], ball=ball, rate=0.1, state_weight=weight, input_weight=0.5)
+
+
+def solved(asked: Problem, objective: str, full: bool) -> tuple[Solution, float]:
+    weights = {"state_weight": asked.state_weight, "input_weight": asked.input_weight}
+    compiled = CompiledLmi(a=asked.a, b=asked.b, objective=objective, full=full, **weights)
+    found = compiled.solve(asked)
+    return found, float(compiled.problem.value)
+
+
+def block(asked: Problem, found: Solution, rows: np.ndarray | None = None) -> np.ndarray:
+    """Theorem 1's matrix, by its definition; with performance rows bordered by the identity."""
+    a, b, ball, x = asked.a, asked.b, asked.ball, found.k @ found.y
+    n, m = b.shape
+    coupling, border = a @ found.y + ball.alpha * b @ x, ball.beta * x.T
+    rows = np.zeros((0, n)) if rows is None else rows
+    beside = np.zeros((n, len(rows))), np.zeros((m, len(rows)))
+    corner = (1 - asked.rate) * found.p - found.sigma * b @ b.T
+    return np.block(
+        [
+            [corner, coupling, np.zeros((n, m)), beside[0]],
+            [coupling.T, found.y + found.y.T - found.p, border, rows.T],
+            [np.zeros((m, n)), border.T, found.sigma * np.eye(m), beside[1]],
+            [beside[0].T, rows, beside[1].T, np.eye(len(rows))],
+        ]
+    )
+
+
+def least(matrix: np.ndarray) -> float:
+    return float(np.linalg.eigvalsh(matrix)[0])
+
+
+FORMS = pytest.mark.parametrize(("inputs", "full"), [(1, False), (2, False), (2, True)])
+
+
+@FORMS
+def test_feasibility_is_the_block_matrix_above_the_identity(inputs: int, full: bool) -> None:
+    asked = problem(inputs)
+    assert least(block(asked, solved(asked, "feasibility", full)[0])) > 1 - 1e-4
+
+
+@FORMS
+def test_the_largest_margin_is_the_least_eigenvalue_at_a_trace_of_one_each(inputs: int, full: bool) -> None:
+    asked = problem(inputs)
+    found, value = solved(asked, "largest_margin", full)
+    matrix = block(asked, found)
+    assert np.trace(matrix) == pytest.approx(len(matrix), rel=1e-6)
+    assert least(matrix) == pytest.approx(-value, abs=1e-5)
+    other = block(asked, solved(asked, "feasibility", full)[0])
+    assert least(matrix) >= least(other) * len(other) / np.trace(other) - 1e-6
+
+
+@FORMS
+def test_the_smallest_gain_is_below_the_root_of_what_was_minimised(inputs: int, full: bool) -> None:
+    asked = problem(inputs)
+    found, value = solved(asked, "smallest_gain", full)
+    assert least(found.p) > 1 - 1e-4
+    assert least(block(asked, found)) > 0
+    assert np.linalg.norm(found.k, 2) ** 2 <= value * (1 + 1e-4)
+
+
+@FORMS
+def test_the_guaranteed_cost_is_the_trace_of_the_inverse_metric(inputs: int, full: bool) -> None:
+    """And the Riccati route finds the same; the bordered block matrix is what bounds the cost."""
+    asked = problem(inputs)
+    found, value = solved(asked, "guaranteed_cost", full)
+    assert value == pytest.approx(np.trace(np.linalg.inv(found.p)), rel=1e-4)
+    root = np.sqrt(asked.state_weight)  # diagonal
+    rows = np.vstack([root @ found.y, np.sqrt(asked.input_weight) * found.k @ found.y])
+    assert least(block(asked, found, rows)) > -1e-6
+    other = guaranteed_cost(asked)
+    tau = float(other.status.split()[1])
+    assert value == pytest.approx(tau * np.trace(np.linalg.inv(other.p)), rel=1e-2)
+
+
+def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, kept = problem(1), []
+    solve = CompiledLmi.solve
+
+    def noted(self: CompiledLmi, *given: object) -> Solution:
+        kept.append(solve(self, *given))  # type: ignore[arg-type]
+        return kept[-1]
+
+    monkeypatch.setattr(lmi.CompiledLmi, "solve", noted)
+    linear = StateSpace(a=asked.a, b=asked.b, c=np.ones((1, 3)), d=np.zeros((1, 1)))
+    assert theorem_one_alone(linear, asked.ball, asked.rate).certified
+    (found,) = kept
+    assert np.abs(found.y - found.p).max() > 1e-3 * np.abs(found.p).max()
+
+
+def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
+    """The radius is a mode's own modulus: where rounding moves it across, the reordered form is refused, not raised."""
+
+    def split(a: np.ndarray, radius: float) -> np.ndarray:
+        try:
+            modes = split_modes(a, np.ones((7, 1)), radius)
+        except NoSolution:
+            return np.eye(7)
+        return modes.left @ modes.right
+
+    for seed in (102, 108, 176, 335, 503):
+        a = np.random.default_rng(seed).normal(size=(7, 7))
+        for modulus in np.abs(np.linalg.eigvals(a)):
+            np.testing.assert_allclose(split(a, float(modulus)), np.eye(7), atol=1e-6)
