@@ -104,7 +104,8 @@ class StudyCallback(Callback):
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
-        _refusing(lambda: (study.check(config), study.check_retry(config, study.run_name(config))))
+        _refusing(lambda: study.check(config))
+        _refusing(lambda: study.check_retry(config, study.run_name(config)))
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
