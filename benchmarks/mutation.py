@@ -58,7 +58,8 @@ BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.
 LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthesis_frontier.py"
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
-CHOSEN = "tests/oracles/test_loop_mismatch.py tests/oracles/test_loop_integral.py tests/laws/test_auto_choice.py"
+CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
+INTEGRAL = "tests/oracles/test_loop_integral.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
@@ -75,7 +76,9 @@ GROUPS = {
     ),
     "bounds": Group(modules=("bounds",), tests=f"{BOUNDS} {CONTRACTS}", planted=30),
     "choice": Group(
-        modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral", "sensitivity"), tests=CHOSEN, planted=20
+        modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral", "sensitivity"),
+        tests=f"{CHOSEN} {INTEGRAL}",
+        planted=20,
     ),
     "claims": Group(modules=("results/verify.py",), tests=CLAIMS, planted=15),
 }

@@ -50,7 +50,7 @@ def slope_values(network: Network) -> list[Fraction]:
         layer = _integer_layer(network, depth)
         pieces = [part for piece in pieces for part in _through(layer, piece)]
     last, bits = _integers(network.weights[-1])
-    return [Fraction(int((last @ piece.slope)[0]), 1 << (bits + piece.bits)) for piece in pieces]
+    return [Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits)) for piece in pieces]
 
 
 def slope_interval(network: Network) -> tuple[Fraction, Fraction]:

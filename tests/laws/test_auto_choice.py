@@ -16,6 +16,8 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.integral import with_integrators
 from ssm_study.synthesis.mismatch import Prediction, mismatch, predict
 from ssm_study.systems import JacobianBall
 
@@ -142,9 +144,93 @@ def test_a_record_without_excitation_is_refused():
         ({"rate_observer": 1.0}, "rate_observer"),
         ({"margin": 0.0}, "margin"),
         ({"observer_rates": ()}, "observer_rates"),
+        ({"observer_rates": (0.1, 1.0)}, "observer_rates"),
+        ({"stretch_shares": (0.0,)}, "stretch_shares"),
+        ({"own_rate_shares": (1.0,)}, "own_rate_shares"),
         ({"input_weights": (0.0,)}, "input_weights"),
+        ({"input_weights": ()}, "input_weights"),
+        ({"output_noises": (1.0, np.inf)}, "output_noises"),
+        ({"integral_weights": (-1.0,)}, "integral_weights"),
+        ({"rate": 0.0}, r"synthesis\.rate "),
     ],
 )
 def test_values_out_of_range(values, names):
     with pytest.raises(BadRequest, match=names):
         Auto(**values)
+
+
+def test_the_default_grids_are_those_of_the_documentation():
+    """Docs: from half the model's own rate up to 0.9 of the way to the frontier, weights from 1e-3 to 100; no gaps."""
+    auto = Auto()
+    assert auto.own_rate_shares == (0.5,)
+    assert max(auto.stretch_shares) == 0.9
+    for weights in (auto.input_weights, auto.output_noises):
+        assert (min(weights), max(weights)) == (1e-3, 100.0)
+        steps = np.diff(np.log10(weights))
+        assert steps.min() > 0
+        assert steps.max() <= 1 + 1e-9
+    for shares in (auto.stretch_shares, auto.observer_rates):
+        steps = np.diff([0.0, *shares])
+        assert steps.min() > 0
+        assert steps.max() <= 0.3 + 1e-9
+    assert auto.integral_weights == ()
+    assert auto.margin == 1.0
+
+
+def test_each_candidate_is_the_gain_of_its_specification():
+    auto = replace(SMALL, integral_weights=(1e-3, 1e-2), state_weight=1e-5, state_noise=1e-3)
+    candidates = auto.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    assert set(candidates.integral) == {1e-3, 1e-2}
+    last = np.array([len(candidates.ks) - 1, len(candidates.ls) - 1])
+    for pair in (np.array([0, 0]), last // 2, last):
+        asked = candidates.specification(pair)
+        design = asked.design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+        np.testing.assert_allclose(design.state_feedback.k, candidates.ks[pair[0]], rtol=1e-9)
+        np.testing.assert_allclose(design.observer.l, candidates.ls[pair[1]], rtol=1e-9)
+        assert asked.integral_weight == candidates.integral[pair[0]]
+        assert (asked.synthesis.state_weight, asked.synthesis.state_noise) == (1e-5, 1e-3)
+
+
+def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
+    """Shares of the model's own rate, then of the stretch from there to the limit; absolute ones for the observer."""
+    model = motor_model()
+    auto = replace(SMALL, own_rate_shares=(0.25, 0.5))
+    candidates = auto.candidates(model, INPUT_BALL, OUTPUT_BALL)
+    own = 1 - model.linear.spectral_radius**2
+    limit = controller_frontier(model.linear, INPUT_BALL).rate_limit
+    rates = sorted({specification.rate_controller for specification in candidates.feedback})
+    np.testing.assert_allclose(rates, [own / 4, own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)])
+    observed = sorted({specification.rate_observer for specification in candidates.observing})
+    np.testing.assert_allclose(observed, sorted([own / 4, own / 2, 0.05, 0.3]))
+    assert {specification.input_weight for specification in candidates.feedback} == set(SMALL.input_weights)
+    assert {specification.output_noise for specification in candidates.observing} == set(SMALL.output_noises)
+
+
+def test_an_unstable_model_has_no_cautious_rate():
+    model = motor_model()
+    unstable = model.with_linear(replace(model.linear, a=model.linear.a * 1.05))
+    candidates = SMALL.candidates(unstable, INPUT_BALL, OUTPUT_BALL)
+    limit = controller_frontier(unstable.linear, INPUT_BALL).rate_limit
+    rates = sorted({specification.rate_controller for specification in candidates.feedback})
+    np.testing.assert_allclose(rates, [0.1 * limit, 0.6 * limit])
+
+
+def test_a_larger_margin_is_kept_or_said_to_be_out_of_reach(chosen):
+    reached = predicted(chosen, motor_record()).resolved_margin
+    careful = replace(SMALL, margin=1.5 * reached).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert predicted(careful, motor_record()).resolved_margin > 1.5 * reached
+    assert careful.state_feedback.solver_status.startswith("fastest that is predicted to keep the plant; tau")
+    none = replace(SMALL, margin=1e9).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert none.observer.solver_status.startswith("no stable controller with margin above 1e+09; largest margin taken")
+    assert predicted(none, motor_record()).resolved_margin >= predicted(careful, motor_record()).resolved_margin
+
+
+def test_with_integral_action_an_impossible_request_says_why():
+    asked = replace(SMALL, rate_controller=0.9, integral_weights=(1e-3,))
+    design = asked.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert design.state_feedback.proved
+    assert design.state_feedback.rate == 0.9
+    limit = controller_frontier(with_integrators(motor_model()), INPUT_BALL).rate_limit
+    assert design.state_feedback.rate_limit == limit < controller_frontier(motor_model().linear, INPUT_BALL).rate_limit
+    assert design.observer.certified  # the easiest request is made of the side that was left open
+    assert design.state_feedback.solver_status.startswith("nothing on the grid is feasible")

@@ -1,11 +1,16 @@
-"""Bounds of networks small enough to be worked out on paper."""
+"""Bounds small enough to be worked out on paper, and searches against what they search."""
 
 from fractions import Fraction
 
 import numpy as np
+import pytest
 
+from ssm_study.bounds import worst_case
+from ssm_study.bounds.hankel import balance, hankel_singular_values
 from ssm_study.bounds.piecewise import slope_values
 from ssm_study.models.network import Network
+from ssm_study.refusal import BadRequest
+from ssm_study.systems import StateSpace
 
 
 def test_a_bias_of_minus_one_is_negative() -> None:
@@ -18,3 +23,38 @@ def test_a_bias_of_minus_one_is_negative() -> None:
         positive_slopes=(np.ones(1), np.ones(1)),
     )
     assert slope_values(net) == [Fraction(1, 8), Fraction(1, 2), Fraction(1)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -> None:
+    """Cold, its Jacobian is the network's; warm, it lies between the slopes."""
+    rng, widths = np.random.default_rng(seed), (4, 5, 3)
+    net = Network(
+        weights=tuple(rng.normal(size=shape) for shape in ((4, 2), (5, 4), (3, 5), (2, 3))),
+        biases=tuple(rng.normal(size=h) for h in widths),
+        negative_slopes=tuple(np.full(h, 0.1) for h in widths),
+        positive_slopes=tuple(np.full(h, 1.5) for h in widths),
+    )
+    for v in rng.uniform(-5, 5, size=(20, 2)):
+        np.testing.assert_allclose(worst_case._smooth_jacobian(net, v, 1e-7), net.jacobian(v), rtol=1e-9)
+    one = np.ones((1, 1))
+    single = Network(
+        weights=(one, one),
+        biases=(np.zeros(1),),
+        negative_slopes=(np.array([0.1]),),
+        positive_slopes=(np.array([1.5]),),
+    )
+    assert worst_case._smooth_jacobian(single, np.zeros(1), 1.0)[0, 0] == pytest.approx(0.8)
+
+
+def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> None:
+    """Three modes, a thousandth and a billionth as strongly driven as the first."""
+    linear = StateSpace(
+        a=np.diag([0.5, -0.5, 0.1]), b=np.array([[1.0], [1e-3], [1e-9]]), c=np.ones((1, 3)), d=np.zeros((1, 1))
+    )
+    values = hankel_singular_values(linear)
+    assert values[2] < 1e-8 * values[0] < values[1]
+    with pytest.raises(BadRequest, match="at most 2") as refused:
+        balance(linear)
+    assert refused.value.value == pytest.approx(values[2], rel=1e-3)
+    assert balance(linear, 2).linear.order == 2

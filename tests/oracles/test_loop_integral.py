@@ -149,3 +149,29 @@ def test_more_outputs_than_inputs_are_refused():
 def test_a_gain_of_the_wrong_width_is_refused():
     with pytest.raises(BadRequest, match="k = "):
         ObserverFeedback(model=motor_model(), k=np.zeros((1, 4)), l=np.zeros((2, 1)))
+
+
+@pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
+def test_a_weight_that_is_no_weight_is_refused(weight):
+    with pytest.raises(BadRequest, match="integral_weight"):
+        IntegralSynthesis(synthesis=inner(), integral_weight=weight)
+
+
+def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
+    """`|C z|^2 = |G C x|^2 + weight |z|^2`, and a larger one removes an error sooner."""
+    model = random_model(1, inputs=2, outputs=2)
+    rng = np.random.default_rng(0)
+    x, z = rng.standard_normal(4), rng.standard_normal(2)
+    cost = (with_integrators(model, 0.09).c @ np.concatenate([x, z])) ** 2
+    assert cost.sum() == pytest.approx((model.read_scaled(x, np.zeros(2)) ** 2).sum() + 0.09 * (z**2).sum())
+    weights = (1e-5, IntegralSynthesis(synthesis=inner()).integral_weight, 1e-1)
+    gains_on_z = [
+        np.abs(
+            IntegralSynthesis(synthesis=inner(), integral_weight=weight)
+            .design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+            .state_feedback.k[0, -1]
+        )
+        for weight in weights
+    ]
+    assert gains_on_z == sorted(gains_on_z)
+    assert weights == tuple(sorted(weights))

@@ -1,15 +1,24 @@
 """The mismatch margin by two routes, and the H-infinity norm against what is known exactly."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_design, motor_model, motor_record
+from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_design, motor_model, motor_record, random_model
 
+from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.hinf_norm import gains, hinf_norm
-from ssm_study.synthesis.mismatch import Mismatch, mismatch, predict
-from ssm_study.synthesis.sensitivity import peaks_on_grid, sensitivity, sensitivity_peak
+from ssm_study.synthesis.mismatch import Mismatch, Prediction, mismatch, predict
+from ssm_study.synthesis.sensitivity import (
+    controller_radius,
+    peaks_on_grid,
+    sensitivity,
+    sensitivity_peak,
+    weighted_peak,
+)
 from ssm_study.systems import JacobianBall, StateSpace
 
 ANGLES = np.concatenate([np.linspace(0, np.pi, 4001), np.geomspace(1e-5, np.pi, 2000)])
@@ -120,3 +129,126 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     assert own.margin == pytest.approx(1 / (shown.gain * peak))
     none = Mismatch(gain=0.0, angles=np.array([0.0, np.pi]), by_frequency=np.zeros(2))
     assert predict(model, design.state_feedback.k, design.observer.l, *balls, none).margin == np.inf
+
+
+def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0) -> Mismatch:
+    """The mismatch of white inputs whose output is the model's plus `filtered` of the scaled input, both scaled."""
+    model, made = motor_model(), []
+    for seed in range(records):
+        u = np.random.default_rng(seed).standard_normal((samples, 1))
+        y = model.simulate(u) + 5.0 * filtered(u / 1.7)
+        made.append(Trajectory(u=u, y=y, step_s=0.01))
+    return mismatch(model, tuple(made), start_up)
+
+
+def test_a_mismatch_of_constant_gain_has_it_at_every_frequency():
+    shown = shown_by(lambda u: 0.3 * u)
+    assert shown.gain == pytest.approx(0.3)
+    np.testing.assert_allclose(shown.by_frequency, 0.3)
+    assert (shown.angles[0], shown.angles[-1]) == (0.0, np.pi)
+    np.testing.assert_allclose(np.diff(shown.angles), np.pi / 32)  # 64 samples a segment
+
+
+@pytest.mark.parametrize("records", [1, 3])
+def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
+    """`e[k] = (u[k] - u[k-1]) / 2` has gain `|sin(w/2)|`, and `1/sqrt(2)` in total for white inputs."""
+    shown = shown_by(lambda u: np.diff(u, axis=0, prepend=0.0) / 2, records=records)
+    assert shown.gain == pytest.approx(np.sqrt(0.5), rel=0.05)
+    np.testing.assert_allclose(shown.by_frequency, np.abs(np.sin(shown.angles / 2)), atol=0.06)
+    between = (shown.angles[3] + shown.angles[4]) / 2
+    assert shown.at(np.array([between]))[0] == pytest.approx(shown.by_frequency[3:5].mean())
+
+
+def test_where_the_input_hardly_moves_the_gain_in_total_stands_in():
+    """A slow sine: nothing is known of fast mismatch, and none is invented from noise over nothing."""
+    model, k = motor_model(), np.arange(4000)
+    u = np.sin(2 * np.pi * k / 64)[:, None]
+    noise = np.random.default_rng(0).standard_normal(u.shape)
+    shown = mismatch(model, (Trajectory(u=u, y=model.simulate(u) + noise, step_s=0.01),))
+    np.testing.assert_array_equal(shown.by_frequency[8:], shown.gain)
+    assert shown.by_frequency[1] < shown.gain  # where it is excited, the noise is small beside it
+
+
+def test_samples_that_start_the_state_do_not_count():
+    def late(u):
+        error = 0.3 * u
+        error[:40] *= 100.0
+        return error
+
+    assert shown_by(lambda u: 0.3 * u, start_up=40).gain == pytest.approx(0.3, rel=0.05)
+    model, u = motor_model(), np.random.default_rng(0).standard_normal((400, 1))
+    still = np.where(np.arange(400)[:, None] < 40, u, 0.0)
+    with pytest.raises(BadRequest, match="validation"):
+        mismatch(model, (Trajectory(u=still, y=model.simulate(still), step_s=0.01),), 40)
+    assert shown_by(late).gain > 1.0
+
+
+@pytest.mark.parametrize("samples", [9, 30, 31, 63])
+def test_a_record_shorter_than_a_segment_is_one_segment(samples):
+    shown = shown_by(lambda u: 0.3 * u, samples=samples)
+    np.testing.assert_allclose(shown.by_frequency, 0.3)
+    assert len(shown.angles) == samples // 2 + 1
+
+
+def test_a_design_keeps_the_plant_strictly_inside_both_bounds():
+    def keeps(resolved, radius, *margin):
+        made = Prediction(margin=9.0, resolved_margin=resolved, controller_radius=radius)
+        return made.keeps_the_plant(*margin)
+
+    assert keeps(1.0 + 1e-9, 1.0 - 1e-9)
+    assert not keeps(1.0, 0.5)
+    assert not keeps(2.0, 1.0)
+    assert not keeps(2.0, 0.5, 2.0)
+    assert keeps(2.0, 0.5, 1.9)
+
+
+def several_channels():
+    rng, model = np.random.default_rng(2), random_model(2, inputs=2, outputs=3)
+    a, b, c = model.linear.a, model.linear.b, model.linear.c
+    linear = StateSpace(a=0.7 * a, b=b, c=c, d=rng.standard_normal((3, 2)))
+    ks, ls = 0.1 * rng.standard_normal((3, 2, 4)), 0.1 * rng.standard_normal((3, 4, 3))
+    return linear, ks, ls, JacobianBall.from_slopes(0.4, 1.0), JacobianBall.from_slopes(0.8, 1.1)
+
+
+def test_the_controller_alone_is_the_equation_written_out():
+    """Centre and both ends of either ball; integrators are left out."""
+    linear, ks, ls, inner, outer = several_channels()
+    expected = [
+        max(
+            np.abs(np.linalg.eigvals(linear.a + i * linear.b @ k + o * gain @ (linear.c + i * linear.d @ k))).max()
+            for i, o in product((0.4, 0.7, 1.0), (0.8, 0.95, 1.1))
+        )
+        for k, gain in zip(ks, ls, strict=True)
+    ]
+    np.testing.assert_allclose(controller_radius(linear, ks, ls, inner, outer), expected)
+    wider = np.concatenate([ks, np.ones((3, 2, 2))], axis=2)
+    np.testing.assert_allclose(controller_radius(linear, wider, ls, inner, outer), expected)
+    known = JacobianBall(alpha=0.7, beta=0.0)
+    assert (controller_radius(linear, ks, ls, known, known) <= controller_radius(linear, ks, ls, inner, known)).all()
+
+
+def test_the_weighted_peak_is_the_peak_of_the_weight_times_the_gain():
+    linear, ks, ls, inner, outer = several_channels()
+    pair = linear, ks[0], ls[0], inner, outer
+    peak = sensitivity_peak(*pair)
+    assert weighted_peak(*pair, lambda angles: np.full(len(angles), 2.0)) == pytest.approx(2 * peak, rel=1e-3)
+    for angle in (0.02, 0.5, 3.0):
+        at_slopes = [
+            gains(sensitivity(linear, ks[0], ls[0], i, o), np.array([angle]))[0]
+            for i, o in product((0.4, 0.7, 1.0), (0.8, 0.95, 1.1))
+        ]
+        found = weighted_peak(*pair, lambda angles, at=angle: np.exp(-(((angles - at) / (0.05 * at)) ** 2)))
+        assert found == pytest.approx(max(at_slopes), rel=0.03)
+    assert weighted_peak(linear, 1e3 * ks[0], ls[0], inner, outer, np.ones_like) == np.inf
+
+
+def test_the_norm_of_constants_and_of_nothing():
+    nothing = StateSpace(a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.zeros((1, 2)))
+    assert hinf_norm(nothing) == 0.0
+    constant = StateSpace(a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.array([[3.0, 4.0]]))
+    assert hinf_norm(constant) == pytest.approx(5.0, rel=1e-7)
+
+
+def test_a_system_on_the_circle_has_no_finite_norm():
+    system = StateSpace(a=np.eye(1), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    assert hinf_norm(system) == np.inf

@@ -1,0 +1,126 @@
+"""The response area that ranks designs, written out sample by sample, and what it is released from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_cases import motor_design, motor_model, motor_record, random_model
+
+from ssm_study.models.identified import SSM
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.area import relative_areas, release
+from ssm_study.synthesis.integral import output_gain
+from ssm_study.systems import StateSpace
+
+PAIR = np.zeros((1, 2), dtype=int)
+
+
+def record(model: SSM, samples: int = 240, seed: int = 0) -> Trajectory:
+    u = model.input_equilibrium + np.random.default_rng(seed).normal(size=(samples, len(model.input_scale)))
+    return Trajectory(u=u, y=np.zeros((samples, len(model.output_scale))), step_s=0.01)
+
+
+def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
+    states = []
+    for one in records:
+        x = np.zeros(model.order)
+        for u in one.u:
+            states.append(x)
+            x = model.linear.a @ x + model.linear.b @ model.scaffold_in(
+                (u - model.input_equilibrium) / model.input_scale
+            )
+    return np.array(states)
+
+
+def test_twelve_states_of_the_records_evenly_spaced() -> None:
+    model = random_model(3, inputs=2, outputs=2)
+    records = record(model), record(model, 110, 1)
+    start = release(model, records, loaded=False)
+    states = visited(model, records)
+    found = [int(np.abs(states - x).max(axis=1).argmin()) for x in start.x0]
+    np.testing.assert_allclose(start.x0, states[found], atol=1e-12)
+    assert len(found) == 12
+    gaps = np.diff([0, *found, len(states) - 1])
+    assert gaps.max() - gaps.min() <= 1  # neither end of the record: there the model rests, or nothing follows
+    assert not start.load.any()
+
+
+@pytest.mark.parametrize(
+    ("modulus", "samples"), [(0.0, 50), (0.5, 50), (0.96, 98), (0.97, 132), (0.98, 150), (1.0, 150), (1.2, 150)]
+)
+def test_the_horizon_is_four_time_constants_between_50_and_150_samples(modulus: float, samples: int) -> None:
+    """A mode `lambda^k` falls by e in `-1 / ln |lambda|` samples."""
+    model = motor_model()
+    linear = StateSpace(a=np.diag([modulus, 0.0]), b=model.linear.b, c=model.linear.c, d=model.linear.d)
+    assert release(model.with_linear(linear), (motor_record(),), loaded=False).horizon == samples
+
+
+def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_acts() -> None:
+    model = random_model(4, inputs=3, outputs=2)
+    idle = model.linear.b.copy()
+    idle[:, 1] = 0.0
+    model = model.with_linear(replace(model.linear, b=idle))
+    start = release(model, (record(model),), loaded=True)
+    loads, states = start.load[12:], start.x0[12:]
+    assert not start.load[:12].any()
+    assert not states.any()
+    assert len(loads) == 4 * 2
+    rest = np.linalg.solve(np.eye(4) - model.linear.a, model.linear.b @ loads.T)
+    held = np.linalg.norm(model.read_scaled(rest.T, np.zeros((8, 3))), axis=1)
+    for channel in (0, 2):
+        acting = loads[:, channel] != 0
+        signed = np.sort(held[acting] * np.sign(loads[acting, channel]))
+        np.testing.assert_allclose(signed, [-0.5, -0.25, 0.25, 0.5])
+    assert not loads[:, 1].any()
+
+
+def by_hand(model: SSM, k: np.ndarray, gain: np.ndarray, x0: np.ndarray, load: np.ndarray, horizon: int) -> float:
+    """Plant and observer are the model; integrators sum the output; the load enters behind the scaffolding."""
+    linear, n = model.linear, model.order
+    x, x_hat, z, area = x0, np.zeros(n), np.zeros(k.shape[1] - n), 0.0
+    for _ in range(horizon):
+        drive = model.scaffold_in(k[:, :n] @ x_hat + k[:, n:] @ z)
+        y = model.scaffold_out(linear.c @ x + linear.d @ (drive + load))
+        seen = model.scaffold_out(linear.c @ x_hat + linear.d @ drive)
+        area += float(np.linalg.norm(y))
+        x, x_hat = linear.a @ x + linear.b @ (drive + load), linear.a @ x_hat + linear.b @ drive + gain @ (seen - y)
+        z = z + y[: len(z)]
+    return area
+
+
+@pytest.mark.parametrize("integrators", [0, 2])
+def test_the_area_is_the_loop_written_out(integrators: int) -> None:
+    model = random_model(5, inputs=2, outputs=2)
+    rng = np.random.default_rng(0)
+    linear = replace(model.linear, d=0.3 * rng.normal(size=(2, 2)))
+    model, n = model.with_linear(linear), model.order
+    ks, ls = 0.05 * rng.normal(size=(2, 2, n + integrators)), 0.05 * rng.normal(size=(2, n, 2))
+    pairs = np.array([[1, 0], [0, 1]])
+    given = record(model)
+    start = release(model, (given,), loaded=integrators > 0)
+    found = relative_areas(model, ks, ls, pairs, (given,))
+    none = np.zeros((2, n)), np.zeros((n, 2))
+    cases = list(zip(start.x0, start.load, strict=True))
+    alone = np.array([by_hand(model, *none, x0, load, start.horizon) for x0, load in cases])
+    counts = alone > 0.1 * alone.max()  # what rests already is no measure of a controller
+    assert not counts.all()
+    for (i, j), area in zip(pairs, found, strict=True):
+        each = np.array([by_hand(model, ks[i], ls[j], x0, load, start.horizon) for x0, load in cases])
+        assert area == pytest.approx((each / alone)[counts].mean(), rel=1e-9)
+
+
+def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> None:
+    model, design = motor_model(), motor_design()
+    k, gain = design.state_feedback.k, design.observer.l
+    ks, ls = np.stack([0 * k, k, 1e3 * k]), np.stack([gain, -1e3 * gain])
+    pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
+    none, own, wild, blind = relative_areas(model, ks, ls, pairs, (motor_record(),))
+    assert none == pytest.approx(1.0)
+    assert own < 0.9
+    assert np.isfinite([wild, blind]).all()
+    assert max(wild, blind) > 1e3
+
+
+def test_the_output_gain_is_the_maps_own() -> None:
+    model = random_model(1, inputs=2, outputs=2)
+    np.testing.assert_array_equal(output_gain(model), np.eye(2))
