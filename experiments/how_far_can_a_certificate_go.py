@@ -8,10 +8,10 @@
 # %% [markdown]
 # # How far can a certificate go?
 #
-# Theorem 1 certifies a contraction rate $\rho$ if a linear matrix inequality has a solution. How large can $\rho$ be?
-# No solver is needed to know. With $r = \sqrt{1-\rho}$, one input, and slopes of $S_u$ in $[\mu, \nu]$,
+# Theorem 1 certifies a contraction rate ρ if a linear matrix inequality has a solution. How large can ρ be?
+# No solver is needed to know. With r = √(1 − ρ), one input, and slopes of `S_u` in [μ, ν],
 #
-# $$\text{feasible} \iff \frac{\nu-\mu}{\nu+\mu} < \prod_{|\lambda_i(A)| > r} \frac{r}{|\lambda_i(A)|}.$$
+# > feasible  ⟺  (ν − μ) / (ν + μ)  <  ∏ r / |λᵢ(A)|  over all eigenvalues with |λᵢ(A)| > r.
 #
 # This notebook draws that frontier, puts controllers on both sides of it, and tries to cheat the verification.
 
@@ -46,7 +46,7 @@ linear = run.model.linear
 # %% [markdown]
 # ## The frontier, and the solver-free verdict on both sides of it
 #
-# For each slope ratio $\mu/\nu$: the exact limit as a line; controllers asked 1, 10 and 20 % below it, and as much
+# For each slope ratio μ/ν: the exact limit as a line; controllers asked 1, 10 and 20 % below it, and as much
 # above. Below, the closed-form gain is checked in exact rational arithmetic; above, the request is refused with the
 # number that decides.
 

@@ -58,7 +58,7 @@ for answer in answers.answers(study.table):
 # %% [markdown]
 # ## Where feasibility ends
 #
-# Each model has its own exact limit (the bar), which follows from the eigenvalues of $A$ and the ratio of its smallest
+# Each model has its own exact limit (the bar), which follows from the eigenvalues of A and the ratio of its smallest
 # to its largest slope. A larger slope floor raises it. What lies above its bar is infeasible *whatever* the solver.
 
 # %%

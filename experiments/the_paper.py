@@ -10,8 +10,8 @@
 #
 # *Controller Design for Structured State-space Models via Contraction Theory* (Zakwan, Gupta, Karimi, Balta,
 # Ferrari-Trecate; arXiv 2604.07069): a nonlinear motor is identified from data as a structured state-space model
-# $x^+ = Ax + B\,S_u(u)$, $y = S_y(Cx)$; a state feedback and an observer are designed for the model with a certificate
-# of contraction; both are then put on the *true* motor.
+# `x⁺ = A x + B S_u(u)`, `y = S_y(C x)`; a state feedback and an observer are designed for the model with a
+# certificate of contraction; both are then put on the *true* motor.
 #
 # Everything below is the command `ssm-study run experiment=paper` and a look at what it leaves.
 

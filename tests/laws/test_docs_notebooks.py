@@ -28,10 +28,17 @@ def test_it_runs(path: Path, results: Path, monkeypatch: pytest.MonkeyPatch) -> 
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute(cwd=str(ROOT))
     assert pictures(notebook) >= 1, text(notebook)
     assert "Traceback" not in text(notebook), text(notebook)
+    assert "$" not in shown_as_markdown(notebook), "exported to HTML, a formula between $ needs a network to be shown"
 
 
 def pictures(notebook: Any) -> int:
     return sum("image/png" in output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", []))
+
+
+def shown_as_markdown(notebook: Any) -> str:
+    outputs = [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])]
+    written = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
+    return "".join(written + [data.get("text/markdown", "") for data in outputs])
 
 
 def text(notebook: Any) -> str:
