@@ -156,9 +156,14 @@ def meant(problem: str, overrides: list[str]) -> str:
         return ""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(configuration_folder()), version_base="1.3"):
-        config = compose("study", [word for word in overrides if "/" in word or word.startswith("experiment=")])
+        config = compose("study", [word for word in overrides if _chooses_a_file(word)])
     near = get_close_matches(found[1], list(keys_of(config)), n=1)
     return f"did you mean {near[0]}?" if near else ""
+
+
+def _chooses_a_file(override: str) -> bool:
+    key = override.partition("=")[0]
+    return "/" in key or key == "experiment"
 
 
 def keys_of(config: DictConfig, prefix: str = "") -> Iterator[str]:

@@ -25,6 +25,7 @@ WRONG = {
     "data.noise_variance": ["data.noise_variance=-0.1"],
     "data.samples": ["data.samples=many"],
     "did you mean model.order?": ["model.ordr=4"],
+    "did you mean results_dir?": ["result_dir=/elsewhere"],  # a path is no choice of a file
     "experiment/nope": ["experiment=nope"],
     "seed": ["seed=-1"],
     "study": ["study=../elsewhere"],
