@@ -45,9 +45,9 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
         "convolution": recurrence.by_convolution,
         "convolution by autograd": recurrence.by_plain_convolution,
         "chunks": recurrence.by_chunks,
-        "automatic": recurrence.respond,
     }
     runs = {name: step(ours, lambda v, law=law: law(ours.modes(), v), u) for name, law in evaluations.items()}
+    runs["automatic"] = step(ours, ours, u)
     bare, public = BareFFT(samples), PublicLRU(modes)
     runs |= {"bare FFT": step(bare, bare, u), "public scan": step(public, public, u)}
     floor = nn.ModuleList([bare, ours])

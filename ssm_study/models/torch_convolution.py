@@ -13,14 +13,15 @@ from torch import Tensor
 from ssm_study.models.torch_rows import apart, product, whole_lanes
 
 FEW_POWERS = 4096  # below this the many small operations of doubling cost more than the exponentials
+LEAST_ROWS = 16  # smaller products of matrices are computed in another way in a batch, and round differently
 Tables = tuple[Complex[Tensor, "*models s n"], Complex[Tensor, "*models q n"]]
 """`F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`."""
 
 
 def tables(decay: Complex[Tensor, "*models n"], samples: int) -> Tables:
     """About sqrt(samples) rows each, whole lanes of them; the powers are taken in complex128."""
-    short = whole_lanes(math.isqrt(samples - 1) + 1)
-    rows = whole_lanes(-(-samples // short))
+    short = max(whole_lanes(math.isqrt(samples - 1) + 1), LEAST_ROWS)
+    rows = max(whole_lanes(-(-samples // short)), LEAST_ROWS)
     rate = decay.to(torch.complex128)
     return powers(rate, short).to(decay.dtype), powers(rate * short, rows).to(decay.dtype)
 

@@ -7,10 +7,9 @@ import torch
 from jaxtyping import Complex, Float
 from torch import Tensor, nn
 
-from ssm_study.models.torch_recurrence import Modes
+from ssm_study.models.torch_recurrence import Modes, fast_length, one_convolution, respond
+from ssm_study.models.torch_siso import LEAST_DAMPING, SisoConvolution
 from ssm_study.systems import StateSpace
-
-LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
 
 
 class LRU(nn.Module):
@@ -49,6 +48,16 @@ class LRU(nn.Module):
     def order(self) -> int:
         """Real states: one per real mode, two per pair."""
         return 2 * len(self.nu) - self.reals
+
+    def forward(
+        self, u: Float[Tensor, "*models e T m"], x0: Float[Tensor, "e n"] | None = None
+    ) -> Float[Tensor, "*models e T p"]:
+        """`y` of the recurrence, from rest or from `x0`, which is ordered as in `to_state_space`."""
+        siso = self.single and self.d.shape[-2] == 1
+        if siso and x0 is None and one_convolution(self.nu.shape[-1], u.shape[-2]):
+            free = (self.nu, self.theta, self.c_real, self.c_imag, self.d)
+            return SisoConvolution.apply(*free, u, self.flip, self.pairs, fast_length(2 * u.shape[-2] - 1))
+        return respond(self.modes(), u, None if x0 is None else self.initial_state(x0))
 
     def modes(self) -> Modes:
         """Free to explicit parameters: the only place that knows how stability is kept."""

@@ -132,12 +132,21 @@ _FORWARD = ContextVar("derivatives are taken forward", default=False)
 
 @contextmanager
 def forward_derivatives() -> Iterator[None]:
-    """Within it `respond` keeps to operations that differentiate forward and vectorised."""
+    """Within it `respond` and `LRU` keep to operations that differentiate forward and vectorised."""
     token = _FORWARD.set(True)
     try:
         yield
     finally:
         _FORWARD.reset(token)
+
+
+def one_convolution(modes: int, samples: int) -> bool:
+    """Whether `respond` takes the convolution with its derivative written out."""
+    return not _FORWARD.get() and not _chunked(modes, samples)
+
+
+def _chunked(modes: int, samples: int) -> bool:
+    return modes <= CHUNKS_UP_TO_MODES and samples >= CHUNKS_FROM_SAMPLES
 
 
 def respond(
@@ -146,5 +155,5 @@ def respond(
     """The faster of convolution and chunks for this length and order; both are the same law."""
     if _FORWARD.get():
         return by_plain_convolution(modes, u, x0)
-    chunked = modes.decay.shape[-1] <= CHUNKS_UP_TO_MODES and u.shape[-2] >= CHUNKS_FROM_SAMPLES
+    chunked = _chunked(modes.decay.shape[-1], u.shape[-2])
     return (by_chunks if chunked else by_convolution)(modes, u, x0)

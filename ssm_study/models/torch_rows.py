@@ -16,6 +16,12 @@ def apart(rows: Num[Tensor, "*rows n"]) -> Num[Tensor, "*rows n"]:
     return torch.nn.functional.pad(rows, (0, 1))[..., :-1]
 
 
+def conjugate_apart(rows: Complex[Tensor, "*rows n"]) -> Complex[Tensor, "*rows n"]:
+    """Their conjugates, with such gaps: in one pass, since a conjugate of rows with gaps would lose them."""
+    out = rows.new_empty(*rows.shape[:-1], rows.shape[-1] + 1)[..., :-1]
+    return torch.conj_physical(rows, out=out)
+
+
 def product(a: Complex[Tensor, "*a n"], b: Complex[Tensor, "*b n"]) -> Complex[Tensor, "*c n"]:
     """`a b` in real operations, which round alike everywhere, their derivatives too: for a few numbers."""
     (ar, ai), (br, bi) = torch.view_as_real(a).unbind(-1), torch.view_as_real(b).unbind(-1)

@@ -56,8 +56,7 @@ class TorchSSM(TorchModel):
         self, ubar: Float[Tensor, "*models e T m"], x0: Float[Tensor, "e n"] | None = None
     ) -> Float[Tensor, "*models e T p"]:
         """The output for an input that has passed `S_u` already; `x0` ordered as in `to_state_space`."""
-        modal = None if x0 is None else self.lru.initial_state(x0)
-        return self.scaffold_out(respond(self.lru.modes(), ubar, modal))
+        return self.scaffold_out(self.lru(ubar, x0))
 
     def advance(
         self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]

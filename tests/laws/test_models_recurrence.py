@@ -132,6 +132,27 @@ def test_the_derivatives_written_out_are_those_of_the_law(
     torch.autograd.gradcheck(run, [part.clone().requires_grad_() for part in at], fast_mode=True)
 
 
+@pytest.mark.parametrize("real_modes", [0, 3, 5])
+@pytest.mark.parametrize("samples", [1, 2, 17, 300])
+def test_the_unit_of_one_channel_is_the_same_law(samples: int, real_modes: int) -> None:
+    """Its output, and its derivative in the free parameters against finite differences, a clamped radius included."""
+    lru, rng = unit(samples, 5 if real_modes else 6, real_modes, 1, 1), np.random.default_rng(samples)
+    with torch.no_grad():
+        lru.d += 0.7
+        lru.nu[-1] = -60.0 if real_modes == 5 else lru.nu[-1]
+    u = torch.from_numpy(rng.normal(size=(3, samples, 1))).requires_grad_()
+    torch.testing.assert_close(lru(u), recurrence.by_steps(lru.modes(), u), rtol=1e-9, atol=1e-9)
+    assert "Siso" in type(lru(u).grad_fn).__name__, "the case must take the function that it is about"
+    names, free = zip(*((name, p) for name, p in lru.named_parameters() if p.requires_grad), strict=True)
+
+    def run(v: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:
+        found = torch.func.functional_call(lru, dict(zip(names, values, strict=True)), (v,))
+        assert isinstance(found, torch.Tensor)
+        return found
+
+    torch.autograd.gradcheck(run, [u, *free], fast_mode=True)
+
+
 def test_forward_derivatives_are_those_of_the_law() -> None:
     """Vectorised, where `respond` is told so, against the scan."""
     at, rng = _operands(2, 3, 50), torch.Generator().manual_seed(1)
