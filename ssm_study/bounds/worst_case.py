@@ -29,8 +29,8 @@ class Worst:
         return self.distance / ball.beta if ball.beta > 0 else 1.0
 
 
-def worst_jacobian(scaffold: Scaffold, ball: JacobianBall, seed: int = 0, starts: int = 8, span: float = 5.0) -> Worst:
-    """`max_v |J(v) - alpha I|_2` by sampling and, for networks, gradient ascent on a smoothed copy."""
+def worst_jacobian(scaffold: Scaffold, ball: JacobianBall, *, starts: int, seed: int = 0, span: float = 5.0) -> Worst:
+    """`max_v |J(v) - alpha I|_2` by sampling and, for networks, ascent from the best `starts` on a smoothed copy."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-span, span, size=(64 * starts, scaffold.inputs))
     distances = [_distance(scaffold.jacobian(v), ball.alpha) for v in points]

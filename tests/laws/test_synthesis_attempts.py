@@ -7,7 +7,8 @@ import pytest
 import scipy.linalg
 
 from ssm_study.synthesis import modal_lmi
-from ssm_study.synthesis.closed_form import minimum_energy_attempts
+from ssm_study.synthesis.closed_form import SHARES, minimum_energy_attempts
+from ssm_study.synthesis.design import REPAIRS
 from ssm_study.synthesis.frontier import Frontier, frontier
 from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
@@ -27,11 +28,18 @@ def limits(asked: Problem) -> Frontier:
     return frontier(asked.a, asked.b, asked.ball)
 
 
+def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
+    """How far each lies on the way, in log r, from the asked factor to the frontier, or to half where that is zero."""
+    floor = max(limits(asked).contraction_limit, asked.contraction / 2)
+    return np.log(np.array(contractions) / asked.contraction) / np.log(floor / asked.contraction)
+
+
 @pytest.mark.parametrize("ball", BALLS)
 def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> None:
     """As the status of each says; no two are the same matrices, as they would be with scales a power of two apart."""
     asked = problem(ball)
     made: list[tuple[float, str]] = []
+    built: list[float] = []
     for attempt in minimum_energy_attempts(asked):
         try:
             found = attempt()
@@ -41,7 +49,9 @@ def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> N
         assert asked.rate < rate < limits(asked).rate_limit
         assert 1 <= found.sigma < 2
         made.append((found.sigma, found.status))
+        built.append(float(np.sqrt(1 - rate)))
     assert len(set(made)) == len(made) > 20
+    np.testing.assert_allclose(shares(asked, built[: len(SHARES)]), SHARES, atol=1e-4)
 
 
 @pytest.mark.parametrize("ball", BALLS)
@@ -59,7 +69,7 @@ def test_the_inequality_on_the_fast_modes_is_asked_inside_the_room(
     for attempt in method.attempts(asked, limits(asked)):
         with pytest.raises(NoSolution, match="largest_margin CLARABEL"):
             attempt()
-    assert len(set(tried)) > 1
+    np.testing.assert_allclose(shares(asked, tried), modal_lmi.SHARES)
     assert all(limits(asked).contraction_limit < faster < asked.contraction for faster in tried)
 
 
@@ -81,7 +91,7 @@ def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: Jacobi
             attempt()
     first, *repairs = tried
     assert first == asked.rate
-    assert len(repairs) > 1
+    np.testing.assert_allclose(shares(asked, [float(np.sqrt(1 - rate)) for rate in repairs]), REPAIRS)
     assert all(asked.rate < rate < limits(asked).rate_limit for rate in repairs)
     assert repairs == sorted(repairs)  # the mildest first
 
