@@ -4,12 +4,10 @@ import json
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from ssm_study.results.keys import stage_key
-from ssm_study.results.store import MANIFEST, StageResult, Stages, Store
+from ssm_study.results.store import MANIFEST, Compute, StageResult, Stages, Store
 
 
 @dataclass(frozen=True)
@@ -19,16 +17,7 @@ class PlannedStages(Stages):
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
-    def stage(
-        self,
-        name: str,
-        config: Any,
-        upstream: Sequence[str],
-        code_version: str,
-        compute: Callable[[Path], float | None],
-    ) -> StageResult:
-        del compute  # a plan computes nothing
-        key = stage_key(name, config, tuple(upstream), code_version)
+    def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:  # noqa: ARG002
         if key not in self.noted:
             folder = self.store.folder(name, key)
             there = (folder / MANIFEST).is_file()

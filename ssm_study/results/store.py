@@ -28,6 +28,8 @@ from ssm_study.results.keys import stage_key
 MANIFEST = "manifest.json"
 CHECKPOINT = "last.ckpt"  # what a computation may save to go on from; checked by itself, of the same key by its place
 
+Compute = Callable[[Path], float | None]
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
@@ -43,16 +45,17 @@ class StageResult:
 class Stages(ABC):
     """What the line calls: `Store` computes and keeps, `PlannedStages` (plan.py) only notes what would be computed."""
 
-    @abstractmethod
     def stage(
-        self,
-        name: str,
-        config: Any,
-        upstream: Sequence[str],
-        code_version: str,
-        compute: Callable[[Path], float | None],
+        self, name: str, config: Any, upstream: Sequence[str], code_version: str, compute: Compute
     ) -> StageResult:
         """The stage of these inputs. Its files may be read inside a later `compute` only: a plan has no files."""
+        key = stage_key(name, config, tuple(upstream), code_version)
+        note = {"stage": name, "key": key, "upstream": list(upstream), "code_version": code_version}
+        return self.keyed(name, key, note, compute)
+
+    @abstractmethod
+    def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
+        """The stage of this key; `note` says what the key was made of."""
 
 
 @dataclass(frozen=True)
@@ -67,27 +70,18 @@ class Store(Stages):
     root: Path
     held: set[str] = field(default_factory=set, compare=False)
 
-    def stage(
-        self,
-        name: str,
-        config: Any,
-        upstream: Sequence[str],
-        code_version: str,
-        compute: Callable[[Path], float | None],
-    ) -> StageResult:
+    def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
         """The stage's folder, computed by `compute(folder)` if it is not there or no longer intact.
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name. It may return the
         seconds the stage took, where part of the work was done before.
         """
-        key = stage_key(name, config, tuple(upstream), code_version)
         if found := self.find(name, key):
             return found
         with nullcontext() if key in self.held else locked(self._lock(name, key)):
             if found := self.find(name, key):  # another process was faster
                 return found
             self._set_damaged_aside(name, key)
-            note = {"stage": name, "key": key, "upstream": list(upstream), "code_version": code_version}
             return self._compute(name, key, note, compute)
 
     @contextmanager
@@ -125,9 +119,7 @@ class Store(Stages):
         )
         return self.root / name / key[:32]
 
-    def _compute(
-        self, name: str, key: str, note: dict[str, Any], compute: Callable[[Path], float | None]
-    ) -> StageResult:
+    def _compute(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{secrets.token_hex(4)}")
         temporary.mkdir(parents=True)
