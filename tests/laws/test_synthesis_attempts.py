@@ -112,3 +112,10 @@ def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> N
     s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, np.eye(1))
     gain = -np.linalg.solve(np.eye(1) + b.T @ s @ b, b.T @ s @ a)
     np.testing.assert_allclose(guaranteed_cost(asked).k, gain, rtol=1e-6)
+
+
+def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_closed_form() -> None:
+    asked = problem(BALLS[1])
+    method = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
+    said = [attempt().status.split()[0] for attempt in method.attempts(asked, limits(asked))[:5]]
+    assert said == ["tau", "tau", "tau", "minimum", "minimum"]
