@@ -24,7 +24,7 @@ PHONE = {"deviceMetrics": {"width": 390, "height": 844, "pixelRatio": 2, "touch"
 
 
 @contextmanager
-def chromium(profile: Path, *, phone: bool = False) -> Iterator[Any]:
+def chromium(profile: Path, *, phone: bool = False, dark: bool = False) -> Iterator[Any]:
     """A Selenium driver with a fresh profile, its console kept."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
     found = {name: shutil.which(name) for name in ("chromium", "chromedriver")}
@@ -40,6 +40,9 @@ def chromium(profile: Path, *, phone: bool = False) -> Iterator[Any]:
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(found["chromedriver"]))
     try:
         driver.set_script_timeout(60)
+        if dark:
+            asked = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+            driver.execute_cdp_cmd("Emulation.setEmulatedMedia", asked)
         yield driver
     finally:
         driver.quit()

@@ -187,7 +187,8 @@ def _fit_of(table: pd.DataFrame) -> str:
                 f"({meaning}; 0: unrelated)."
             )
     fits, runs = fit[certified].nunique(), int(certified.sum())
-    return f"This study cannot tell: number of different fits among its {runs} certified runs: {fits}."
+    had = f"certified runs: {runs}, different fits among them: {fits}"
+    return f"This study cannot tell ({had}); it takes three different fits, and loops that differ."
 
 
 def _margin(table: pd.DataFrame) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.report.page_data import asset, best_ordered, page_data, script_json
 from ssm_study.report.study_folder import Study
 
-SCRIPTS = ("state.js", "plots.js", "table.js", "compared.js", "run.js", "main.js")
+SCRIPTS = ("state.js", "shades.js", "plots.js", "table.js", "compared.js", "run.js", "main.js")
 
 
 def write_page(study_folder: Path) -> Path:

@@ -46,7 +46,7 @@ PANELS = (
     ),
     Panel(
         question="Where does feasibility end?",
-        note="Black bars: the exact rate limit of each model; nothing above its own bar can be certified.",
+        note="Bars: the exact rate limit of each model; nothing above its own bar can be certified.",
         x="slope_ratio",
         y="rate_controller",
         log_x=True,

@@ -103,6 +103,15 @@ def test_a_brush_in_one_plot_filters_the_table_and_every_other_plot(opened: Any)
     wait_for(opened, f"document.getElementById('count').textContent.startsWith('{RUNS} ')")
 
 
+def test_every_dashed_line_that_a_note_speaks_of_is_drawn(opened: Any) -> None:
+    script = """
+      const dashed = (item) => item.items ? item.items.some(dashed) : Boolean(item.strokeDash);
+      return DATA.panels.map((panel, n) => [panel.note.startsWith("Dashed"), dashed(VIEWS[n].scenegraph().root)])"""
+    found = opened.execute_script(script)
+    assert sum(told for told, _ in found) >= 2
+    assert all(told == drawn for told, drawn in found)
+
+
 def test_a_run_opens_and_closes_from_the_keyboard(opened: Any) -> None:
     from selenium.webdriver.common.keys import Keys
 
@@ -158,11 +167,11 @@ def test_two_thousand_runs_follow_a_drag(browser: Any, tmp_path: Path) -> None:
     assert sorted(times)[10] < 400
 
 
-@pytest.mark.parametrize("phone", [False, True], ids=["desk", "phone"])
+@pytest.mark.parametrize("where", ["desk", "phone", "dark"])
 def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
-    tmp_path: Path, page: Path, phone: bool
+    tmp_path: Path, page: Path, where: str
 ) -> None:
-    with chromium(tmp_path, phone=phone) as driver:
+    with chromium(tmp_path, phone=where == "phone", dark=where == "dark") as driver:
         driver.get(page.as_uri())
         wait_for(driver, "document.body.dataset.ready === 'yes'")
         driver.execute_script("choose(0)")
@@ -170,7 +179,11 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
         driver.execute_script(axe_script())
         found = driver.execute_async_script("const done = arguments[0]; axe.run().then(r => done(r.violations))")
         assert [(v["id"], v["nodes"][0]["html"]) for v in found if v["impact"] in ("serious", "critical")] == []
-        if phone:
+        ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+        assert ground == ("rgb(22, 24, 27)" if where == "dark" else "rgb(255, 255, 255)")
+        painted = driver.execute_script("return VIEWS.map(view => view.background().toLowerCase())")
+        assert set(painted) == {"#16181b" if where == "dark" else "white"}
+        if where == "phone":
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 

@@ -58,5 +58,5 @@ function designsChart(content, compared) {
       { data: { values: rows }, mark: { type: "point", filled: true, size: 25, opacity: 0.5, color: "#0072b2", aria: false }, encoding: {
         x: axis("margin", "Mismatch margin (–)", { type: "log" }), y: axis("share", "Starts settled (share)", { domain: [-0.05, 1.05], nice: false }) } }],
     config: { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal" } } };
-  return () => vegaEmbed(chart, spec, { ...EMBED, actions: false });
+  return () => vegaEmbed(chart, shaded(spec), { ...EMBED, actions: false });
 }

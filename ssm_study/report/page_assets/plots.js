@@ -9,7 +9,7 @@ const SEEN = new IntersectionObserver((entries) => {
   refresh();
 }, { rootMargin: "100px" });
 const EMBED = { actions: { export: { svg: true, png: true }, source: false, compiled: false, editor: false }, renderer: "canvas",
-  tooltip: { theme: "light" } };
+  tooltip: { theme: DARK ? "dark" : "light" } };
 
 /** What a point under the pointer says: written when it is asked for, not for every point beforehand. */
 function tooltipOf(columnOf) {
@@ -40,8 +40,8 @@ function withoutBrush(spec) {
 /** One plot; `columnOf` maps a field of the rows to the column it holds (the explorer's are just across and up). */
 async function embed(chart, spec, { rows, ticks = [] }, number, columnOf = (field) => field) {
   const own = COARSE ? withoutBrush(spec) : structuredClone(spec);
-  own.datasets = { runs: rows, ticks };
-  const { view } = await vegaEmbed(chart, own, { ...EMBED, tooltip: { theme: "light", formatTooltip: tooltipOf(columnOf) } });
+  own.datasets = { ...own.datasets, runs: rows, ticks }; // beside the one-row set of a dashed line
+  const { view } = await vegaEmbed(chart, shaded(own), { ...EMBED, tooltip: { ...EMBED.tooltip, formatTooltip: tooltipOf(columnOf) } });
   const menu = chart.querySelector("summary");
   if (menu) menu.setAttribute("aria-label", "Save this plot");
   if (!COARSE) {

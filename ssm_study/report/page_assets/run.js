@@ -89,7 +89,7 @@ function chartOf(content, title, rows, { y, kinds, band, goal = 0, held = false 
   content.append(element("figure", {}, element("figcaption", {}, title), chart));
   const spec = () => ({ $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150, data: { values: rows() }, layer,
     description: `${title}: ${y} against time`, config: { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal" } } });
-  return () => vegaEmbed(chart, spec(), { ...EMBED, actions: false });
+  return () => vegaEmbed(chart, shaded(spec()), { ...EMBED, actions: false });
 }
 
 function trajectoryCharts(content, { loop, validation }) {

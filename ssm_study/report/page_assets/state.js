@@ -96,7 +96,7 @@ function marker(word) {
   svg.setAttribute("viewBox", "0 0 14 14");
   svg.setAttribute("aria-hidden", "true");
   path.setAttribute("d", SHAPES[word]);
-  path.setAttribute("fill", DATA.verdicts.find((v) => v.word === word).colour);
+  path.setAttribute("fill", shade(DATA.verdicts.find((v) => v.word === word).colour));
   svg.append(path);
   return svg;
 }
