@@ -5,7 +5,7 @@ import pytest
 
 from ssm_study.synthesis import lmi
 from ssm_study.synthesis.lmi import CompiledLmi
-from ssm_study.synthesis.modes import split_modes
+from ssm_study.synthesis.modes import energy_root, split_modes
 from ssm_study.synthesis.paper_lmis import theorem_one_alone
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.riccati import guaranteed_cost
@@ -122,3 +122,16 @@ def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
         a = np.random.default_rng(seed).normal(size=(7, 7))
         for modulus in np.abs(np.linalg.eigvals(a)):
             np.testing.assert_allclose(split(a, float(modulus)), np.eye(7), atol=1e-6)
+
+
+def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach() -> None:
+    """`W = A^-1 (W + B B^T) A^-T`; two modes that one input moves alike, and one that it does not move at all."""
+    a, b = np.array([[1.3, 0.2], [-0.1, 2.0]]), np.array([[1.0], [0.5]])
+    root = energy_root(a, b)
+    inverse, w = np.linalg.inv(a), root @ root.T
+    np.testing.assert_allclose(w, inverse @ (w + b @ b.T) @ inverse.T, rtol=1e-12)
+    np.testing.assert_array_equal(root, np.tril(root))
+    with pytest.raises(NoSolution, match="out of the input's reach"):
+        energy_root(np.diag([2.0, 3.0]), np.array([[1.0], [0.0]]))
+    with pytest.raises(NoSolution, match="out of the input's reach"):
+        energy_root(np.diag([2.0, 3.0]), np.zeros((2, 1)))
