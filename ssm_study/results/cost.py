@@ -1,4 +1,4 @@
-"""What a study has cost, stage by stage: computed once, reused so often, and what that saved."""
+"""What a study has cost, stage by stage: each distinct one once, here or in an earlier study, and what reuse saved."""
 
 import re
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from ssm_study.results.plan import duration
 
 @dataclass(frozen=True, kw_only=True)
 class StageCost:
-    """`uses` runs needed the stage; `computed` distinct ones were computed, in `spent_s` seconds altogether."""
+    """`uses` runs needed the stage; the `distinct` ones among them take `spent_s` seconds altogether."""
 
     name: str
     uses: int
-    computed: int
+    distinct: int
     spent_s: float
     without_reuse_s: float
 
@@ -38,19 +38,19 @@ def _cost_of(name: str, uses: pd.DataFrame) -> StageCost:
     return StageCost(
         name=name,
         uses=len(uses),
-        computed=len(once),
+        distinct=len(once),
         spent_s=float(once[seconds].sum()),
         without_reuse_s=float(uses[seconds].sum()),
     )
 
 
 def cost_lines(table: pd.DataFrame) -> list[str]:
-    """The costs as text: stage, uses, computed, reused, time of each, time spent, time saved."""
+    """The costs as text: stage, uses, how many are distinct, how many reused, time of each, of all, time saved."""
     costs = stage_costs(table)
-    lines = [f"{'stage':<14}{'runs':>7}{'computed':>10}{'reused':>8}{'each':>10}{'spent':>10}{'saved':>10}"]
+    lines = [f"{'stage':<14}{'runs':>7}{'distinct':>10}{'reused':>8}{'each':>10}{'cost':>10}{'saved':>10}"]
     for cost in costs:
-        counts = f"{cost.uses:>7}{cost.computed:>10}{cost.uses - cost.computed:>8}"
-        each = cost.spent_s / cost.computed if cost.computed else 0.0
+        counts = f"{cost.uses:>7}{cost.distinct:>10}{cost.uses - cost.distinct:>8}"
+        each = cost.spent_s / cost.distinct if cost.distinct else 0.0
         lines.append(f"{cost.name:<14}{counts}{each:>8.2f} s{duration(cost.spent_s):>10}{duration(cost.saved_s):>10}")
     spent, saved = fsum(cost.spent_s for cost in costs), fsum(cost.saved_s for cost in costs)
     return [*lines, f"{'together':<14}{'':>25}{'':>10}{duration(spent):>10}{duration(saved):>10}"]

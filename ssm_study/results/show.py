@@ -18,6 +18,7 @@ from ssm_study.results.gather import gather
 
 WIDTH = 80
 SETTINGS = (
+    "plant",
     "seed",
     "order",
     "hidden_width",
@@ -30,9 +31,9 @@ SETTINGS = (
     "synthesis_method",
 )
 OUTCOMES = (
-    "fit_test_percent",
-    "stable_fraction",
+    "settled",
     "settling_time_mean_s",
+    "fit_test_percent",
     "certified",
     "resolved_margin",
     "predicted_stable",
@@ -52,7 +53,8 @@ def show(study: Path, by: str | None = None, where: str | None = None, cost: boo
         return
     rows = ranked(filtered(table, where) if where else table, by)
     if sys.stdout.isatty():
-        Console(width=max(WIDTH, Console().width)).print(rich_table(rows, by))
+        console = Console(width=max(WIDTH, Console().width))
+        console.print(rich_table(rows, by, console.width))
     else:
         print(plain_table(rows, by))
     for line in summary(table, shown=len(rows)):
@@ -68,40 +70,47 @@ def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
 
 
 def chosen_columns(table: pd.DataFrame, by: str | None = None) -> list[str]:
-    """Run, status, `by`, the outcomes that are known, then the settings that vary; as many as fit into 80 columns."""
-    varying = [name for name in SETTINGS if table[name].nunique(dropna=False) > 1]
+    """Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are known."""
+    varying = [name for name in SETTINGS if name in table and table[name].nunique(dropna=False) > 1]
     known = [name for name in OUTCOMES if table[name].notna().any()]
     extra = [by] if by and by not in [*known, "run", "status"] else []
-    return ["run", "status", *extra, *known, *(name for name in varying if name != by)]
+    return ["run", "status", *extra, *(name for name in varying if name != by), *known]
 
 
 def shortened(table: pd.DataFrame) -> pd.DataFrame:
-    """Only the digits of each run's name (the settings are columns of their own), and both certificates in one word."""
-    digits = table["run"].str.rsplit("-", n=1).str[-1]
+    """Only the digits of each run's name (the settings are columns of their own), both certificates in one word, and
+    how many starts settled of how many."""
     controller, observer = table["controller_certified"], table["observer_certified"]
     pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
     words = [CERTIFIED[bool(first), bool(second)] for first, second in pairs]
     certified = pd.Series(words, index=table.index, dtype="string").where(controller.notna() | observer.notna())
-    return table.assign(run=digits if digits.is_unique else table["run"], certified=certified)
+    settled = table["stable_count"].astype("string") + "/" + table["initial_conditions"].astype("string")
+    return table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
 
 
-def plain_table(table: pd.DataFrame, by: str | None = None) -> str:
-    """Fixed-width text: what pipes and files get."""
+def short_names(names: pd.Series) -> pd.Series:
+    """The digits that end a run's name, which every command takes for it, where no two runs share them."""
+    digits = names.str.rsplit("-", n=1).str[-1]
+    return digits if digits.is_unique else names
+
+
+def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
+    """Fixed-width text with as many columns as fit: what pipes and files get."""
     columns: list[list[str]] = []
-    table, width = shortened(table), 0
+    table, taken = shortened(table), 0
     for name in chosen_columns(table, by):
         cells = [heading(name), *(cell(value) for value in table[name])]
         room = max(len(text) for text in cells)
-        if width + room + 2 > WIDTH and columns:
+        if taken + room + 2 > width and columns:
             continue
         columns.append([text.ljust(room) if name in ("run", "status") else text.rjust(room) for text in cells])
-        width += room + 2
+        taken += room + 2
     return "\n".join("  ".join(line).rstrip() for line in zip(*columns, strict=True))
 
 
-def rich_table(table: pd.DataFrame, by: str | None = None) -> Table:
+def rich_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> Table:
     """`plain_table` with a colour for each status that is not ok."""
-    text = plain_table(table, by).splitlines()
+    text = plain_table(table, by, width).splitlines()
     result = Table.grid()
     result.add_row(text[0], style="bold")
     colour = {"failed": "red", "lost": "red", "corrupt": "red", "infeasible": "yellow", "running": "cyan"}
@@ -125,10 +134,12 @@ def cell(value: object) -> str:
 
 
 def summary(table: pd.DataFrame, shown: int) -> list[str]:
-    """Counts by status, then each run that did not end `ok`, or without a certificate, with its reason."""
+    """Counts by status, then the runs that did not end `ok`, or without a certificate: each reason once."""
+    table = table.assign(run=short_names(table["run"]))
     counts = table["status"].value_counts()
     order = [status for status in ("ok", "infeasible", "failed", "lost", "corrupt", "running") if status in counts]
-    lines = ["", f"{len(table)} runs ({shown} shown): " + ", ".join(f"{counts[status]} {status}" for status in order)]
+    found = f"{len(table)} run{'s' if len(table) != 1 else ''}" + (f" ({shown} shown)" if shown < len(table) else "")
+    lines = ["", f"{found}: " + ", ".join(f"{counts[status]} {status}" for status in order)]
     lines += _listed(table, "failed", lambda row: _reason(row) or "no message recorded")
     lines += _listed(table, "infeasible", lambda row: _reason(row) or _infeasible_parts(row))
     if "uncertified_reason" in table:
@@ -140,9 +151,15 @@ def summary(table: pd.DataFrame, shown: int) -> list[str]:
 
 
 def _listed(table: pd.DataFrame, status: str, reason: Callable[[pd.Series], str], limit: int = 20) -> list[str]:
-    rows = table[table["status"] == status]
-    lines = [f"  {status} {row['run']}: {reason(row)}" for _, row in rows.head(limit).iterrows()]
-    return lines + ([f"  ... and {len(rows) - limit} more {status}"] if len(rows) > limit else [])
+    runs: dict[str, list[str]] = {}
+    for _, row in table[table["status"] == status].iterrows():
+        runs.setdefault(reason(row), []).append(str(row["run"]))
+    lines = [f"  {status} {_some(names)}: {why}" for why, names in list(runs.items())[:limit]]
+    return lines + ([f"  ... {status} for {len(runs) - limit} more reasons"] if len(runs) > limit else [])
+
+
+def _some(names: list[str], limit: int = 5) -> str:
+    return ", ".join(names[:limit]) + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
 def _reason(row: pd.Series) -> str:

@@ -12,7 +12,7 @@ from ssm_study.results.cost import cost_lines, stage_costs
 from ssm_study.results.filters import where
 from ssm_study.results.gather import gather, table_of
 from ssm_study.results.records import write_record
-from ssm_study.results.show import plain_table, ranked, show
+from ssm_study.results.show import plain_table, ranked, show, summary
 
 RECORDS = [
     {
@@ -214,6 +214,38 @@ def test_a_wide_table_is_cut_to_eighty_columns() -> None:
     assert max(map(len, plain_table(table_of(wide)).splitlines())) <= 80
 
 
+def sweep(count: int) -> pd.DataFrame:
+    """`count` runs that differ in order and rate, the faster half infeasible for one reason."""
+    rows = [
+        {
+            "run": f"order{i}-width32-seed0-{i:010d}",
+            "order": i,
+            "rate_controller": i / 100,
+            "rate_observer": 0.1,
+            "status": "ok" if i < count / 2 else "infeasible",
+            "stable_count": 9 if i < count / 2 else None,
+            "initial_conditions": 10,
+            "infeasible_reason": None if i < count / 2 else "too fast",
+        }
+        for i in range(count)
+    ]
+    return table_of(rows)
+
+
+def test_what_was_swept_stands_before_what_came_of_it() -> None:
+    heads, first = plain_table(sweep(6)).splitlines()[:2]
+    assert heads.split()[:6] == ["run", "status", "order", "r", "ctl", "settled"]
+    assert first.split() == ["0000000000", "ok", "0", "0", "9/10"]
+
+
+def test_one_reason_is_told_once() -> None:
+    lines = summary(sweep(20), shown=20)
+    assert lines[1] == "20 runs: 10 ok, 10 infeasible"
+    told = [f"{i:010d}" for i in range(10, 15)]
+    assert lines[2:] == [f"  infeasible {', '.join(told)} and 5 more: too fast"]
+    assert summary(sweep(1), shown=1)[1] == "1 run: 1 ok"
+
+
 def test_costs_count_each_stage_once() -> None:
     runs = [
         {
@@ -226,8 +258,8 @@ def test_costs_count_each_stage_once() -> None:
         for i in range(20)
     ]
     by_name = {cost.name: cost for cost in stage_costs(table_of(runs))}
-    assert (by_name["model"].computed, by_name["model"].spent_s, by_name["model"].saved_s) == (1, 10.0, 190.0)
-    assert (by_name["loop"].computed, by_name["loop"].spent_s, by_name["loop"].saved_s) == (20, 20.0, 0.0)
+    assert (by_name["model"].distinct, by_name["model"].spent_s, by_name["model"].saved_s) == (1, 10.0, 190.0)
+    assert (by_name["loop"].distinct, by_name["loop"].spent_s, by_name["loop"].saved_s) == (20, 20.0, 0.0)
     assert cost_lines(table_of(runs))[-1].split() == ["together", "30", "s", "3", "min"]
     assert cost_lines(table_of([]))
 
