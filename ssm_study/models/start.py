@@ -70,8 +70,9 @@ def impulse_response(a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lag
     """`h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable fit grows beyond ten times its early peak."""
     h = np.zeros((RESPONSE, *b.shape[1:]))
     for k in range(RESPONSE):
-        past = sum((a[i] @ h[k - 1 - i] for i in range(min(k, len(a)))), start=np.zeros(b.shape[1:]))
-        h[k] = past + (b[k] if k < len(b) else 0.0)
+        recent = h[max(k - len(a), 0) : k][::-1]
+        h[k] = (a[: len(recent)] @ recent).cumsum(0)[-1] if k else 0.0
+        h[k] += b[k] if k < len(b) else 0.0
         if k > len(b) and np.abs(h[k]).max() > 10 * np.abs(h[: len(b)]).max():
             h[k:] = 0.0
             break
