@@ -26,18 +26,18 @@ class Lift(nn.Module):
 
     def __init__(self, u: Float[Tensor, "e T m"], sorts: bool = True) -> None:
         super().__init__()
-        self.register_buffer("u", u)
+        self.register_buffer("u", u, persistent=False)
         values, where = torch.unique(u.flatten(0, 1), dim=0, return_inverse=True)
         self.levels = FEW_LEVELS * len(values) <= where.numel()
         self.sorts = sorts and not self.levels and u.shape[2] == 1
         if self.levels:
-            self.register_buffer("values", values)
-            self.register_buffer("where", where.view(u.shape[:2]))
+            self.register_buffer("values", values, persistent=False)
+            self.register_buffer("where", where.view(u.shape[:2]), persistent=False)
         if self.sorts:
             ranked, order = u.flatten().sort()
-            self.register_buffer("values", ranked)
-            self.register_buffer("order", order)
-            self.register_buffer("back", order.argsort())
+            self.register_buffer("values", ranked, persistent=False)
+            self.register_buffer("order", order, persistent=False)
+            self.register_buffer("back", order.argsort(), persistent=False)
 
     def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "*models e T k"]:
         if self.levels:

@@ -44,11 +44,11 @@ class Records(nn.Module):
             scored[e, (unscored[e] if unscored else data.start_up_samples) : len(record)] = 1.0
         spread = _spread(np.stack(y), scored)
         for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
-            self.register_buffer(name, torch.from_numpy(values))
+            self.register_buffer(name, torch.from_numpy(values), persistent=False)
         start, outputs = torch.from_numpy(scored), torch.from_numpy(np.stack(y))
         summed = ((start * outputs).cumsum(1) * start).square().sum() if integrated_share else torch.ones(())
         self.register_buffer("sum_spread", summed.double(), persistent=False)
-        self.register_buffer("scored", start)
+        self.register_buffer("scored", start, persistent=False)
         self.lift = Lift(self.u, sorts)
 
     def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "*models e T p"]:

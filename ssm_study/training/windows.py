@@ -111,8 +111,8 @@ class Starts(nn.Module):
     def __init__(self, cut: Cut, rows: Sequence[int], values: Float[Tensor, "e n"]) -> None:
         super().__init__()
         self.count = len(cut.pieces)
-        self.register_buffer("rows", torch.tensor(rows, dtype=torch.int64))
-        self.register_buffer("first", torch.tensor(cut.first, dtype=torch.int64))
+        self.register_buffer("rows", torch.tensor(rows, dtype=torch.int64), persistent=False)
+        self.register_buffer("first", torch.tensor(cut.first, dtype=torch.int64), persistent=False)
         self.free = nn.Parameter(values[self.rows].clone())
 
     def forward(self) -> Float[Tensor, "e n"]:
@@ -131,7 +131,7 @@ class Continuity(nn.Module):
     def __init__(self, later: Int[Tensor, "k"], weight: float) -> None:
         super().__init__()
         self.weight = weight
-        self.register_buffer("later", later)
+        self.register_buffer("later", later, persistent=False)
 
     def forward(self, ends: Float[Tensor, "e n"], starts: Float[Tensor, "e n"]) -> Float[Tensor, "k n"]:
         reached = ends[self.later - 1]
