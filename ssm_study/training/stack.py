@@ -14,42 +14,57 @@ from ssm_study.models.torch_scaffold import TorchIdentity
 from ssm_study.models.torch_scalar_mlp import Kinks, TorchScalarMlp
 from ssm_study.models.torch_ssm import TorchSSM
 from ssm_study.training.objective import Records
+from ssm_study.training.optimisers import trainable
 
 M = TypeVar("M", bound=nn.Module)
 
 WITH_LEADING_AXIS = (TorchSSM, LRU, TorchIdentity, TorchScalarMlp, Kinks, TorchMonotone, Records, Lift, nn.ModuleList)
 
 
+class Vector(nn.Module):
+    """The trainable parameters of `module` in a row, of which they become views: an optimiser then has one tensor."""
+
+    def __init__(self, module: nn.Module) -> None:
+        super().__init__()
+        parts = trainable(module)
+        self.values = nn.Parameter(torch.cat([part.detach().flatten() for part in parts]))
+        rows = self.values.data.split([part.numel() for part in parts])
+        for part, row in zip(parts, rows, strict=True):
+            part.data = row.view(part.shape)
+
+
 class Stack(Generic[M]):
     """`joint` computes for all `modules` what each computes for itself; the parameters stay those of the modules.
 
-    `load` brings their values into `joint`, `hand_back` its gradients to them. All must be of one `architecture`.
+    `load` brings what `vectors` hold into `joint`, `hand_back` its gradients to them; modules without trainable
+    parameters need none. All must be of one `architecture`.
     """
 
-    def __init__(self, modules: Sequence[M]) -> None:
+    def __init__(self, modules: Sequence[M], vectors: Sequence[Vector] = ()) -> None:
         self.joint = copy.deepcopy(modules[0])
-        self._rows: list[tuple[nn.Parameter, list[nn.Parameter]]] = []
         for joint, *parts in zip(self.joint.modules(), *(module.modules() for module in modules), strict=True):
             for name, of_first in joint.named_parameters(recurse=False):
-                rows = [part.get_parameter(name) for part in parts]
-                parameter = nn.Parameter(torch.stack([row.detach() for row in rows]), of_first.requires_grad)
-                joint.register_parameter(name, parameter)
-                self._rows.append((parameter, rows))
+                rows = torch.stack([part.get_parameter(name).detach() for part in parts])
+                joint.register_parameter(name, nn.Parameter(rows, of_first.requires_grad))
             for name, _ in joint.named_buffers(recurse=False):
                 setattr(joint, name, _filled_up([part.get_buffer(name) for part in parts]))
+        self._rows: list[Tensor] = [vector.values for vector in vectors]
+        self._parts = trainable(self.joint)
 
     @torch.no_grad()
     def load(self) -> None:
-        for parameter, rows in self._rows:
-            torch.stack([row.detach() for row in rows], out=parameter.data)
+        columns = torch.stack(self._rows).split([part[0].numel() for part in self._parts], 1)
+        for part, column in zip(self._parts, columns, strict=True):
+            part.copy_(column.view(part.shape))
 
     def hand_back(self) -> None:
-        """Each module's gradients become views of the joint ones."""
-        for parameter, rows in self._rows:
-            if parameter.grad is not None:
-                for row, gradient in zip(rows, parameter.grad.unbind(0), strict=True):
-                    row.grad = gradient
-                parameter.grad = None
+        """Each vector's gradient becomes a row of the joint one."""
+        gradients = [torch.zeros_like(part) if part.grad is None else part.grad for part in self._parts]
+        table = torch.cat([gradient.flatten(1) for gradient in gradients], 1)
+        for row, gradient in zip(self._rows, table.unbind(0), strict=True):
+            row.grad = gradient
+        for part in self._parts:
+            part.grad = None
 
 
 def architecture(module: nn.Module) -> tuple[Hashable, ...] | None:

@@ -27,7 +27,7 @@ from ssm_study.training.identification import Identification
 from ssm_study.training.loggers import NoLogger
 from ssm_study.training.objective import fit_of_loss
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.stack import Stack, architecture
+from ssm_study.training.stack import Stack, Vector, architecture
 from ssm_study.training.training import Training
 from ssm_study.training.windows import Windows
 
@@ -54,6 +54,7 @@ class Member:
     seed: int
     training: Training
     fit: Fit = field(init=False)
+    vector: Vector = field(init=False)
     keeper: Keeper = field(init=False)
     optimiser: torch.optim.Optimizer = field(init=False)
     rows: list[dict[str, float]] = field(default_factory=list)
@@ -66,7 +67,8 @@ class Member:
         began = time.perf_counter()
         self.fit = self.training.prepared(self.spec, self.data, self.seed)
         self.keeper = Keeper(self.training.validation_tolerance_percent)
-        self.optimiser = self.training.optimiser.build(self.fit, self.training.max_epochs)
+        self.vector = Vector(self.fit)
+        self.optimiser = self.training.optimiser.build(self.vector, self.training.max_epochs)
         self.seconds = time.perf_counter() - began
 
     def kind(self) -> Hashable:
@@ -160,7 +162,8 @@ class Program:
     def _stack(self) -> None:
         if self.members:
             fits = [member.fit for member in self.members]
-            self.model = Stack([fit.model for fit in fits if isinstance(fit.model, TorchSSM)])
+            models = [fit.model for fit in fits if isinstance(fit.model, TorchSSM)]
+            self.model = Stack(models, [member.vector for member in self.members])
             self.training = Stack([fit.training_records for fit in fits]).joint
             self.validation = Stack([fit.validation_records for fit in fits]).joint
 
