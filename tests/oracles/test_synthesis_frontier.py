@@ -72,6 +72,13 @@ def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: i
     assert holds(problem, whole_solution(problem, 0.5, 1.0))
 
 
+@pytest.mark.parametrize("seed", [1, 10, 17, 60])
+def test_the_slow_modes_join_with_a_metric_that_holds(seed: int) -> None:
+    """Ten percent inside: of the weights tried, a heavier one than the best just fails; one that holds is chosen."""
+    problem = asked(instance(seed, 0.1, (2, 5)))
+    assert holds(problem, minimum_energy_solution(problem))
+
+
 @pytest.mark.parametrize("radius", [0.0, 0.3])
 def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float) -> None:
     """And its status says where; without a radius there is no frontier below one, and it stays finite all the same."""

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ssm_study.synthesis import lmi
-from ssm_study.synthesis.lmi import CompiledLmi
+from ssm_study.synthesis.certificate import StateFeedback
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
 from ssm_study.synthesis.modes import energy_root, split_modes
 from ssm_study.synthesis.paper_lmis import theorem_one_alone
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
@@ -106,6 +107,17 @@ def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPat
     assert theorem_one_alone(linear, asked.ball, asked.rate).certified
     (found,) = kept
     assert np.abs(found.y - found.p).max() > 1e-3 * np.abs(found.p).max()
+
+
+def test_the_inequality_is_solved_with_y_equal_to_p_unless_asked_otherwise() -> None:
+    """A third of the unknowns, and nothing lost."""
+    asked = problem(1)
+    linear = StateSpace(a=asked.a, b=asked.b, c=np.ones((1, 3)), d=np.zeros((1, 1)))
+    for options, equal in (({}, True), ({"full": True}, False)):
+        part = LmiSynthesis(rate_controller=0.1, rate_observer=0.1, **options).state_feedback(linear, asked.ball)
+        assert isinstance(part, StateFeedback)
+        assert part.certified
+        assert np.array_equal(part.p, part.y) is equal
 
 
 def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
