@@ -67,9 +67,8 @@ class SearchSweeper(Sweeper):
 
     def _answer(self, jobs: list[list[str]]) -> list[Mapping[str, Any] | None]:
         from ssm_study.results.records import read_record
-        from ssm_study.sweeps.compose import Composer
-        from ssm_study.sweeps.sweep import job_of
+        from ssm_study.sweeps.sweep import jobs_of
 
         self.launcher.launch(jobs, initial_job_idx=0)
-        composer = Composer(self.hydra_context.config_loader, self.config)
-        return [read_record(job_of(composer, words, 0).folder) for words in jobs]
+        asked = jobs_of(self.hydra_context.config_loader, self.config, jobs, 0)
+        return [read_record(job.folder) for job in asked]

@@ -143,6 +143,7 @@ BEHAVIOUR = {
     "os_exit": lambda _: os._exit(4),
     "kill": lambda _: os.kill(os.getpid(), 9),
     "terminate": lambda _: os.kill(os.getpid(), 15),
+    "realtime": lambda _: os.kill(os.getpid(), 35),
     "interrupt": lambda _: os.kill(os.getpid(), 2),
     "segfault": _segfault,
     "memory": _exhaust,

@@ -10,12 +10,11 @@ from ssm_study.refusal import BadRequest
 from ssm_study.results.columns import BY_NAME
 from ssm_study.results.durable import locked
 from ssm_study.results.gather import gather
-from ssm_study.results.records import FAILED, INFEASIBLE, OK
+from ssm_study.results.records import FAILED, FINAL
 
 RUN_TAG = "ssm_study.run"
 ARTEFACTS = ("record.json", "model.json", "certificate.json", "traceback.txt")
 AT_ONCE = 100  # parameters MLflow takes in one call
-FINISHED = (OK, INFEASIBLE, FAILED)
 
 
 def export_mlflow(study: Path, store: str | None = None) -> int:
@@ -33,7 +32,7 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
         client = MlflowClient(tracking_uri=store or f"sqlite:///{study.absolute() / 'mlflow.db'}")
         experiment = _experiment(client, study)
         there = _exported(client, experiment)
-        rows = [row for _, row in table.iterrows() if row["status"] in FINISHED and row["run"] not in there]
+        rows = [row for _, row in table.iterrows() if row["status"] in FINAL and row["run"] not in there]
         for row in rows:
             _write(client, experiment, study, {str(name): value for name, value in row.dropna().items()})
     return len(rows)

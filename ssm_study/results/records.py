@@ -17,6 +17,7 @@ RECORD_VERSION = 1
 # `corrupt` (the file is not what was written).
 RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
 LOST, CORRUPT = "lost", "corrupt"
+FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one stopped
 
 
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:

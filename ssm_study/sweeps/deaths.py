@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.results.durable import locked_or_none
-from ssm_study.results.records import FAILED, INFEASIBLE, LOCK, OK, read_record
+from ssm_study.results.records import FAILED, FINAL, LOCK, read_record
 from ssm_study.results.runs import Outcome, outcome_of, write_failure
 from ssm_study.sweeps.jobs import LOG
 from ssm_study.sweeps.server import kill_all_of
@@ -30,7 +30,7 @@ def conclude(job: Job) -> Outcome:
 def note_death(folder: Path, death: Mapping[str, Any], text: str) -> Outcome:
     """What the run's record says; if it says nothing final and nobody is at it, a failure with `text` as traceback."""
     record = read_record(folder)
-    if record is not None and record["status"] in (OK, INFEASIBLE, FAILED):
+    if record is not None and record["status"] in FINAL:
         return Outcome(
             folder=folder, status=record["status"], did="ran", message=str(record.get("error_message") or "")
         )
@@ -49,7 +49,7 @@ def _cause_of_death(job: Job) -> dict[str, Any]:
         return _death(
             "ProcessExit", f"the process ended with status {code} before the run was recorded", transient=False
         )
-    name = signal.Signals(-code).name
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     if job.outcome is not None:
         return _death("Timeout", job.outcome.message, transient=False)
     hint = {"SIGKILL": " (the system does this when memory runs out)", "SIGSEGV": " (a crash in native code)"}

@@ -31,10 +31,11 @@ def training_programs(task_function: TaskFunction, jobs: Sequence[Job], stages: 
     A program has so few members that all `at_once` processes have work, and two at least.
     """
     sharing: Callable[..., Sharing | None] | None = task_hook(task_function, "sharing")
+    if sharing is None or len(jobs) < 2:
+        return []
     kinds: defaultdict[str, dict[str, list[Job]]] = defaultdict(dict)
-    for job in jobs if sharing and len(jobs) > 1 else ():
-        shared = sharing(job.checked, stages) if sharing else None
-        if shared is not None:
+    for job in jobs:
+        if shared := sharing(job.checked, stages):
             kinds[shared.kind].setdefault(shared.key, []).append(job)
     return [program for models in kinds.values() for program in _programs(list(models.values()), at_once)]
 

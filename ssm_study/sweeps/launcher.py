@@ -11,21 +11,20 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-from hydra.core.utils import JobReturn, JobStatus, setup_globals
+from hydra.core.utils import JobReturn, setup_globals
 from omegaconf import OmegaConf
 
 from ssm_study.refusal import require
 from ssm_study.results.allow_list import refuse_foreign_targets
 from ssm_study.results.plan import PlannedStages, plan
-from ssm_study.results.runs import Outcome, is_to_run, outcome_of, standing
+from ssm_study.results.runs import is_to_run, outcome_of, standing
 from ssm_study.results.store import Store
-from ssm_study.sweeps.compose import Composer
 from ssm_study.sweeps.deaths import conclude, kill_group, stop_hanging
 from ssm_study.sweeps.groups import close, next_to_start, training_programs
 from ssm_study.sweeps.jobs import run_in_this_process, train_in_this_process
 from ssm_study.sweeps.progress import Progress
 from ssm_study.sweeps.server import Server
-from ssm_study.sweeps.sweep import Job, Sweep, check_all, job_of, task_hook
+from ssm_study.sweeps.sweep import Job, Sweep, check_all, jobs_of, task_hook
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +55,7 @@ class Processes:
     def launch(self, sweep: Sweep, overrides: Sequence[list[str]], first_number: int) -> list[JobReturn]:
         """Compose every configuration, check those that are not finished, then run them; one `JobReturn` each."""
         setup_globals()
-        composer = Composer(sweep.hydra_context.config_loader, sweep.config)
-        jobs = [job_of(composer, words, first_number + i) for i, words in enumerate(overrides)]
+        jobs = jobs_of(sweep.hydra_context.config_loader, sweep.config, overrides, first_number)
         unique = list({job.folder: job for job in jobs}.values())
         retry = bool(OmegaConf.select(sweep.config, "retry_failed", default=False))
         for job in unique:
@@ -71,7 +69,7 @@ class Processes:
         else:
             self._run_all(sweep, unique)
         ends = {job.folder: job.outcome for job in unique}
-        return [_returned(job, ends[job.folder]) for job in jobs]
+        return [job.returned(ends[job.folder]) for job in jobs]
 
     def _run_all(self, sweep: Sweep, jobs: list[Job]) -> None:
         to_do = [job for job in jobs if job.outcome is None]
@@ -130,13 +128,6 @@ def _task(sweep: Sweep, job: Job) -> Callable[[], object]:
 
 def _store(sweep: Sweep) -> Store:
     return Store(Path(sweep.config.results_dir) / ".store")
-
-
-def _returned(job: Job, outcome: Outcome | None) -> JobReturn:
-    returned = JobReturn(overrides=job.overrides, cfg=job.config, working_dir=str(Path.cwd()), task_name=job.name)
-    returned.status = JobStatus.COMPLETED
-    returned.return_value = outcome
-    return returned
 
 
 @contextlib.contextmanager

@@ -13,9 +13,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from ssm_study.results.records import FAILED, INFEASIBLE, OK, RUNNING, read_record
+from ssm_study.results.records import FINAL, RUNNING, read_record
 
-SETTLED = (OK, INFEASIBLE, FAILED)
 QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the end
 
 
@@ -52,8 +51,7 @@ class Progress:
 
     def line(self) -> str:
         """`12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2 running; 3:20 left`"""
-        known = ("ok", "infeasible", "failed")
-        counts = [f"{self.counts[status]} {status}" for status in (*known, *sorted(set(self.counts) - set(known)))]
+        counts = [f"{self.counts[status]} {status}" for status in (*FINAL, *sorted(set(self.counts) - set(FINAL)))]
         parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
         parts += [f"{self.reused} there before"] if self.reused else []
         parts += [f"{self.running} running"] if self.running else []
@@ -80,7 +78,7 @@ class Watch(Thread):
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
         self.folders, self.every_s, self.over = list(dict.fromkeys(folders)), every_s, Event()
-        self.there_before = {folder for folder in self.folders if self._status(folder) in SETTLED}
+        self.there_before = {folder for folder in self.folders if self._status(folder) in FINAL}
         atexit.register(self.finish)
 
     def run(self) -> None:
@@ -98,7 +96,7 @@ class Watch(Thread):
 
     def _look(self, progress: Progress) -> None:
         statuses = [self._status(folder) for folder in self.folders]
-        progress.counts = Counter(status for status in statuses if status in SETTLED)
+        progress.counts = Counter(status for status in statuses if status in FINAL)
         progress.tick(running=statuses.count(RUNNING))
 
     def _status(self, folder: Path) -> str:

@@ -12,9 +12,8 @@ from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.results.allow_list import refuse_foreign_targets
-from ssm_study.sweeps.compose import Composer
 from ssm_study.sweeps.progress import Watch
-from ssm_study.sweeps.sweep import Job, check_all, job_of
+from ssm_study.sweeps.sweep import Job, check_all, jobs_of
 
 OPTIONS = {"--dry-run": ("hydra/launcher=processes", "dry_run=true"), "--retry-failed": ("retry_failed=true",)}
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
@@ -59,10 +58,9 @@ def check_sweep(config: DictConfig, task_function: TaskFunction) -> list[Job]:
     """
     if config.hydra.sweeper._target_ not in GRIDS:
         return []  # a search does not know its jobs beforehand; the launcher checks them as they come
-    composer = Composer(GlobalHydra.instance().config_loader(), config)
     words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
     assert isinstance(words, list)
-    jobs = [job_of(composer, overrides, number) for number, overrides in enumerate(combinations(words))]
+    jobs = jobs_of(GlobalHydra.instance().config_loader(), config, combinations(words), 0)
     check_all(task_function, jobs)
     return jobs
 

@@ -6,12 +6,11 @@ from typing import Any
 
 import submitit
 from hydra.core.singleton import Singleton
-from hydra.core.utils import JobReturn, JobStatus
+from hydra.core.utils import JobReturn
 from submitit.core.utils import UncompletedJobError
 
-from ssm_study.sweeps.compose import Composer
 from ssm_study.sweeps.deaths import note_death
-from ssm_study.sweeps.sweep import Job, job_of
+from ssm_study.sweeps.sweep import Job, jobs_of
 
 AUTO = frozenset({"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"})
 """What submitit's executor knows for every scheduler; all else is Slurm's own."""
@@ -21,8 +20,7 @@ FORGOTTEN, FORGOTTEN_S = "FORGOTTEN", 30.0
 def launch(launcher: Any, overrides: list[list[str]], first_number: int) -> list[JobReturn]:
     """Submit every job through `launcher`, which Slurm's nodes call; one `JobReturn` each, in the same order."""
     config = launcher.config
-    composer = Composer(launcher.hydra_context.config_loader, config)
-    jobs = [job_of(composer, words, first_number + i) for i, words in enumerate(overrides)]
+    jobs = jobs_of(launcher.hydra_context.config_loader, config, overrides, first_number)
     Path(str(config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
     state = Singleton.get_state()
     arguments = [(words, "hydra.sweep.dir", first_number + i, f"{i}", state) for i, words in enumerate(overrides)]
@@ -52,9 +50,7 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
         problem = str(error)
     message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
     death = {"error_type": state.title().replace("_", ""), "error_message": message, "failure_transient": True}
-    returned = JobReturn(overrides=job.overrides, cfg=job.config, task_name=job.name)
-    returned.status, returned.return_value = JobStatus.COMPLETED, note_death(job.folder, death, problem)
-    return returned
+    return job.returned(note_death(job.folder, death, problem))
 
 
 def ended(submitted: submitit.Job, patience_s: float) -> str:

@@ -1,11 +1,14 @@
 """The jobs of a sweep, composed and checked before any of them starts."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
 
@@ -46,6 +49,18 @@ class Job:
     def name(self) -> str:
         return self.folder.name
 
+    def returned(self, outcome: Outcome | None) -> JobReturn:
+        """The outcome as Hydra wants it."""
+        ended = JobReturn(self.overrides, self.config, working_dir=str(Path.cwd()), task_name=self.name)
+        ended.status, ended.return_value = JobStatus.COMPLETED, outcome
+        return ended
+
+
+def jobs_of(loader: ConfigLoader, config: DictConfig, overrides: Sequence[list[str]], first_number: int) -> list[Job]:
+    """Every configuration of the sweep that `config` describes, numbered as Hydra numbers them; see `job_of`."""
+    composer = Composer(loader, config)
+    return [job_of(composer, words, number) for number, words in enumerate(overrides, first_number)]
+
 
 def job_of(composer: Composer, overrides: list[str], number: int) -> Job:
     """The configuration of one job and the folder it names; raises `BadRequest` if that leaves the results folder."""
@@ -67,9 +82,8 @@ def adopt(config: DictConfig) -> None:
 def check_all(task_function: TaskFunction, jobs: list[Job]) -> None:
     """The allow-list and `check(configuration)` of the task's module on every job, before any starts.
 
-    What `check` returns, or else the configuration, is what the further hooks get (`Job.checked`).
-
-    The `BadRequest` names the job.
+    What `check` returns, or else the configuration, is what the further hooks get (`Job.checked`). The `BadRequest`
+    names the job.
     """
     check = task_hook(task_function, "check")
     for job in jobs:

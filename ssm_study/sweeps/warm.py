@@ -23,7 +23,7 @@ PACKAGE = Path(ssm_study.__file__).parent
 
 
 def rooms() -> list[str]:
-    """Every room, and every module of this one, by the names that stages depend on."""
+    """Every room, and every module of `results`, by the names that stages depend on."""
     inner = [path for path in (*PACKAGE.iterdir(), *(PACKAGE / "results").iterdir()) if not path.name.startswith("_")]
     known = [path for path in inner if path.suffix == ".py" or (path / "__init__.py").is_file()]
     return [".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in known]

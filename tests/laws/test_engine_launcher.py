@@ -81,6 +81,7 @@ BAD = {
     "os_exit": ("ProcessExit", "ended with status 4", False),
     "kill": ("SIGKILL", "memory runs out", True),
     "terminate": ("SIGTERM", "stopped by SIGTERM", True),
+    "realtime": ("signal 35", "stopped by signal 35", False),  # one that Python has no name for
     "interrupt": ("SIGINT", "stopped by SIGINT", True),
     "segfault": ("SIGSEGV", "a crash in native code", False),
     "memory": ("MemoryError", "MemoryError", True),
