@@ -26,7 +26,7 @@ class FastGain:
 
 
 def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
-    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with half the best margin: a
+    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with `GOOD_SHARE` of the best margin: a
     smaller one would only spread the entries of P over more digits than floats have.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + D`, D normalising them.

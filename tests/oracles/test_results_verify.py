@@ -156,6 +156,15 @@ def test_verify_says_why_a_part_has_no_certificate(copied_run: Path) -> None:
     assert {"observer_certified", "uncertified_reason"} <= failing(copied_run)  # the record claims a certificate
 
 
+def test_the_seal_says_what_it_found(copied_run: Path) -> None:
+    for change, holds, found in (("", True, "as they were written"), (" ", False, "changed since (status ok)")):
+        path = copied_run / "model.json"
+        path.write_text(path.read_text() + change)
+        (seal,) = (finding for finding in verify(copied_run) if finding.claim == "files")
+        assert (seal.holds, seal.found) == (holds, found)
+        assert str(seal) == f"{'holds' if holds else 'FAILS'}  files: {found}"
+
+
 def test_an_infinite_number_is_only_itself() -> None:
     """A margin is infinite where the gain is zero; no finite number is near to that."""
     for stored, holds in (("inf", True), ("-inf", False), (1e300, False), (2.0, False), (None, False)):
