@@ -35,7 +35,7 @@ from ssm_study.synthesis.verify import broken_claims
 FLOAT_AGREEMENT = 1e-9
 """Relative: the same float64 formula on another machine's libraries."""
 ITERATED_AGREEMENT = 1e-6
-"""Relative: numbers that an iteration or a thousand steps produce (eigenvalues, frontier, norms, replayed trajectories)."""
+"""Relative: what an iteration or a thousand steps produce (eigenvalues, frontier, norms, replayed trajectories)."""
 
 EIGENVALUE_RESOLUTION = 1e-12
 """Absolute: what rounding moves the smallest eigenvalue of a matrix with unit diagonal."""
