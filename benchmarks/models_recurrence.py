@@ -1,8 +1,7 @@
 """Speed of the recurrence, forward and backward, batch 16, against its peers.
 
 python benchmarks/models_recurrence.py [CASE ...]    # their numbers; writes results/reference/training/recurrence.csv
-float32; ratio: to the automatic choice of ours in the same run. floor: the bare FFT and, beside it, the way from free
-to explicit parameters, each with its gradient, but no impulse response and no product of spectra.
+float32; ratio: to the automatic choice of ours in the same run.
 dynonet and jax are left out where they are not installed, and the table says so.
 """
 
@@ -50,8 +49,6 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     runs["automatic"] = step(ours, ours, u)
     bare, public = BareFFT(samples), PublicLRU(modes)
     runs |= {"bare FFT": step(bare, bare, u), "public scan": step(public, public, u)}
-    floor = nn.ModuleList([bare, ours])
-    runs["floor"] = step(floor, lambda v: bare(v) + _explicit_parameters(ours), u)
     runs["numba loop"] = numba_loop(u.detach().numpy(), modes)
     runs |= _optional(u, modes)
     if samples <= 10_000 and modes <= 64:
@@ -63,12 +60,6 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     if batch * samples * modes > 41_000_000:
         del runs["public scan"]
     return runs
-
-
-def _explicit_parameters(unit: LRU) -> torch.Tensor:
-    """A number that depends on all of them: with the bare FFT, what no convolution of a trained unit can go below."""
-    modes = unit.modes()
-    return torch.view_as_real(torch.cat([modes.decay, modes.b[:, 0], modes.c[0]])).sum()
 
 
 def _optional(u: torch.Tensor, modes: int) -> dict[str, Callable[[], object]]:
