@@ -36,17 +36,17 @@ class Fit(pl.LightningModule):
         validation: Records,
         optimiser: OptimiserSpec,
         max_epochs: int,
-        starts: Starts | None = None,
-        penalties: Penalties | None = None,
-        continuity: Continuity | None = None,
-        whole: Records | None = None,
-        start_up: StartUp | None = None,
+        starts: Starts | None,
+        penalties: Penalties,
+        continuity: Continuity | None,
+        whole: Records | None,
+        start_up: StartUp | None,
     ) -> None:
         super().__init__()
         self.model, self.training_records, self.validation_records = model, training, validation
         self.optimiser, self.max_epochs = optimiser, max_epochs
-        self.penalties = penalties or Penalties(roughness_weight=0.0, hankel_weight=0.0)
-        self.starts, self.continuity, self.whole, self.start_up = starts, continuity, whole, start_up
+        self.starts, self.penalties, self.continuity = starts, penalties, continuity
+        self.whole, self.start_up = whole, start_up
         self.last_loss = math.inf
         self.automatic_optimization = False
 

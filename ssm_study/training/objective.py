@@ -45,10 +45,10 @@ class Records(nn.Module):
         spread = _spread(np.stack(y), scored)
         for name, values in (("u", np.stack(u)), ("y", np.stack(y)), ("weight", scored / spread)):
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
-        start, outputs = torch.from_numpy(scored), torch.from_numpy(np.stack(y))
-        summed = ((start * outputs).cumsum(1) * start).square().sum() if integrated_share else torch.ones(())
-        self.register_buffer("sum_spread", summed.double(), persistent=False)
-        self.register_buffer("scored", start, persistent=False)
+        self.register_buffer("scored", torch.from_numpy(scored), persistent=False)
+        summed = (self.scored * self.y).cumsum(1) * self.scored  # of y as of its error, see `objective`
+        sum_spread = summed.square().sum() if integrated_share else torch.ones((), dtype=torch.float64)
+        self.register_buffer("sum_spread", sum_spread, persistent=False)
         self.lift = Lift(self.u, sorts)
 
     def simulate(self, model: nn.Module, x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "*models e T p"]:

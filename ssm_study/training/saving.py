@@ -11,7 +11,7 @@ from jaxtyping import Shaped
 from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet
 from ssm_study.training.checkpoint import DurableCheckpointIO
 
@@ -61,8 +61,8 @@ def read(path: Path) -> dict[str, Any]:
     try:
         return DurableCheckpointIO().load_checkpoint(path)
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here
-        require(False, "checkpoint", path, f"unreadable ({type(error).__name__})", "remove it and train again")
-        raise
+        problem = f"unreadable ({type(error).__name__})"
+        raise BadRequest("checkpoint", path, problem, "remove it and train again") from error
 
 
 def write_best(path: Path, state: dict[str, Shaped[Tensor, "..."]], belongs_to: str) -> None:

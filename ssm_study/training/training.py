@@ -40,7 +40,7 @@ class Training:
     one initial state per training record, "auto" does so where the data set has start-up samples.
     `validation_tolerance_percent`: see `Keeper`; the weights: see `Penalties`; `integrated_share`: see `Records`;
     `windows`: see `Windows`. `starts` trainings from different starting points, the best validation fit is returned.
-    `accelerator`, `devices` and `logger` go to Lightning.
+    `accelerator` and `logger` go to Lightning.
     """
 
     optimiser: OptimiserSpec
@@ -58,12 +58,11 @@ class Training:
     logger: LoggerSpec = field(default_factory=NoLogger)
     checkpoint_every_s: float = 10.0
     accelerator: str = "cpu"
-    devices: int = 1
 
     def __post_init__(self) -> None:
         share = self.integrated_share
         require(0 <= share <= 1, "training.integrated_share", share, "is a share of the loss", "use 0 to 1")
-        for name in ("max_epochs", "patience", "devices", "starts"):
+        for name in ("max_epochs", "patience", "starts"):
             value = getattr(self, name)
             require(value >= 1, f"training.{name}", value, "must be at least one", "use a positive whole number")
         weights = ("roughness_weight", "hankel_weight")
@@ -79,20 +78,19 @@ class Training:
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
-            return _scored(spec.solve(data), data, passed(began), [], "solved without training")
+            return _scored(spec.solve(data), data, time.perf_counter() - began, [], "solved without training")
         found = [self._once(spec, data, seed, folder, progress)]
         for start in range(1, self.starts):
             again = spec.draw_start() if isinstance(spec, SSMSpec) else spec
             found.append(self._once(again, data, seed + 1000 * start, folder / f"start_{start}", progress))
         best = max(found, key=lambda one: one.fit_validation_percent)
-        return replace(best, seconds=passed(began))
+        return replace(best, seconds=time.perf_counter() - began)
 
     def _once(self, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool) -> Identification:
-        began = time.perf_counter()
         belongs_to = self.belongs_to(spec, data, seed)
         fit = self.prepared(spec, data, seed)
         keeper, curve = self._run(fit, folder, belongs_to, progress)
-        return replace(self.concluded(fit, data, keeper, curve.rows, folder, belongs_to), seconds=passed(began))
+        return self.concluded(fit, data, keeper, curve.rows, folder, belongs_to)
 
     def belongs_to(self, spec: ModelSpec, data: DataSet, seed: int) -> str:
         """What a checkpoint of this training names; more epochs or patience only continue it."""
@@ -151,12 +149,10 @@ class Training:
             "fit_validation_percent", self.min_gain_percent, self.patience, mode="max", check_finite=False
         )
         callbacks = [keeper, curve, stopping, Saver(folder, belongs_to, self.checkpoint_every_s)]
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module="lightning")  # advice on Slurm, of no use here
-            trainer = self._trainer([*callbacks, *([Line(self.max_epochs)] if progress else [])], folder)
         one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module="lightning")  # advice on workers and loggers, of no use here
+            warnings.filterwarnings("ignore", module="lightning")  # advice on Slurm, workers, loggers: of no use here
+            trainer = self._trainer([*callbacks, *([Line(self.max_epochs)] if progress else [])], folder)
             trainer.fit(fit, one, one, ckpt_path=resume_from)
         if trainer.interrupted:
             raise KeyboardInterrupt
@@ -171,7 +167,7 @@ class Training:
         try:
             return pl.Trainer(
                 accelerator=self.accelerator,
-                devices=self.devices,
+                devices=1,
                 max_epochs=self.max_epochs,
                 callbacks=callbacks,
                 plugins=[DurableCheckpointIO()],
@@ -192,11 +188,6 @@ class Training:
 def _start_up(model: TorchModel, records: tuple[Trajectory, ...], data: DataSet) -> StartUp | None:
     """What `records` start from, where a free run of the stored model will estimate it."""
     return StartUp(records, data) if data.start_up_samples > 0 and isinstance(model, TorchSSM) else None
-
-
-def passed(began: float) -> float:
-    """Wall-clock seconds since `began`."""
-    return time.perf_counter() - began
 
 
 def _scored(
