@@ -3,17 +3,17 @@
 import argparse
 import gc
 import os
-import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
+from ssm_study import __version__
 from ssm_study.refusal import BadRequest, require
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
@@ -27,12 +27,16 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if arguments[:1] == ["run"]:
             return run(arguments[1:])
-        options = _parser().parse_args(arguments)
+        options = _parser().parse_args(arguments or ["--help"])
         command: Callable[[argparse.Namespace], int] = options.command
         return command(options)
     except BadRequest as refusal:
         print(f"ssm-study: {refusal}", file=sys.stderr)
         return WRONG_REQUEST
+    except KeyboardInterrupt:
+        print("ssm-study: interrupted; the same command again does what is missing", file=sys.stderr)
+        sys.excepthook = lambda *_: None  # without a traceback, yet ended by the signal: a script's loop ends with it
+        raise
     except BrokenPipeError:  # `ssm-study show STUDY | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
@@ -69,11 +73,13 @@ def run(overrides: list[str]) -> int:
     from omegaconf.errors import OmegaConfBaseException
 
     from ssm_study import study
+    from ssm_study.advice import advised, refuse_dashes
     from ssm_study.sweeps.request import check_request, translate
 
     gc.enable()
     gc.freeze()
     refuse_more_threads_than_cores()
+    refuse_dashes(overrides, configuration_folder())
     overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
     sys.argv = ["ssm-study run", *overrides]
@@ -85,9 +91,7 @@ def run(overrides: list[str]) -> int:
         application()
         return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
     except (HydraException, OmegaConfBaseException) as error:
-        asked = " ".join(overrides) or "(no override)"
-        remedy = meant(one_sentence(error), overrides) or "see `ssm-study run --help`"
-        raise BadRequest("request", asked, one_sentence(error), remedy) from error
+        raise advised(error, overrides, configuration_folder()) from error
     except OSError as error:
         problem = error.strerror or type(error).__name__
         raise BadRequest("results_dir", error.filename, problem, "choose a folder that you may write to") from error
@@ -136,58 +140,29 @@ def _refusing(check: Callable[[], object]) -> None:
         raise SystemExit(WRONG_REQUEST) from refusal
 
 
-def one_sentence(error: BaseException) -> str:
-    """Hydra's and OmegaConf's messages without their appendices."""
-    text = str(error)
-    for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
-        text = text.split(appendix)[0]
-    return " ".join(text.split()).rstrip(".")
-
-
-def meant(problem: str, overrides: list[str]) -> str:
-    """For a misspelt key: the nearest key of the configuration, or nothing."""
-    from difflib import get_close_matches
-
-    from hydra import compose, initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
-
-    found = re.search(r"Could not override '([^']+)'", problem)
-    if found is None:
-        return ""
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(configuration_folder()), version_base="1.3"):
-        config = compose("study", [word for word in overrides if _chooses_a_file(word)])
-    near = get_close_matches(found[1], list(keys_of(config)), n=1)
-    return f"did you mean {near[0]}?" if near else ""
-
-
-def _chooses_a_file(override: str) -> bool:
-    key = override.partition("=")[0]
-    return "/" in key or key == "experiment"
-
-
-def keys_of(config: DictConfig, prefix: str = "") -> Iterator[str]:
-    """Every key of the configuration, dotted."""
-    for key in map(str, config):
-        yield prefix + key
-        if not OmegaConf.is_missing(config, key) and isinstance(config[key], DictConfig):
-            yield from keys_of(config[key], f"{prefix}{key}.")
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ssm-study",
         description="From input-output data to a certified output-feedback controller, swept and reported.",
     )
+    parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     commands.add_parser("run", help="one study run, or with -m a sweep; see `ssm-study run --help`", add_help=False)
     for name, (action, subject, told) in ACTIONS.items():
-        command = commands.add_parser(name, help=told)
+        command = commands.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".")
         command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
-        command.set_defaults(command=action)
+        command.set_defaults(command=partial(_on_its_folder, action, subject))
         for words, settings in OPTIONS.get(name, {}).items():
             command.add_argument(words, **settings)
     return parser
+
+
+def _on_its_folder(action: Callable[[argparse.Namespace], int], subject: str, options: argparse.Namespace) -> int:
+    from ssm_study.results import folders
+
+    found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
+    setattr(options, subject, found)
+    return action(options)
 
 
 def _gather(options: argparse.Namespace) -> int:
@@ -256,19 +231,22 @@ ACTIONS: dict[str, tuple[Callable[[argparse.Namespace], int], str, str]] = {
     "verify": (_verify, "run", "re-derive every claim of a run from its files alone"),
     "reproduce": (_reproduce, "run", "do a run again from its configuration and compare every number"),
     "export": (_export, "run", "the controller for use elsewhere: C, ONNX, python-control"),
-    "report": (_report, "study", "figures and the report page of a study"),
+    "report": (_report, "study", "draw the figures of a study into its folder and write its page, report.html"),
     "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
 }
-SUBJECTS = {"study": "the study folder, e.g. results/paper", "run": "the run folder, e.g. results/paper/<run>"}
+SUBJECTS = {
+    "study": "the study folder, e.g. results/paper",
+    "run": "the run folder, or the study with the digits that `show` prints: results/paper/1a2b3c4d5e",
+}
 FIGURES = sorted(path.stem for path in (Path(__file__).parent / "report" / "figures").glob("[!_]*.py"))
 OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "show": {
-        "--by": {"metavar": "COLUMN", "help": "sort by this column, in its better direction"},
+        "--by": {"metavar": "COLUMN", "help": "sort by this column of runs.csv, in its better direction"},
         "--where": {
             "metavar": "EXPR",
             "help": "keep runs for which this holds, e.g. 'order == 8 and status == \"ok\"'",
         },
-        "--cost": {"action": "store_true", "help": "what was computed, what reused, and how long each stage took"},
+        "--cost": {"action": "store_true", "help": "how long each stage took, and what reuse saved"},
     },
     "export": {"--to": {"type": Path, "required": True, "metavar": "DIR", "help": "the folder to write into"}},
     "report": {

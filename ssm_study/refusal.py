@@ -12,7 +12,8 @@ class BadRequest(ValueError):
     def __init__(self, field: str, value: Any, problem: str, remedy: str) -> None:
         self.field, self.value, self.problem, self.remedy = field, value, problem, remedy
         reason = " ".join(problem.split())  # a library that is quoted may answer in several lines
-        super().__init__(f"{field} = {_shown(value)}: {reason}; {remedy}.")
+        end = "" if remedy.endswith("?") else "."
+        super().__init__(f"{field} = {_shown(value)}: {reason}; {remedy}{end}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.field, self.value, self.problem, self.remedy))

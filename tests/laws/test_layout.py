@@ -24,6 +24,7 @@ FLOW = [
     "stages",
     "members",
     "study",
+    "advice",
     "cli",
 ]
 ROOMS = {
@@ -33,7 +34,7 @@ ROOMS = {
     "flint": {"synthesis"},
     "matplotlib": {"report"},
     "seaborn": {"report"},
-    "hydra": {"sweeps", "specification", "study", "cli"},
+    "hydra": {"sweeps", "specification", "study", "advice", "cli"},
     "foxglove": {"data"},
     "mcap": {"data"},
 }

@@ -1,6 +1,7 @@
 """A wrong request: one sentence with field, value and remedy, exit status 2, nothing computed and no folder left."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.cli import main
+from ssm_study.advice import meant
+from ssm_study.cli import configuration_folder, main
+from ssm_study.refusal import BadRequest
+from ssm_study.results.folders import run_folder, study_folder
+from ssm_study.results.records import write_record
 
 RECORDED = ("experiment=paper", "data=recorded", "data.input=u", "data.output=y")
 WRONG = {
@@ -26,7 +31,14 @@ WRONG = {
     "data.samples": ["data.samples=many"],
     "did you mean model.order?": ["model.ordr=4"],
     "did you mean results_dir?": ["result_dir=/elsewhere"],  # a path is no choice of a file
-    "experiment/nope": ["experiment=nope"],
+    "experiment/nope; choose among": ["experiment=nope"],
+    "did you mean plant=dc_motor?": ["plant=dc_moter"],
+    "did you mean experiment?": ["exp=paper"],
+    "data=recorded has it: add data=recorded": ["data.path=log.csv"],
+    "did you mean data.path?": ["data=recorded", "data.pth=log.csv"],
+    "add -m to sweep": ["model.order=4,8"],
+    "write model.order=VALUE": ["--model.order", "4"],
+    "write seed=VALUE": ["--seed=4"],
     "seed": ["seed=-1"],
     "study": ["study=../elsewhere"],
     "data.input": ["data=recorded", "data.path=somewhere.csv"],
@@ -125,3 +137,49 @@ def test_one_thread_unless_asked(tmp_path: Path) -> None:
 def test_unwritable_results_folder(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "experiment=smoke", "results_dir=/proc/results"]) == 2
     assert "results_dir = /proc/results" in capfd.readouterr().err
+
+
+def test_what_was_meant_is_found_beside_a_swept_choice() -> None:
+    assert meant("synthesis.rate_controler", ["synthesis=lmi,riccati"], configuration_folder()).endswith("controller?")
+
+
+def test_the_folder_that_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    study = Path("results/paper")
+    for name in ("order8-width32-seed0-0a1b2c3d4e", "order4-width32-seed0-5f6a7b8c9d"):
+        (study / name).mkdir(parents=True)
+        write_record(study / name, {"run": name, "status": "ok"})
+    assert run_folder(study / "0a1b2c3d4e") == study / "order8-width32-seed0-0a1b2c3d4e"
+    assert run_folder(study / "order4-width32-seed0-5f6a7b8c9d").name.startswith("order4")
+    with pytest.raises(BadRequest, match="2 runs are there; name one: order4-width32-seed0-5f6a7b8c9d, order8"):
+        run_folder(study)
+    with pytest.raises(BadRequest, match=r"there is no record\.json; name one of its study: order4"):
+        run_folder(study / "nothing")
+    assert study_folder(study) == study
+    for wrong in ("paper", "results/papr"):
+        with pytest.raises(BadRequest, match=r"did you mean results/paper\?$"):
+            study_folder(Path(wrong))
+    (study / "runs.parquet").touch()
+    with pytest.raises(BadRequest, match="name one: paper"):
+        study_folder(Path("results"))
+    with pytest.raises(BadRequest, match="give the folder of one run"):
+        run_folder(Path("elsewhere"))
+
+
+def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    write_record(tmp_path / "a", {"run": "a", "status": "ok"})
+    assert run_folder(tmp_path) == tmp_path / "a"
+
+
+def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
+    """No traceback, yet the process ends by the signal, so that the loop of a script around it ends too."""
+    program = (
+        "import sys, ssm_study.cli as cli\n"
+        "def interrupted(_): raise KeyboardInterrupt\n"
+        "cli.run = interrupted\n"
+        "sys.exit(cli.main(['run']))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ended.returncode == -signal.SIGINT
+    assert ended.stderr == "ssm-study: interrupted; the same command again does what is missing\n"
