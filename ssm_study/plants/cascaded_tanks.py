@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -24,6 +24,11 @@ class CascadedTanks(Plant):
     et al. 2016.
     """
 
+    inputs = (Channel(name="pump_voltage", unit="V"),)
+    outputs = (Channel(name="lower_level", unit="V"),)
+    states = (Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V"))
+    disturbances = (Channel(name="lower_inflow", unit="V/s"),)
+
     outflow_upper: float
     inflow_lower: float
     outflow_lower: float
@@ -40,17 +45,12 @@ class CascadedTanks(Plant):
     level_noise_variance: float
 
     def __post_init__(self) -> None:
-        names = ("outflow_upper", "inflow_lower", "outflow_lower", "pump_gain", "brim_v", "rest_pump_v", "step_s",
-                 "initial_level_v", "settling_band", "amplitude_v", "clock_s")  # fmt: skip
-        for name in names:
-            value = getattr(self, name)
-            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
-        share, noise = self.spill_share, self.level_noise_variance
+        positive = ("outflow_upper", "inflow_lower", "outflow_lower", "pump_gain", "brim_v", "rest_pump_v", "step_s",
+                    "initial_level_v", "settling_band", "amplitude_v", "clock_s")  # fmt: skip
+        check_signs(self, positive, not_negative=("level_noise_variance",))
+        share = self.spill_share
         require(
             0 <= share <= 1, "spill_share", share, "a share lies in [0, 1]", "use 0 if nothing falls into the lower"
-        )
-        require(
-            0 <= noise < np.inf, "level_noise_variance", noise, "a variance is never negative", "use 0 for no noise"
         )
         require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 4")
         levels = self.equilibrium().x
@@ -61,22 +61,6 @@ class CascadedTanks(Plant):
             "the tanks overflow at rest",
             "lower it",
         )
-
-    @property
-    def inputs(self) -> tuple[Channel, ...]:
-        return (Channel(name="pump_voltage", unit="V"),)
-
-    @property
-    def outputs(self) -> tuple[Channel, ...]:
-        return (Channel(name="lower_level", unit="V"),)
-
-    @property
-    def states(self) -> tuple[Channel, ...]:
-        return Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V")
-
-    @property
-    def disturbances(self) -> tuple[Channel, ...]:
-        return (Channel(name="lower_inflow", unit="V/s"),)
 
     @property
     def initial_range(self) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.dc_motor_kernel import advance_batch
-from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -45,6 +45,16 @@ class DCMotor(Plant):
     Source: [Z26] sec. IV; Kara & Eker 2004.
     """
 
+    inputs = (Channel(name="armature_voltage", unit="V"),)
+    outputs = (Channel(name="load_speed", unit="rad/s"),)
+    states = (
+        Channel(name="armature_current", unit="A"),
+        Channel(name="motor_speed", unit="rad/s"),
+        Channel(name="load_speed", unit="rad/s"),
+        Channel(name="shaft_twist", unit="rad"),
+    )
+    disturbances = (Channel(name="load_torque", unit="N m"),)
+
     resistance_ohm: float
     inductance_h: float
     torque_constant_nm_per_a: float
@@ -70,12 +80,7 @@ class DCMotor(Plant):
                     "initial_speed_rad_per_s", "settling_band", "amplitude_v", "clock_s")  # fmt: skip
         not_negative = ("shaft_damping_nms_per_rad", "motor_viscous_nms_per_rad", "load_viscous_nms_per_rad",
                         "coulomb_torque_nm", "dead_zone_v", "speed_noise_variance")  # fmt: skip
-        for name in positive:
-            value = getattr(self, name)
-            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
-        for name in not_negative:
-            value = getattr(self, name)
-            require(0 <= value < np.inf, name, value, "must not be negative", "use 0 to leave the effect out")
+        check_signs(self, positive, not_negative)
         electrical_s = self.inductance_h / self.resistance_ohm
         require(
             self.solver_step_s <= electrical_s,
@@ -84,27 +89,6 @@ class DCMotor(Plant):
             f"longer than the armature's time constant of {electrical_s:.3g} s, where the series turns unstable",
             "shorten it",
         )
-
-    @property
-    def inputs(self) -> tuple[Channel, ...]:
-        return (Channel(name="armature_voltage", unit="V"),)
-
-    @property
-    def outputs(self) -> tuple[Channel, ...]:
-        return (Channel(name="load_speed", unit="rad/s"),)
-
-    @property
-    def states(self) -> tuple[Channel, ...]:
-        return (
-            Channel(name="armature_current", unit="A"),
-            Channel(name="motor_speed", unit="rad/s"),
-            Channel(name="load_speed", unit="rad/s"),
-            Channel(name="shaft_twist", unit="rad"),
-        )
-
-    @property
-    def disturbances(self) -> tuple[Channel, ...]:
-        return (Channel(name="load_torque", unit="N m"),)
 
     @property
     def initial_range(self) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
 
@@ -21,7 +22,8 @@ class Equilibrium:
 class Plant(ABC):
     """`x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`: a sampled system under held input, physical units throughout.
 
-    Concrete plants are frozen keyword-only dataclasses, one file and one yaml each; wrappers are plants around a plant.
+    Concrete plants are frozen keyword-only dataclasses, one file and one yaml each, that name their signals as class
+    attributes; wrappers are plants around a plant.
     Laws (tested for every yaml): the equilibrium is a fixed point; a batch equals its rows; two halves equal the whole;
     `output(states_at(y)) = y`; `output` never sees the input that acts after it.
     """
@@ -98,3 +100,13 @@ class Plant(ABC):
             x[:, k], y[:, k] = state, self.output(state)
             state = self.advance(state, u[:, k], still if d is None else d[:, k])
         return x, y
+
+
+def check_signs(plant: Plant, positive: tuple[str, ...], not_negative: tuple[str, ...]) -> None:
+    """Raise `BadRequest` for a setting, by its name, that has the wrong sign or is not finite."""
+    for name in positive:
+        value = getattr(plant, name)
+        require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
+    for name in not_negative:
+        value = getattr(plant, name)
+        require(0 <= value < np.inf, name, value, "must not be negative", "use 0 to leave the effect out")

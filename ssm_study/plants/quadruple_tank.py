@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -24,6 +24,11 @@ class QuadrupleTank(Plant):
     State the levels (cm), inputs pump voltages (V), outputs the lower levels as sensor voltages (V), disturbances
     inflows to the lower tanks (cm^3/s); `settling_band` in V. Source: Johansson 2000, minimum-phase setting.
     """
+
+    inputs = (Channel(name="pump_1_voltage", unit="V"), Channel(name="pump_2_voltage", unit="V"))
+    outputs = (Channel(name="level_1_voltage", unit="V"), Channel(name="level_2_voltage", unit="V"))
+    states = tuple(Channel(name=f"level_{i}", unit="cm") for i in (1, 2, 3, 4))
+    disturbances = (Channel(name="inflow_1", unit="cm^3/s"), Channel(name="inflow_2", unit="cm^3/s"))
 
     area_cm2: Four
     outlet_cm2: Four
@@ -46,31 +51,9 @@ class QuadrupleTank(Plant):
             require(good, name, values, f"{count} positive numbers are needed", "give one per tank or pump")
         shares = self.share_below
         require(len(shares) == 2 and all(0 < s < 1 for s in shares), "share_below", shares, "not in (0, 1)", "use 0.6")
-        names = ("sensor_v_per_cm", "step_s", "initial_level_v", "settling_band", "amplitude_v", "clock_s")
-        for name in names:
-            value = getattr(self, name)
-            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
-        noise = self.level_noise_variance
-        require(
-            0 <= noise < np.inf, "level_noise_variance", noise, "a variance is never negative", "use 0 for no noise"
-        )
+        positive = ("sensor_v_per_cm", "step_s", "initial_level_v", "settling_band", "amplitude_v", "clock_s")
+        check_signs(self, positive, not_negative=("level_noise_variance",))
         require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 4")
-
-    @property
-    def inputs(self) -> tuple[Channel, ...]:
-        return Channel(name="pump_1_voltage", unit="V"), Channel(name="pump_2_voltage", unit="V")
-
-    @property
-    def outputs(self) -> tuple[Channel, ...]:
-        return Channel(name="level_1_voltage", unit="V"), Channel(name="level_2_voltage", unit="V")
-
-    @property
-    def states(self) -> tuple[Channel, ...]:
-        return tuple(Channel(name=f"level_{i}", unit="cm") for i in (1, 2, 3, 4))
-
-    @property
-    def disturbances(self) -> tuple[Channel, ...]:
-        return Channel(name="inflow_1", unit="cm^3/s"), Channel(name="inflow_2", unit="cm^3/s")
 
     @property
     def initial_range(self) -> tuple[float, float]:

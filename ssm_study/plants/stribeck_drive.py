@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -22,6 +22,11 @@ class StribeckDrive(Plant):
     `settling_band` in rad/s.
     Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994 (friction); the values are this project's.
     """
+
+    inputs = (Channel(name="current_command", unit="A"),)
+    outputs = (Channel(name="speed", unit="rad/s"),)
+    states = (Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s"))
+    disturbances = (Channel(name="load_torque", unit="N m"),)
 
     current_lag_s: float
     current_limit_a: float
@@ -40,34 +45,13 @@ class StribeckDrive(Plant):
     speed_noise_variance: float
 
     def __post_init__(self) -> None:
-        names = ("current_lag_s", "current_limit_a", "torque_constant_nm_per_a", "inertia_kgm2",
-                 "stribeck_speed_rad_per_s", "step_s", "initial_speed_rad_per_s", "settling_band", "amplitude_a",
-                 "clock_s")  # fmt: skip
-        for name in names:
-            value = getattr(self, name)
-            require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
-        for name in ("viscous_nms_per_rad", "coulomb_torque_nm", "speed_noise_variance"):
-            value = getattr(self, name)
-            require(0 <= value < np.inf, name, value, "must not be negative", "use 0 to leave the effect out")
+        positive = ("current_lag_s", "current_limit_a", "torque_constant_nm_per_a", "inertia_kgm2",
+                    "stribeck_speed_rad_per_s", "step_s", "initial_speed_rad_per_s", "settling_band", "amplitude_a",
+                    "clock_s")  # fmt: skip
+        check_signs(self, positive, ("viscous_nms_per_rad", "coulomb_torque_nm", "speed_noise_variance"))
         static = self.static_torque_nm
         require(static >= self.coulomb_torque_nm, "static_torque_nm", static, "below the Coulomb torque", "raise it")
         require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 20")
-
-    @property
-    def inputs(self) -> tuple[Channel, ...]:
-        return (Channel(name="current_command", unit="A"),)
-
-    @property
-    def outputs(self) -> tuple[Channel, ...]:
-        return (Channel(name="speed", unit="rad/s"),)
-
-    @property
-    def states(self) -> tuple[Channel, ...]:
-        return Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s")
-
-    @property
-    def disturbances(self) -> tuple[Channel, ...]:
-        return (Channel(name="load_torque", unit="N m"),)
 
     @property
     def initial_range(self) -> tuple[float, float]:
