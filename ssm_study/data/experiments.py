@@ -3,8 +3,9 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ssm_study.data.assembly import assemble
 from ssm_study.data.benchmark_files import benchmark_folder, file_in
-from ssm_study.data.recorded import RecordedSource, assembled, check_recorded
+from ssm_study.data.recorded import RecordedSource, check_recorded, rest_of
 from ssm_study.data.recording import Recording
 from ssm_study.data.scores import SCORES
 from ssm_study.refusal import require
@@ -50,14 +51,14 @@ class RecordedExperiments(RecordedSource):
 
     def build(self, seed: int) -> DataSet:
         training, validation, test = self._parts(self.located())
-        return assembled(
+        return assemble(
             training=training,
             validation=validation,
             test=test,
             inputs=self.training[0].inputs,
             outputs=self.training[0].outputs,
             start_up_samples=self.start_up_samples,
-            equilibrium=(self.equilibrium, self.input_equilibrium, self.output_equilibrium),
+            **rest_of(training, self.equilibrium, self.input_equilibrium, self.output_equilibrium),
             metadata={"source": "recorded", "benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
             | ({} if self.fold is None else {"held_out": f"fold {self.fold} of {self.folds}, of the training records"}),
         )

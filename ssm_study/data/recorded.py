@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ssm_study.data.assembly import assemble
 from ssm_study.data.recording import Names, Recording, listed
 from ssm_study.refusal import require
-from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.signals import DataSet, Trajectory
 
 
 class RecordedSource(ABC):
@@ -84,14 +84,15 @@ class RecordedData(RecordedSource):
             if own_test
             else [self._recording(p).read() for p in listed(self.test_path or ())]
         )
-        return assembled(
-            training=_named("training", [part[0] for part in parts]),
+        training = _named("training", [part[0] for part in parts])
+        return assemble(
+            training=training,
             validation=_named("validation", [part[1] for part in parts]),
             test=_named("test", test),
             inputs=logs[0].inputs,
             outputs=logs[0].outputs,
             start_up_samples=self.start_up_samples,
-            equilibrium=(self.equilibrium, self.input_equilibrium, self.output_equilibrium),
+            **rest_of(training, self.equilibrium, self.input_equilibrium, self.output_equilibrium),
             metadata={"source": "recorded", "path": ", ".join(listed(self.path)), "seed": str(seed)},
         )
 
@@ -118,30 +119,14 @@ def check_recorded(start_up_samples: int, equilibrium: str) -> None:
     require(equilibrium in known, "data.equilibrium", equilibrium, f"is none of {', '.join(known)}", "use one of these")
 
 
-def assembled(
-    *,
-    training: tuple[Trajectory, ...],
-    validation: tuple[Trajectory, ...],
-    test: tuple[Trajectory, ...],
-    inputs: tuple[Channel, ...],
-    outputs: tuple[Channel, ...],
-    start_up_samples: int,
-    equilibrium: tuple[str, list[float] | None, list[float] | None],
-    metadata: dict[str, str],
-) -> DataSet:
-    """A data set about the given `equilibrium`: the rule, and the input's and output's own if they are given."""
-    rule, u_given, y_given = equilibrium
-    return assemble(
-        training=training,
-        validation=validation,
-        test=test,
-        inputs=inputs,
-        outputs=outputs,
-        input_equilibrium=_rest([record.u for record in training], rule, u_given, "data.input_equilibrium"),
-        output_equilibrium=_rest([record.y for record in training], rule, y_given, "data.output_equilibrium"),
-        start_up_samples=start_up_samples,
-        metadata=metadata,
-    )
+def rest_of(
+    training: tuple[Trajectory, ...], rule: str, u_given: list[float] | None, y_given: list[float] | None
+) -> dict[str, Float[np.ndarray, "_"]]:
+    """The equilibrium of a data set, by the rule or as given: `input_equilibrium (m,)`, `output_equilibrium (p,)`."""
+    return {
+        "input_equilibrium": _rest([record.u for record in training], rule, u_given, "data.input_equilibrium"),
+        "output_equilibrium": _rest([record.y for record in training], rule, y_given, "data.output_equilibrium"),
+    }
 
 
 def _rest(
