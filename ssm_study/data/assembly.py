@@ -51,7 +51,7 @@ def _check(record: Trajectory, step_s: float, start_up_samples: int) -> None:
         f"{record.name} (samples)",
         len(record),
         f"no longer than the start-up window of {start_up_samples} samples",
-        "use a longer record or a shorter window",
+        "use a longer record or a smaller data.start_up_samples",
     )
     require(
         abs(record.step_s - step_s) <= SAME_STEP * step_s,

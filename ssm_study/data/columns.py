@@ -11,7 +11,7 @@ from ssm_study.data.csv_columns import read_csv
 from ssm_study.data.mat_columns import read_mat
 from ssm_study.data.mcap_columns import read_mcap_columns
 from ssm_study.data.parquet_columns import read_parquet
-from ssm_study.data.table import Table
+from ssm_study.data.table import INTERPOLATE, Table
 from ssm_study.refusal import BadRequest, require
 
 READERS: dict[str, Callable[[Path, list[str]], Table]] = {
@@ -68,4 +68,4 @@ def _check_finite(path: Path, table: Table, name: str, values: Float[np.ndarray,
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         where = f"{path.name}, column {name}, {table.row_word} {bad[0] + table.first_row}"
-        raise BadRequest(where, values[bad[0]], "not a finite number", "remove or interpolate such samples")
+        raise BadRequest(where, values[bad[0]], "not a finite number", INTERPOLATE)

@@ -8,10 +8,11 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from ssm_study.data.table import Table
+from ssm_study.data.table import INTERPOLATE, Table
 from ssm_study.refusal import BadRequest, require
 
 HEADER_BYTES = 1 << 20
+BAD_CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): .*invalid value '(.*)'", re.DOTALL)
 STATED_UNIT = re.compile(r"^(.*?)\s*\[([^\]]*)\]$")  # "speed [rad/s]"
 
 
@@ -19,9 +20,10 @@ def read_csv(path: Path, names: list[str]) -> Table:
     """The named columns; a header cell `speed [rad/s]` is column `speed` and states its unit."""
     raw_names = _header(path)
     plain = [_plain(raw) for raw in raw_names]
+    remedy = "write the names into the first line" if all(map(_is_number, plain)) else "name one of these"
     for name in names:
         found = plain.count(name)
-        require(found > 0, f"{path.name} (column)", name, f"the header has {_listing(plain)}", "name one of these")
+        require(found > 0, f"{path.name} (column)", name, f"the header has {_listing(plain)}", remedy)
         require(found == 1, f"{path.name} (column)", name, f"the header has it {found} times", "rename the others")
     raw = {name: raw_names[plain.index(name)] for name in names}
     table = _parse(path, list(raw.values()))
@@ -53,6 +55,14 @@ def _plain(raw: str) -> str:
     return match[1] if match else raw.strip()
 
 
+def _is_number(name: str) -> bool:
+    try:
+        float(name)
+    except ValueError:
+        return False
+    return True
+
+
 def _listing(names: list[str]) -> str:
     shown = [name for name in names if name][:12]
     return ", ".join(shown) + (" ..." if len(names) > len(shown) + 1 else "")
@@ -70,6 +80,11 @@ def _parse(path: Path, raw_names: list[str]) -> pa.Table:
         )
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
+        cell, header = BAD_CELL.search(str(error)), _header(path)
+        if cell and int(cell[1]) < len(header):
+            name = _plain(header[int(cell[1])])
+            where = f"{path.name}, column {name}, line {cell[2]}"
+            raise BadRequest(where, cell[3], "no number", "correct the file there") from error
         raise BadRequest(path.name, reason, "a row that does not fit", "correct the file there") from error
 
 
@@ -77,5 +92,5 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> np.ndarray:
     values = column.to_numpy()
     if column.null_count:
         line = 2 + int(np.flatnonzero(column.is_null().to_numpy())[0])
-        raise BadRequest(f"{path.name}, column {name}, line {line}", "(empty)", "no number", "fill or remove the row")
+        raise BadRequest(f"{path.name}, column {name}, line {line}", "(empty)", "no number", INTERPOLATE)
     return np.ascontiguousarray(values, dtype=np.float64)

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from ssm_study.data.table import Table
+from ssm_study.data.table import INTERPOLATE, Table
 from ssm_study.refusal import BadRequest, require
 
 
@@ -41,5 +41,5 @@ def _check_field(path: Path, schema: pa.Schema, name: str) -> None:
 def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> np.ndarray:
     if column.null_count:
         row = int(np.flatnonzero(column.is_null().to_numpy())[0])
-        raise BadRequest(f"{path.name}, column {name}, row {row}", "null", "no number", "fill or remove the row")
+        raise BadRequest(f"{path.name}, column {name}, row {row}", "null", "no number", INTERPOLATE)
     return np.ascontiguousarray(column.to_numpy(), dtype=np.float64)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+INTERPOLATE = "interpolate it (a row taken out would shift the time of all that follow)"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Table:

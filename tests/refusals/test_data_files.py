@@ -59,22 +59,23 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize(
     ("edit", "says"),
     [
-        (lambda rows: [*rows[:50], rows[50].replace(",", ",x", 1), *rows[51:]], r"Row #51.*x"),
+        (lambda rows: [*rows[:50], rows[50].replace(",", ",x", 1), *rows[51:]], r"column u, line 51 = x.*: no number"),
+        (lambda rows: rows[1:], r"log.csv \(column\) = u: the header has 0.0, .*; write the names"),
         (lambda rows: [*rows[:50], rows[50] + ",1.0", *rows[51:]], r"Row #51: Expected 3 columns, got 4"),
         (lambda rows: [*rows[:50], rows[50].rsplit(",", 1)[0], *rows[51:]], r"Row #51: Expected 3 columns, got 2"),
         (lambda rows: [rows[0]] + [row + ",7" for row in rows[1:]], r"Expected 3 columns, got 4"),
         (lambda rows: [row.replace(",", ";") for row in rows], r"semicolons"),
         (lambda rows: ["t,u,speed", *rows[1:]], r"log.csv \(column\) = y: the header has t, u, speed"),
         (lambda rows: ["y,u,y", *rows[1:]], r"2 times"),
-        (lambda rows: [*rows[:50], "0.49,,1.0", *rows[51:]], r"column u, line 51 = \(empty\)"),
+        (lambda rows: [*rows[:50], "0.49,,1.0", *rows[51:]], r"column u, line 51 = \(empty\).*interpolate"),
         (lambda rows: [*rows[:50], "0.49,nan,1.0", *rows[51:]], r"column u, line 51 = nan"),
         (lambda rows: [*rows[:50], "0.49,1.0,inf", *rows[51:]], r"column y, line 51 = inf"),
         (lambda rows: rows[:1], r"log.csv = .*Empty CSV"),
         (lambda _: [], r"no header"),
         (lambda rows: [rows[0], "\0\0", *rows[1:]], r"NUL"),
     ],
-    ids=["text", "long row", "short row", "shifted", "semicolons", "missing column", "duplicate", "empty cell", "nan",
-         "inf", "no rows", "empty file", "nul"],
+    ids=["text", "no names", "long row", "short row", "shifted", "semicolons", "missing column", "duplicate", "empty cell",
+         "nan", "inf", "no rows", "empty file", "nul"],
 )  # fmt: skip
 def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(BadRequest, match=says) as refusal:
