@@ -7,6 +7,7 @@ import pytest
 
 from ssm_study.bounds import worst_case
 from ssm_study.bounds.hankel import balance, hankel_singular_values
+from ssm_study.bounds.networks import spectral_norm_bound
 from ssm_study.bounds.piecewise import slope_values
 from ssm_study.models.network import Network
 from ssm_study.refusal import BadRequest
@@ -58,3 +59,16 @@ def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> 
         balance(linear)
     assert refused.value.value == pytest.approx(values[2], rel=1e-3)
     assert balance(linear, 2).linear.order == 2
+
+
+def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slopes() -> None:
+    """`2 x 0.5 x 0.1` below and `3 x 4 x 1` above; nothing of it is a ball."""
+    net = Network(
+        weights=(np.diag([2.0, -3.0]), np.diag([0.5, 4.0])),
+        biases=(np.ones(2),),
+        negative_slopes=(np.array([0.1, 0.2]),),
+        positive_slopes=(np.array([1.0, 0.9]),),
+    )
+    bound = spectral_norm_bound(net)
+    assert (bound.lower, bound.upper) == pytest.approx((0.1, 12.0))
+    assert (bound.ball, bound.sound_lower, bound.sound_upper) == (None, False, True)

@@ -134,3 +134,16 @@ def test_each_cheap_route_decides_alone_what_it_is_for() -> None:
 )
 def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
     assert not exact.is_positive_definite(fmpq_mat(rows))
+
+
+def test_an_inverse_factor_beyond_the_floats_proves_nothing() -> None:
+    """`L L^T` with `2^-20` beside ones, exact in floats: L's inverse grows by `2^20` a row; elimination decides."""
+    factor = 2.0**-20 * np.eye(56) + np.diag(np.ones(55), -1)
+    floats = factor @ factor.T
+    integer, _ = exact.rational(floats).numer_denom()
+    np.testing.assert_array_equal(np.linalg.cholesky(floats), factor)
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert not exact._proved_by_dominance(integer, floats)
+        assert exact.is_positive_definite(exact.rational(floats))
+        floats[-1, -1] = 1.0  # the last pivot is zero
+        assert not exact.is_positive_definite(exact.rational(floats))
