@@ -15,7 +15,7 @@ from collections import Counter
 
 import numpy as np
 import scipy.linalg
-from synthesis_certified import instances, keep
+from synthesis_certified import instances, keep, named, told
 from synthesis_instances import Instance
 
 from ssm_study.synthesis import exact
@@ -76,18 +76,10 @@ def row(gap: float, cases: list[Instance]) -> dict[str, object]:
         said.append(opinion(case))
         seconds.append(time.perf_counter() - started)
     right, wrong = (FEASIBLE, INFEASIBLE) if gap > 0 else (INFEASIBLE, FEASIBLE)
-    counts, orders = Counter(said), [case.linear.order for case in cases]
-    missed = [f"n={c.linear.order} {c.kind}" for c, word in zip(cases, said, strict=True) if word != right]
-    return {
-        "set": "random",
-        "method": "modal_lmi_alone",
-        "gap": gap,
-        "instances": len(cases),
-        "certified": counts[FEASIBLE],
-        "share_percent": 100 * counts[FEASIBLE] / len(cases),
-        "seconds_median": f"{np.median(seconds):.6f}",
-        "orders": f"{min(orders)}-{max(orders)}",
-        "misses": "; ".join(missed[:8]),
+    counts, models = Counter(said), [(case.linear.order, case.kind) for case in cases]
+    row = told(("random", "modal_lmi_alone", gap), models, [word == FEASIBLE for word in said], seconds)
+    return row | {
+        "misses": named([model for model, word in zip(models, said, strict=True) if word != right]),
         "agrees": counts[right],
         "cannot_tell": counts[CANNOT_TELL],
         "contradicts": counts[wrong],

@@ -2,8 +2,8 @@
 
 Writes `results/reference/certificates/certified.csv`, one row per (set, method, gap): how many of how many were
 certified, in how much time. A gap below zero lies beyond the frontier: nothing may be certified there. Options:
-`--count N` per gap, `--gaps g ...`,
-`--orders low high`, `--set random|mixed|trained`, `--methods a,b`; rows of other runs are kept.
+`--count N` per gap, `--gaps g ...`, `--orders low high`, `--set random|mixed|trained`, `--methods a,b`; rows of other
+runs are kept.
 """
 
 import argparse
@@ -33,7 +33,8 @@ METHODS: dict[str, type[Synthesis]] = {
     "lmi": LmiSynthesis,
 }
 GAPS = (0.001, 0.0001, 0.01, 0.1, 0.5, -0.01)
-COLUMNS = ("set", "method", "gap", "instances", "certified", "share_percent", "seconds_median", "orders", "misses")
+KEY = ("set", "method", "gap")
+COLUMNS = (*KEY, "instances", "certified", "share_percent", "seconds_median", "orders", "misses")
 AGREEMENT = ("agrees", "cannot_tell", "contradicts")  # with the frontier: `synthesis_agreement.py`
 
 
@@ -76,19 +77,27 @@ def row(kind: str, method: str, gap: float, cases: list[Instance]) -> dict[str, 
         started = time.perf_counter()
         verdicts.append(certified(method, case))
         seconds.append(time.perf_counter() - started)
-    orders = [case.linear.order for case in cases]
-    missed = [f"n={case.linear.order} {case.kind}" for case, held in zip(cases, verdicts, strict=True) if not held]
-    return {
-        "set": kind,
-        "method": method,
-        "gap": gap,
-        "instances": len(cases),
-        "certified": sum(verdicts),
-        "share_percent": 100 * sum(verdicts) / len(cases),
+    return told((kind, method, gap), [(case.linear.order, case.kind) for case in cases], verdicts, seconds)
+
+
+def told(
+    key: tuple[str, str, float], models: list[tuple[int, str]], held: list[bool], seconds: list[float]
+) -> dict[str, object]:
+    """The line of one (set, method, gap): of which models, by order and kind, how many were certified, how fast."""
+    orders, missed = [order for order, _ in models], [model for model, ok in zip(models, held, strict=True) if not ok]
+    return dict(zip(KEY, key, strict=True)) | {
+        "instances": len(models),
+        "certified": sum(held),
+        "share_percent": 100 * sum(held) / len(models),
         "seconds_median": f"{np.median(seconds):.6f}",
         "orders": f"{min(orders)}-{max(orders)}",
-        "misses": "; ".join(missed[:8]) if gap > 0 else "",
+        "misses": named(missed) if key[2] > 0 else "",
     }
+
+
+def named(missed: list[tuple[int, str]]) -> str:
+    """The first few."""
+    return "; ".join(f"n={order} {kind}" for order, kind in missed[:8])
 
 
 def keep(new: dict[str, object]) -> None:
@@ -96,8 +105,7 @@ def keep(new: dict[str, object]) -> None:
     path = FOLDER / "certified.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = list(csv.DictReader(path.open())) if path.exists() else []
-    key = ("set", "method", "gap")
-    rows = [old for old in rows if tuple(old[k] for k in key) != tuple(str(new[k]) for k in key)]
+    rows = [old for old in rows if tuple(old[k] for k in KEY) != tuple(str(new[k]) for k in KEY)]
     rows.append({name: str(value) for name, value in new.items()})
     rows.sort(key=lambda r: (r["set"], r["method"], -float(r["gap"])))
     with path.open("w", newline="") as file:

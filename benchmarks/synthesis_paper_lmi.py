@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from synthesis_certified import FOLDER, GAPS, instances, keep
+from synthesis_certified import FOLDER, GAPS, instances, keep, told
 from synthesis_instances import Instance
 from synthesis_times import write
 
@@ -67,20 +67,9 @@ def solve(cases: Cases, minutes: float) -> None:
 
 
 def count(gap: float, rows: list[Row]) -> dict[str, object]:
-    held = [row for row in rows if row["certified"] == "True"]
-    missed = [f"n={row['order']} {row['kind']}" for row in rows if row["certified"] != "True"]
-    orders = [int(row["order"]) for row in rows]
-    return {
-        "set": "random",
-        "method": "paper_lmi",
-        "gap": gap,
-        "instances": len(rows),
-        "certified": len(held),
-        "share_percent": 100 * len(held) / len(rows),
-        "seconds_median": f"{np.median([float(row['seconds']) for row in rows]):.6f}",
-        "orders": f"{min(orders)}-{max(orders)}",
-        "misses": "; ".join(missed[:8]) if gap > 0 else "",
-    }
+    models = [(int(row["order"]), row["kind"]) for row in rows]
+    held, seconds = [row["certified"] == "True" for row in rows], [float(row["seconds"]) for row in rows]
+    return told(("random", "paper_lmi", gap), models, held, seconds)
 
 
 def by_order(cases: Cases, rows: list[Row]) -> list[dict[str, object]]:

@@ -104,6 +104,8 @@ class PRBS(Excitation):
     elsewhere. Two levels show a static input nonlinearity at two points only: its slopes are not identifiable.
     """
 
+    kind = "prbs"
+
     register_bits: int
     amplitude: Amplitude = None
     clock_s: float | None = None
@@ -112,10 +114,6 @@ class PRBS(Excitation):
         check_common(self.amplitude, self.clock_s)
         bits = self.register_bits
         require(2 <= bits <= 32, "excitation.register_bits", bits, "a register has 2 to 32 bits", "use 9 or so")
-
-    @property
-    def kind(self) -> str:
-        return "prbs"
 
     def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         hold = clock_samples(request.clock_s, request.step_s)
@@ -136,6 +134,8 @@ class APRBS(Excitation):
     A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity can be identified.
     """
 
+    kind = "aprbs"
+
     longest_hold_clocks: int
     amplitude: Amplitude = None
     clock_s: float | None = None
@@ -144,10 +144,6 @@ class APRBS(Excitation):
         check_common(self.amplitude, self.clock_s)
         longest = self.longest_hold_clocks
         require(longest >= 1, "excitation.longest_hold_clocks", longest, "must be at least one", "use 5 or so")
-
-    @property
-    def kind(self) -> str:
-        return "aprbs"
 
     def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         clock = clock_samples(request.clock_s, request.step_s)

@@ -21,6 +21,8 @@ class Multisine(Excitation):
     `band_high_hz` None is `0.5 / clock_s`. Source: Pintelon & Schoukens 2012, sec. 5.3; Van der Ouderaa et al. 1988.
     """
 
+    kind = "multisine"
+
     band_low_hz: float | None = None
     band_high_hz: float | None = None
     crest_iterations: int = 100
@@ -37,10 +39,6 @@ class Multisine(Excitation):
         require(ordered, "excitation.band_low_hz", low, f"not below band_high_hz = {high}", "swap them")
         rounds = self.crest_iterations
         require(rounds >= 0, "excitation.crest_iterations", rounds, "must not be negative", "use 0 for random phases")
-
-    @property
-    def kind(self) -> str:
-        return "multisine"
 
     def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         frequencies = np.fft.rfftfreq(request.samples, request.step_s)

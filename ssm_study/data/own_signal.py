@@ -20,14 +20,12 @@ class OwnSignal(Excitation):
     scales each column to that peak.
     """
 
+    kind = "file"
+
     path: str
     column: Names
     amplitude: Amplitude = None
     clock_s: float | None = None
-
-    @property
-    def kind(self) -> str:
-        return "file"
 
     def signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         values = self._values(request)

@@ -17,6 +17,8 @@ class Chirp(Excitation):
     is `0.5 / clock_s`.
     """
 
+    kind = "chirp"
+
     low_hz: float | None = None
     high_hz: float | None = None
     amplitude: Amplitude = None
@@ -30,10 +32,6 @@ class Chirp(Excitation):
         low, high = self.low_hz, self.high_hz
         ordered = low is None or high is None or low < high
         require(ordered, "excitation.low_hz", low, f"not below high_hz = {high}", "swap them")
-
-    @property
-    def kind(self) -> str:
-        return "chirp"
 
     def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         t = np.arange(request.samples) * request.step_s
@@ -54,6 +52,8 @@ class Staircase(Excitation):
     Shows the static map: long holds let each level settle. Every channel starts at a random point of the climb.
     """
 
+    kind = "staircase"
+
     levels: int
     hold_clocks: int
     amplitude: Amplitude = None
@@ -65,10 +65,6 @@ class Staircase(Excitation):
         require(
             self.hold_clocks >= 1, "excitation.hold_clocks", self.hold_clocks, "must be at least one", "use 5 or so"
         )
-
-    @property
-    def kind(self) -> str:
-        return "staircase"
 
     def unit_signal(self, request: Request, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         hold = self.hold_clocks * clock_samples(request.clock_s, request.step_s)
