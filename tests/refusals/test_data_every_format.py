@@ -14,7 +14,7 @@ from scipy.io import savemat
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import Channel
+from ssm_study.signals import Channel, DataSet
 
 T = 200
 RNG = np.random.default_rng(0)
@@ -41,9 +41,9 @@ def written(folder: Path, suffix: str, columns: dict[str, np.ndarray], unit: str
     return path
 
 
-def build(path: Path, **changes: object) -> None:
+def build(path: Path, **changes: object) -> DataSet:
     fields: dict[str, object] = {"path": str(path), "input": "u", "output": "y", "step_s": 0.01}
-    RecordedData(**(fields | changes)).build(0)  # type: ignore[arg-type]
+    return RecordedData(**(fields | changes)).build(0)  # type: ignore[arg-type]
 
 
 def refused(path: Path, says: str, **changes: object) -> None:
@@ -77,7 +77,7 @@ def test_text_in_a_number_column_of_parquet(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", STATING)
 def test_a_declared_unit_that_the_file_contradicts(tmp_path: Path, suffix: str) -> None:
     path = written(tmp_path, suffix, GOOD, unit="rad/s")
-    build(path, output_unit="rad/s")
+    assert build(path, output_unit="rad/s").outputs[0].unit == "rad/s"
     refused(path, rf"unit of y = rpm: log\{suffix} states rad/s; declare the unit", output_unit="rpm")
 
 
