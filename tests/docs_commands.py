@@ -122,7 +122,7 @@ def maker(study: str) -> str | None:
 
 def small(arguments: list[str], written: Path | None = None) -> list[str]:
     """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the reader's own."""
-    if "experiment=smoke" in arguments or "--help" in arguments:
+    if {"experiment=smoke", "--help", "--cfg"} & set(arguments):
         return arguments
     searching = "hydra/sweeper=search" in arguments
     words = [word if word.startswith("-") or searching else first_value(word) for word in arguments]

@@ -74,8 +74,8 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
         (lambda _: [], r"no header"),
         (lambda rows: [rows[0], "\0\0", *rows[1:]], r"NUL"),
     ],
-    ids=["text", "no names", "long row", "short row", "shifted", "semicolons", "missing column", "duplicate", "empty cell",
-         "nan", "inf", "no rows", "empty file", "nul"],
+    ids=["text", "no names", "long row", "short row", "shifted", "semicolons", "missing column", "duplicate",
+         "empty cell", "nan", "inf", "no rows", "empty file", "nul"],
 )  # fmt: skip
 def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(BadRequest, match=says) as refusal:
