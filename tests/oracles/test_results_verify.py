@@ -18,7 +18,7 @@ from ssm_study.data.mcap import write_mcap
 from ssm_study.data.mcap_reading import read_mcap
 from ssm_study.results import verify as verification
 from ssm_study.results.facts import design_facts
-from ssm_study.results.recordings import read_simulation
+from ssm_study.results.recordings import read_rollouts, read_simulation
 from ssm_study.results.records import read_record, write_record
 from ssm_study.results.verify import verify
 from ssm_study.synthesis.certificate import Design, digest
@@ -154,6 +154,17 @@ def test_verify_says_why_a_part_has_no_certificate(copied_run: Path) -> None:
     assert said.holds
     assert said.found.endswith("without certificate: riccati; a near miss")
     assert {"observer_certified", "uncertified_reason"} <= failing(copied_run)  # the record claims a certificate
+
+
+def test_the_input_counts_from_its_rest_and_is_no_claim_where_that_was_not_recorded(smoke_run: Path) -> None:
+    kept = read_rollouts(smoke_run / "closed_loop.mcap")
+    inputs = {"input_peak_v", "control_energy"}
+    zero, half, unknown = (
+        verification._behaviour(replace(kept, input_equilibrium=rest)) for rest in (np.zeros(1), np.full(1, 0.5), None)
+    )
+    assert zero.keys() - unknown.keys() == inputs
+    assert {name for name in zero if zero[name] != half[name]} == inputs
+    assert {name: zero[name] for name in unknown} == unknown
 
 
 def test_the_seal_says_what_it_found(copied_run: Path) -> None:

@@ -10,7 +10,7 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssm_study.synthesis import exact
+from ssm_study.synthesis import exact, modal_lmi
 from ssm_study.synthesis.certificate import Infeasible, StateFeedback
 from ssm_study.synthesis.closed_form import (
     SHARES,
@@ -110,6 +110,9 @@ def test_without_fast_modes_there_is_nothing_to_couple() -> None:
     problem = replace(cost_problem(), a=0.1 * np.eye(len(cost_problem().a)))
     with pytest.raises(NoSolution, match="no fast modes"):
         whole_solution(problem, 0.5, 1.0)
+    for found in (minimum_energy_solution(problem), modal_lmi.solve_on_fast_modes(problem, 0.5, "feasibility", "SCS")):
+        assert not found.k.any()  # the model contracts by itself
+        assert holds(problem, found)
 
 
 @given(SEEDS, st.integers(1, 2))
