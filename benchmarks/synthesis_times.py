@@ -11,6 +11,7 @@ import csv
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,16 +53,16 @@ def problem_of(order: int) -> Problem:
     return Problem(a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.1)
 
 
+def compiled(problem: Problem, objective: str, full: bool = False) -> CompiledLmi:
+    weights = {"state_weight": np.eye(len(problem.a)), "input_weight": 1.0}
+    return CompiledLmi(a=problem.a, b=problem.b, objective=objective, full=full, **weights)
+
+
 def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
-    n, ball = len(problem.a), problem.ball
+    ball = problem.ball
     values, vectors = np.linalg.eig(problem.a.astype(complex))
     b = np.linalg.solve(vectors, problem.b.astype(complex))[:, 0]
-    lmis = {
-        full: CompiledLmi(
-            a=problem.a, b=problem.b, objective="feasibility", full=full, state_weight=np.eye(n), input_weight=1.0
-        )
-        for full in (True, False)
-    }
+    lmis = {full: compiled(problem, "feasibility", full) for full in (True, False)}
     modal = ModalLmiSynthesis(rate_controller=problem.rate, rate_observer=0.5)
     solution = minimum_energy_solution(problem)
     certificate = (problem.a, problem.b, ball.alpha, ball.beta, problem.rate, solution.p, solution.y, solution.k, 1.0)
@@ -85,16 +86,18 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
 
 def milliseconds(task: Callable[[], object]) -> float:
     """One call; what takes less than `LONG_S` is the mean of many."""
-    started = time.process_time()
-    task()
-    once = time.process_time() - started
+    once = seconds(task)
     if once > LONG_S:
         return 1e3 * once
     calls = max(1, min(100, int(LONG_S / max(once, 1e-9))))
+    return 1e3 * seconds(task, calls) / calls
+
+
+def seconds(task: Callable[[], object], calls: int = 1) -> float:
     started = time.process_time()
     for _ in range(calls):
         task()
-    return 1e3 * (time.process_time() - started) / calls
+    return time.process_time() - started
 
 
 def timed(order: int) -> dict[str, object]:
@@ -113,32 +116,15 @@ def timed(order: int) -> dict[str, object]:
 def sweep(order: int, rates: int = 20) -> dict[str, object]:
     problem = problem_of(order)
     asked = np.linspace(0.1, 0.9, rates) * frontier(problem.a, problem.b, problem.ball).rate_limit
-    cases = [
-        Problem(
-            a=problem.a, b=problem.b, ball=problem.ball, rate=float(r), state_weight=np.eye(order), input_weight=1.0
-        )
-        for r in asked
-    ]
+    cases = [replace(problem, rate=float(r), state_weight=np.eye(order), input_weight=1.0) for r in asked]
 
-    def fresh() -> CompiledLmi:
-        return CompiledLmi(
-            a=problem.a,
-            b=problem.b,
-            objective="smallest_gain",
-            full=False,
-            state_weight=np.eye(order),
-            input_weight=1.0,
-        )
+    def through_one() -> None:
+        shared = compiled(problem, "smallest_gain")
+        for case in cases:
+            shared.solve(case)
 
-    started = time.process_time()
-    for case in cases:
-        fresh().solve(case)
-    apart = time.process_time() - started
-    started = time.process_time()
-    shared = fresh()
-    for case in cases:
-        shared.solve(case)
-    together = time.process_time() - started
+    apart = seconds(lambda: [compiled(problem, "smallest_gain").solve(case) for case in cases])
+    together = seconds(through_one)
     return {
         "order": order,
         "rates": rates,
