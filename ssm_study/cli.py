@@ -4,6 +4,7 @@ import argparse
 import gc
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
@@ -16,6 +17,7 @@ from omegaconf import DictConfig
 from ssm_study import __version__
 from ssm_study.refusal import BadRequest, require
 
+PYTHONS_WARNING = warnings.formatwarning
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
 COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -59,6 +61,14 @@ def refuse_more_threads_than_cores() -> None:
         require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
 
 
+def _warned(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Our own warnings are sentences for the user: without the line of code that gave them."""
+    ours = category.__module__.startswith("ssm_study")
+    return f"ssm-study: {message}\n" if ours else PYTHONS_WARNING(message, category, filename, lineno, line)
+
+
 def configuration_folder() -> Path:
     """Where the configuration lies: inside the installed package, or beside it in a clone."""
     package = Path(str(files("ssm_study")))
@@ -78,6 +88,7 @@ def run(overrides: list[str]) -> int:
 
     gc.enable()
     gc.freeze()
+    warnings.formatwarning = _warned
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     overrides = translate(overrides)

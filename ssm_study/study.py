@@ -64,6 +64,7 @@ def conclude_run(config: DictConfig) -> bool:
     """Gather the study, draw the run's figures and print how it went; True if the run failed."""
     from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
+    from ssm_study.report.study_folder import Study
 
     study = study_folder(config)
     gather(study)
@@ -71,7 +72,8 @@ def conclude_run(config: DictConfig) -> bool:
     record = read_record(study / name) or {}
     drawn = RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]  # a baseline closes no loop
     figures = draw(drawn, study) if record.get("status") == OK else []
-    print_outcome(record, figures)
+    best = Study(folder=study).best if figures else None
+    print_outcome(record, figures, drawn=best.path.name if best else None)
     return record.get("status") not in (OK, INFEASIBLE)
 
 

@@ -24,8 +24,13 @@ MISSING = "–"
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
 
 
-def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None) -> None:
-    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`)."""
+def print_outcome(
+    record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None, drawn: str | None = None
+) -> None:
+    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`).
+
+    The figures show the run `drawn`; where that is another one of the study, a line says so.
+    """
     console = console or Console()
     console = (
         console
@@ -35,6 +40,8 @@ def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), conso
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
+    if figures and drawn not in (None, record.get("run")):
+        console.print(Text(f"The study's best run, which its figures show, is {drawn}:"), soft_wrap=True)
     for path in figures:
         console.print(Text(f"  {_nearest(path)}"), soft_wrap=True, highlight=False)  # a path is never broken
 

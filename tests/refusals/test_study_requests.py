@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from ssm_study.advice import meant
-from ssm_study.cli import configuration_folder, main
+from ssm_study.cli import _warned, configuration_folder, main
+from ssm_study.data.coverage import SlopesNotIdentifiable
 from ssm_study.refusal import BadRequest
 from ssm_study.results.folders import run_folder, study_folder
 from ssm_study.results.records import write_record
@@ -183,3 +184,9 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.returncode == -signal.SIGINT
     assert ended.stderr == "ssm-study: interrupted; the same command again does what is missing\n"
+
+
+def test_our_own_warning_is_a_sentence() -> None:
+    told = _warned(SlopesNotIdentifiable("two levels only"), SlopesNotIdentifiable, "facts.py", 28)
+    assert told == "ssm-study: two levels only\n"
+    assert "facts.py:28" in _warned("of a library", UserWarning, "facts.py", 28)
