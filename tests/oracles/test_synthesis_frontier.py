@@ -157,6 +157,14 @@ def test_the_frontier_is_where_the_ratio_limit_crosses(seed: int, kind: str, inp
     assert ratio_limit(linear.a, linear.b, limit * (1 - 1e-6)) <= ratio * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("inputs", [1, 2, 3])
+def test_without_fast_modes_every_ball_is_allowed(inputs: int) -> None:
+    """`1 / sqrt(1 + 0)`: slower than the model contracts by itself, the input is not needed."""
+    linear = random_model(np.random.default_rng(0), 5, "stable", mixed=True, inputs=inputs)
+    assert ratio_limit(linear.a, linear.b, linear.spectral_radius * 1.01) == 1.0
+    assert ratio_limit(linear.a, linear.b, linear.spectral_radius * 0.99) < 1.0
+
+
 def test_two_decoupled_inputs_are_two_frontiers() -> None:
     """Each input has its own mode: the limit is the worse of two scalar ones, `r = ratio |lambda|`."""
     for ratio in (0.3, 0.7):
