@@ -40,8 +40,8 @@ SWEEP = (
 )
 AT_WORK = 0.75  # of the kills wait until jobs are at work
 EARLY = 0.6  # of the time the jobs took undisturbed: later hardly any is left to kill, and each attempt comes further
-# What a second attempt may change: when, where, how often.
 STUDY, STATE = "smoke", "state.json"
+# What a second attempt may change: when, where, how often.
 VOLATILE = (
     "trained_together",
     "attempt",
