@@ -104,7 +104,7 @@ class Fit(pl.LightningModule):
         self.log("fit_training_percent", fit_of_loss(self.last_loss) if math.isfinite(self.last_loss) else -math.inf)
 
     def configure_optimizers(self) -> Any:
-        optimiser = self.optimiser.build(self, self.max_epochs)
+        optimiser = self.optimiser.build(self)
         if isinstance(optimiser, LevenbergMarquardt):
             optimiser.residual, optimiser.seen = self.residual, self._note
         if isinstance(self.optimiser, Adam):

@@ -21,7 +21,7 @@ class OptimiserSpec(ABC):
         return self.steps_per_epoch
 
     @abstractmethod
-    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer: ...
+    def build(self, model: nn.Module) -> torch.optim.Optimizer: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Lbfgs(OptimiserSpec):
     def calls_per_epoch(self) -> int:
         return 1  # it iterates by itself
 
-    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - no schedule
+    def build(self, model: nn.Module) -> torch.optim.Optimizer:
         return torch.optim.LBFGS(
             trainable(model),
             max_iter=self.steps_per_epoch,
@@ -64,7 +64,7 @@ class Levenberg(OptimiserSpec):
             value = getattr(self, name)
             require(0 < value < math.inf, f"optimiser.{name}", value, "must be positive", "use 0.01 and 0.5")
 
-    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - no schedule
+    def build(self, model: nn.Module) -> torch.optim.Optimizer:
         named = [(name, p) for name, p in model.named_parameters() if p.requires_grad]
         return LevenbergMarquardt(named, self.damping, self.longest_step)
 
@@ -83,7 +83,7 @@ class Adam(OptimiserSpec):
         require(0 < final <= 1, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so")
         _check_steps(self.steps_per_epoch)
 
-    def build(self, model: nn.Module, max_epochs: int) -> torch.optim.Optimizer:  # noqa: ARG002 - see `schedule`
+    def build(self, model: nn.Module) -> torch.optim.Optimizer:
         return torch.optim.Adam(trainable(model), lr=self.learning_rate, fused=True)
 
     def schedule(self, optimiser: torch.optim.Optimizer, max_epochs: int) -> torch.optim.lr_scheduler.LRScheduler:

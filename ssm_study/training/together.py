@@ -68,7 +68,7 @@ class Member:
         self.fit = self.training.prepared(self.spec, self.data, self.seed)
         self.keeper = Keeper(self.training.validation_tolerance_percent)
         self.vector = Vector(self.fit)
-        self.optimiser = self.training.optimiser.build(self.vector, self.training.max_epochs)
+        self.optimiser = self.training.optimiser.build(self.vector)
         self.seconds = time.perf_counter() - began
 
     def kind(self) -> Hashable:
