@@ -77,17 +77,13 @@ def configuration_folder() -> Path:
 
 def run(overrides: list[str]) -> int:
     """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
-    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from ssm_study import study
     from ssm_study.advice import advised, refuse_dashes
-    from ssm_study.sweeps.request import check_request, translate
+    from ssm_study.sweeps.request import asks_only, check_request, translate
 
-    gc.enable()
-    gc.freeze()
     warnings.formatwarning = _warned
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
@@ -96,16 +92,28 @@ def run(overrides: list[str]) -> int:
     sys.argv = ["ssm-study run", *overrides]
     StudyCallback.conclude = None
     hydra_main = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
-    application = hydra_main(study.job)
     try:
-        check_request(overrides, configuration_folder(), "study")
-        application()
+        check_request(overrides, configuration_folder(), "study")  # what is loaded next takes five times as long
+        hydra_main(_nothing if asks_only(overrides) else _job())()
         return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
     except OSError as error:
         problem = error.strerror or type(error).__name__
         raise BadRequest("results_dir", error.filename, problem, "choose a folder that you may write to") from error
+
+
+def _nothing(_: DictConfig) -> None:
+    """For a request that Hydra answers by itself."""
+
+
+def _job() -> Callable[[DictConfig], Any]:
+    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
+    from ssm_study import study
+
+    gc.enable()
+    gc.freeze()
+    return study.job
 
 
 class StudyCallback(Callback):

@@ -31,13 +31,18 @@ def translate(arguments: list[str]) -> list[str]:
     return ["--multirun"] * many + [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
 
 
+def asks_only(arguments: list[str]) -> bool:
+    """Whether Hydra answers by itself: help, versions, the composed configuration."""
+    return any(word.split("=")[0] in JUST_ASKING for word in arguments)
+
+
 def check_request(arguments: list[str], folder: Path, name: str) -> None:
     """Compose what `hydra.main` will compose and refuse foreign targets in it, Hydra's own section included.
 
     Hydra instantiates callbacks, launcher and sweeper before any code of ours is asked; so this comes first.
     Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
-    if any(word.split("=")[0] in JUST_ASKING for word in arguments):
+    if asks_only(arguments):
         return
     setup_globals()
     asked = get_args_parser().parse_args(arguments)
