@@ -90,7 +90,7 @@ def run(overrides: list[str]) -> int:
     overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
     sys.argv = ["ssm-study run", *overrides]
-    StudyCallback.conclude = None
+    StudyCallback.conclude = StudyCallback.stop_watching = None
     hydra_main = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
     try:
         check_request(overrides, configuration_folder(), "study")  # what is loaded next takes five times as long
@@ -123,6 +123,7 @@ class StudyCallback(Callback):
     """
 
     conclude: Callable[[], bool] | None = None
+    stop_watching: Callable[[], None] | None = None
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
@@ -132,11 +133,11 @@ class StudyCallback(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
-        from ssm_study.sweeps.request import check_sweep, watch_sweep
+        from ssm_study.sweeps.request import check_sweep
 
         _refusing(lambda: study.check_retry(config))
         if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
-            _refusing(lambda: watch_sweep(check_sweep(config, study.job)))
+            _refusing(lambda: self._watch([job.folder for job in check_sweep(config, study.job)]))
 
     def on_run_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
@@ -146,8 +147,18 @@ class StudyCallback(Callback):
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         from ssm_study import study
 
+        if StudyCallback.stop_watching:
+            StudyCallback.stop_watching()  # its last line comes before the table
         if not config.dry_run:
             StudyCallback.conclude = partial(study.conclude_sweep, config)
+
+    def _watch(self, folders: list[Path]) -> None:
+        from ssm_study.sweeps.progress import Watch
+
+        if folders:
+            watch = Watch(folders)
+            watch.start()
+            StudyCallback.stop_watching = watch.finish
 
 
 def _refusing(check: Callable[[], object]) -> None:

@@ -12,7 +12,6 @@ from hydra.types import RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.results.allow_list import refuse_foreign_targets
-from ssm_study.sweeps.progress import Watch
 from ssm_study.sweeps.sweep import Job, check_all, jobs_of
 
 OPTIONS = {"--dry-run": ("hydra/launcher=processes", "dry_run=true"), "--retry-failed": ("retry_failed=true",)}
@@ -68,12 +67,6 @@ def check_sweep(config: DictConfig, task_function: TaskFunction) -> list[Job]:
     jobs = jobs_of(GlobalHydra.instance().config_loader(), config, combinations(words), 0)
     check_all(task_function, jobs)
     return jobs
-
-
-def watch_sweep(jobs: list[Job]) -> None:
-    """Say how far the sweep is, until this process ends; for launchers that do not say it themselves."""
-    if jobs:
-        Watch([job.folder for job in jobs]).start()
 
 
 def combinations(words: list[str]) -> list[list[str]]:
