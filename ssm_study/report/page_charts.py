@@ -121,8 +121,8 @@ def _points(panel: Panel, table: pd.DataFrame) -> alt.Chart:
         alt.Chart()
         .mark_point(filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data"))
         .encode(
-            x=_axis(alt.X, panel.x, table, panel.log_x),
-            y=_axis(alt.Y, panel.y, table, panel.log_y),
+            x=_axis(alt.X, panel.x, table, panel.log_x, [] if panel.rule_x is None else [panel.rule_x]),
+            y=_axis(alt.Y, panel.y, table, panel.log_y, [*_rule_height(panel, table), *_tick_heights(panel, table)]),
             color=alt.Color("verdict:N", scale=alt.Scale(domain=verdicts, range=colours), legend=None),
             shape=alt.Shape("verdict:N", scale=alt.Scale(domain=verdicts, range=shapes), legend=None),
             opacity=alt.condition(known, alt.value(0.85), alt.value(0.06)),
@@ -137,9 +137,7 @@ def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
     found = []
     if panel.rule_x is not None:
         found.append(_rule().encode(x=alt.datum(panel.rule_x)))
-    if panel.rule_y_column and column(table, panel.rule_y_column).notna().any():
-        height = float(column(table, panel.rule_y_column).median())
-        found.append(_rule().encode(y=alt.datum(height)))
+    found += [_rule().encode(y=alt.datum(height)) for height in _rule_height(panel, table)]
     if panel.tick_column:
         tick = alt.Chart(alt.NamedData("ticks")).mark_tick(
             orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8, aria=False,
@@ -150,16 +148,28 @@ def _rules(panel: Panel, table: pd.DataFrame) -> list[alt.Chart]:
     return found
 
 
+def _rule_height(panel: Panel, table: pd.DataFrame) -> list[float]:
+    known = column(table, panel.rule_y_column).dropna() if panel.rule_y_column else pd.Series(dtype=float)
+    return [] if known.empty else [float(known.median())]
+
+
+def _tick_heights(panel: Panel, table: pd.DataFrame) -> list[float]:
+    return list(column(table, panel.tick_column).dropna()) if panel.tick_column else []
+
+
 def _rule() -> alt.Chart:
     """One line: on the data of the points it would be drawn once per run."""
     return alt.Chart(alt.InlineData([{}])).mark_rule(strokeDash=[4, 3], color=style.GREY, aria=False)
 
 
-def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool) -> Any:
-    """Logarithmic only if all values allow it and they spread over more than a decade; a share from 0 to 1."""
+def _axis(kind: Any, name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> Any:
+    """Logarithmic only if all values allow it and they spread over more than a decade; a share from 0 to 1.
+
+    `beside`: what else is drawn on this axis, so has to lie on it.
+    """
     if name == "stable_fraction":
         return kind(f"{name}:Q", title=words(name), scale=alt.Scale(domain=[-0.05, 1.05], nice=False))
-    values = column(table, name).dropna()
+    values = pd.concat([column(table, name).dropna(), pd.Series(beside, dtype=float)])
     if values.nunique() == 1:  # an axis of one value would have no room around it
         only = float(values.iloc[0])
         room = 0.1 * abs(only) or 1.0

@@ -187,6 +187,19 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 
+def test_of_a_single_run_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:
+    """An axis around the run alone would leave the plant's own time, a limit or margin one far outside the figure."""
+    one = report_tables.table(60)
+    one = one[one["settling_time_open_loop_s"].notna() & one["settling_time_mean_s"].notna()].head(1)
+    browser.get(write_page(report_tables.write_study(tmp_path / "one", one)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    heights = browser.execute_script(
+        "return [...document.querySelectorAll('.chart canvas')].map((c) => c.clientHeight)"
+    )
+    assert len(heights) >= len(browser.execute_script("return DATA.panels"))
+    assert max(heights) < 400
+
+
 @pytest.mark.parametrize("table", [report_tables.empty(), report_tables.failures()], ids=["empty", "failures"])
 def test_a_study_without_results_still_has_a_page(browser: Any, tmp_path: Path, table: Any) -> None:
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
