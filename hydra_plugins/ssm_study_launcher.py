@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper, BasicSweeperConf
 from hydra.core.config_store import ConfigStore
@@ -36,7 +38,20 @@ ConfigStore.instance().store(group="hydra/sweeper", name="grid", node=GridConf, 
 
 
 class GridSweeper(BasicSweeper):
-    """Hydra's own grid, without composing every job once more: the launcher or the callback checks them all."""
+    """Hydra's own grid, without composing every job once more: the launcher or the callback checks them all.
+
+    A sweep that was only planned, or refused, leaves nothing behind.
+    """
+
+    def sweep(self, arguments: list[str]) -> Any:
+        try:
+            return super().sweep(arguments)
+        finally:
+            assert self.config is not None
+            folder = Path(self.config.hydra.sweep.dir)
+            if [path.name for path in folder.iterdir()] == ["multirun.yaml"]:
+                (folder / "multirun.yaml").unlink()
+                folder.rmdir()
 
     def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
         del batch

@@ -228,8 +228,9 @@ def test_run_names_do_not_depend_on_the_launcher(tmp_path: Path) -> None:
 
 
 def test_a_plan_starts_nothing(tmp_path: Path) -> None:
-    status, output = sweep(tmp_path, "seed=0,1", "rate=range(3)", "dry_run=true")
+    status, output = sweep(tmp_path, "seed=0,1", "rate=range(3)", "dry_run=true", "hydra/sweeper=grid")
     assert (status, records(tmp_path)) == (0, [])
+    assert not list((tmp_path / "results").rglob("multirun.yaml"))
     assert "6 runs: 0 finished, 6 to do" in output
     assert [line.split()[:4] for line in output.splitlines() if line.startswith(("data", "model"))] == [
         ["data", "2", "0", "2"],
