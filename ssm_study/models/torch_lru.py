@@ -60,7 +60,7 @@ class LRU(nn.Module):
         return respond(self.modes(), u, None if x0 is None else self.initial_state(x0))
 
     def modes(self) -> Modes:
-        """Free to explicit parameters: the only place that knows how stability is kept."""
+        """Free to explicit parameters; `SisoConvolution` begins with the same equations."""
         damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
         angle = torch.cat([self.flip, self.theta], -1) if self.reals else self.theta
         gain = torch.sqrt(-torch.expm1(-2 * damping))[..., None]
