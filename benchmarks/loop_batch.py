@@ -15,7 +15,7 @@ import hydra
 import numpy as np
 from hydra import compose, initialize_config_dir
 
-from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import Loop
 from ssm_study.synthesis.auto import Auto
@@ -36,7 +36,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         found = part["training"].identify(part["model"], data, 0, Path(folder), False)
     model = part["reduction"].reduce(found.model)
-    plant, design = part["plant"], Auto().design(model, *certified_balls(model), data.validation)
+    plant, design = part["plant"], Auto().design(model, certified_balls(model), data.validation)
     loop = Loop(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
     controller, (y0, noise) = ObserverFeedback.of(model, design), loop.draw(plant, 0)
     loop.simulate(plant, controller, y0[:2], noise[:2])  # compiles the plant's kernel

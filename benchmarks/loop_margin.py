@@ -18,14 +18,15 @@ from tempfile import TemporaryDirectory
 import hydra
 import pandas as pd
 from hydra import compose, initialize_config_dir
+from loop_margin_figures import NEEDED, roc, settling
 
-from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.design_grid import DesignGrid
-from ssm_study.loop.table import Identified
-from ssm_study.models.free_run import free_run
+from ssm_study.loop.peers.peer import Identified
+from ssm_study.models.metrics import free_run
 from ssm_study.report import style
 from ssm_study.report.figures import peers, robustness
-from ssm_study.report.margin_figures import NEEDED, roc, settling
+from ssm_study.report.study_folder import StudyFolder
 from ssm_study.signals import fit_percent
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -34,7 +35,7 @@ EXCEPTION = [
     *(*MODEL, "design", "rate_controller", "rate_observer", "gain_norm", "observer_gain_norm"),
     *("mismatch_gain", "mismatch_margin", "resolved_margin", "controller_radius"),
     *("stable_count", "stable_count_noise_free"),
-    *("left_bound_count", "middle_spread", "final_spread", "kind"),
+    *("left_bound_count", "unsettled_as", "kind"),
 ]
 GROUPS = ("plant", "excitation", "data", "model", "training", "reduction", "loop")
 
@@ -58,7 +59,7 @@ def designs(plant: str, order: int, seed: int) -> pd.DataFrame:
     rows = pd.DataFrame(DesignGrid().rows(part["plant"], known, part["loop"], seed))
     fit = fit_percent(test.y, free_run(model, test, data.start_up_samples), data.start_up_samples)
     about = {"plant": plant, "order": order, "seed": seed, "fit_test_percent": fit, "order_kept": model.order}
-    about |= {"slope_lower": known.balls[0].lower, "slope_upper": known.balls[0].upper}
+    about |= {"slope_lower": known.balls.input.lower, "slope_upper": known.balls.input.upper}
     about |= {"seconds": time.perf_counter() - started}
     return rows.assign(**about)
 
@@ -81,11 +82,11 @@ RULES = {
 def outcome(table: pd.DataFrame) -> pd.Series:
     """`settled`: all cases; `noisy`: all cases but for the noise; `slow`: still decaying; `lost`: none of these.
 
-    Lost designs left the bound or move as much in the last fifth of the horizon as in the middle one.
+    Lost designs left the bound, oscillate or drift.
     """
     settled = table.stable_count == table.initial_conditions
     noisy = table.stable_count_noise_free == table.initial_conditions
-    decaying = (table.left_bound_count == 0) & (table.final_spread < 0.9 * table.middle_spread)
+    decaying = table.unsettled_as == "slow"
     kind = pd.Series("lost", index=table.index).mask(decaying, "slow").mask(noisy, "noisy")
     return kind.mask(settled, "settled")
 
@@ -166,6 +167,13 @@ def pool(arguments: argparse.Namespace) -> None:
         content.to_csv(to / name, index=False, float_format="%.4g", compression=packed)
 
 
+def _of(comparison: pd.DataFrame) -> StudyFolder:
+    """A study of which only this table is known."""
+    study = StudyFolder(folder=Path())
+    vars(study)["comparison"] = comparison
+    return study
+
+
 def draw(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.folder)
     designs = pd.read_csv(folder / "margin_designs.csv.gz")
@@ -174,8 +182,8 @@ def draw(arguments: argparse.Namespace) -> None:
         figures = {
             "margin_roc": roc(designs),
             "margin_settling": settling(designs),
-            "peers": peers.figure(peers_table, peers_table["controller"]),
-            "robustness": robustness.figure(robustness_table),
+            "peers": peers.draw(_of(peers_table.assign(situation="nominal"))),
+            "robustness": robustness.draw(_of(robustness_table)),
         }
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=200, metadata={"Software": None})

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit
-
-from ssm_study.models.torch_recurrence import fast_length
+from scipy.fft import next_fast_len
 
 
 def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
@@ -14,7 +13,7 @@ def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
     import jax.numpy as jnp
 
     samples, rng = u.shape[1], np.random.default_rng(0)
-    length = fast_length(2 * samples - 1)
+    length = next_fast_len(2 * samples - 1, real=True)
     parameters = {
         "nu": jnp.log(-jnp.log(jnp.asarray(rng.uniform(0.5, 0.99, modes), jnp.float32))),
         "theta": jnp.asarray(rng.uniform(0.05, 1.5, modes), jnp.float32),

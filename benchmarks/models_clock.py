@@ -8,9 +8,15 @@ from collections.abc import Callable
 
 import torch
 
-from ssm_study.sweeps.server import ALLOCATOR, thread_limits
+from ssm_study.engine.server import thread_limits
 
 TURN_S = 0.03
+# What `engine.server.ALLOCATOR` says to a process that is running, for one that is about to start.
+ALLOCATOR = {
+    "MALLOC_MMAP_THRESHOLD_": "4294967296",
+    "MALLOC_TRIM_THRESHOLD_": "4294967296",
+    "MALLOC_TOP_PAD_": "67108864",
+}
 
 
 def as_in_a_run() -> None:

@@ -1,6 +1,7 @@
 """Peers of the recurrence, rewritten from their published code so that one run compares like with like."""
 
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor, nn
 
 
@@ -82,9 +83,7 @@ class BareFFT(nn.Module):
 
     def __init__(self, samples: int) -> None:
         super().__init__()
-        from ssm_study.models.torch_recurrence import fast_length
-
-        self.length = fast_length(2 * samples - 1)
+        self.length = next_fast_len(2 * samples - 1, real=True)
         self.gain = nn.Parameter(torch.ones(()))
 
     def forward(self, u: Tensor) -> Tensor:

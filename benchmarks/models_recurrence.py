@@ -18,8 +18,8 @@ from models_peers import BareFFT, DynoNetFilter, PublicLRU, Recurrent, StepLoop
 from torch import nn
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.start import on_ring
-from ssm_study.models.torch_lru import LRU
+from ssm_study.models.spec import on_ring
+from ssm_study.models.torch_ssm import LRU
 
 CASES = [(1_000, 8, 16), (10_000, 8, 16), (10_000, 64, 16), (10_000, 256, 16), (10_000, 256, 4), (100_000, 8, 16)]
 """Samples, modes, batch. The public scan holds several tables of batch x T x n complex numbers: 4.6 GB at most."""
@@ -42,7 +42,6 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     ours = LRU(start, feedthrough=False).float()
     evaluations = {
         "convolution": recurrence.by_convolution,
-        "convolution by autograd": recurrence.by_plain_convolution,
         "chunks": recurrence.by_chunks,
     }
     runs = {name: step(ours, lambda v, law=law: law(ours.modes(), v), u) for name, law in evaluations.items()}

@@ -64,23 +64,24 @@ LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
     "verdict": Group(
-        modules=_synthesis("exact", "verify", "certificate", "verdict", "problem"),
+        modules=_synthesis("exact", "theorem", "certificate", "design", "problem")
+        + _synthesis("theorems/state_feedback", "theorems/observer"),
         tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT}",
         planted=30,
     ),
     "methods": Group(
-        modules=_synthesis("frontier", "closed_form", "modal_gain", "modes", "slow_modes", "whole_metric", "doubling")
-        + _synthesis("riccati", "lmi", "modal_lmi", "paper_lmis", "design"),
+        modules=_synthesis("frontier", "theorems/minimum_energy", "modes")
+        + _synthesis("theorems/guaranteed_cost", "lmi"),
         tests=f"{ATTEMPTS} {REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
     "bounds": Group(modules=("bounds",), tests=f"{BOUNDS} {CONTRACTS}", planted=30),
     "choice": Group(
-        modules=_synthesis("auto", "area", "mismatch", "hinf_norm", "integral", "sensitivity"),
+        modules=_synthesis("auto", "area", "mismatch", "theorems/integral_action", "sensitivity"),
         tests=f"{CHOSEN} {INTEGRAL}",
         planted=20,
     ),
-    "claims": Group(modules=("results/verify.py",), tests=CLAIMS, planted=15),
+    "claims": Group(modules=("study/verify.py",), tests=CLAIMS, planted=15),
 }
 
 

@@ -1,7 +1,7 @@
 """The settings of our model on each benchmark, chosen without its test records.
 
     ssm-study run -m experiment=benchmark_choice
-    ssm-study run -m experiment=benchmark_rehearsal
+    ssm-study run --with benchmarks/rehearsal -m experiment=benchmark_rehearsal
     python benchmarks/plants_choice.py results/benchmark_choice [--out FOLDER]
     python benchmarks/plants_choice.py results/benchmark_rehearsal
 

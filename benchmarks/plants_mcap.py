@@ -13,8 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.signals import Channel
 
 OUT = Path(__file__).resolve().parents[1] / "results" / "reference" / "benchmarks" / "plants_mcap.csv"

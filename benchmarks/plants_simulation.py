@@ -7,6 +7,7 @@ minutes) at the tolerance that gives it the batched motor's accuracy, and scaled
 """
 
 import csv
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,9 +19,11 @@ import yaml
 from scipy.integrate import solve_ivp
 
 from ssm_study.plants.dc_motor import DCMotor
-from ssm_study.plants.dc_motor_exact import simulate_exactly
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))  # where oracles are
+from dc_motor_exact import simulate_exactly  # noqa: E402
+
 OUT = ROOT / "results" / "reference" / "benchmarks" / "plants_simulation.csv"
 CASES, SAMPLES = 64, 2000
 PART = 300  # samples of one trajectory that the slow routes are timed on

@@ -3,10 +3,10 @@
     python benchmarks/report_page.py [--runs 2000] [--rounds 3]
 
 Mouse and keys are sent through the DevTools protocol to a page of made-up runs of every kind; no graphics card. Per
-action, over all rounds: processor time of the page's main thread per step (one click, key or mouse move), which a busy
-machine does not inflate; the time from one drawn frame to the next, and the tasks that held the page for longer than
-50 ms (W3C Long Tasks), which it does. Writes `results/reference/benchmarks/report_page.csv`. Needs chromium and
-chromedriver.
+action, over all rounds: the time from a click to the frame that answers it; processor time of the page's main thread
+per step (one click, key or mouse move), which a busy machine does not inflate; the time from one drawn frame to the
+next, and the tasks that held the page for longer than 50 ms (W3C Long Tasks). Writes
+`results/reference/benchmarks/report_page.csv`. Needs chromium and chromedriver.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.report.page import write_page
+from ssm_study.report.page.writing import write_page
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "results" / "reference" / "benchmarks" / "report_page.csv"
@@ -34,14 +34,21 @@ new PerformanceObserver((list) => recorded.tasks.push(...list.getEntries().map((
 let last = performance.now();
 (function frame(now) { recorded.frames.push(now - last); last = now; requestAnimationFrame(frame); })(last);
 """
+ANSWER = """const done = arguments[arguments.length - 1], begun = performance.now();
+%s;
+requestAnimationFrame(() => setTimeout(() => done(performance.now() - begun)));"""  # in the same frame
 
 
 @dataclass
 class Hand:
-    """Clicks, types and drags; `cpu_ms` holds what the page's main thread computed for each step."""
+    """Clicks, types and drags.
+
+    `cpu_ms` holds what the page's main thread computed for each step, `answer_ms` the time until a click was answered.
+    """
 
     driver: Any
     cpu_ms: list[float] = field(default_factory=list)
+    answer_ms: list[float] = field(default_factory=list)
 
     def thread_s(self) -> float:
         metrics = self.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
@@ -62,7 +69,7 @@ class Hand:
 
     def script(self, script: str, *arguments: object, rest_s: float = REST_S / 2) -> None:
         with self.step(rest_s):
-            self.driver.execute_script(script, *arguments)
+            self.answer_ms.append(self.driver.execute_async_script(ANSWER % script, *arguments))
 
     def plot(self, steps: int) -> list[tuple[float, float]]:
         """A diagonal through the first plot, scrolled into view."""
@@ -90,8 +97,15 @@ def hover(hand: Hand) -> None:
 
 def sort(hand: Hand) -> None:
     hand.driver.execute_script("document.getElementById('runs').scrollIntoView()")
-    for name in ("fit_test_percent", "fit_test_percent", "mismatch_margin", "verdict", "run", "run"):
+    for name in ("fit_test_percent", "fit_test_percent", "settling_time_mean_s", "verdict", "run", "run"):
         hand.script(f"document.querySelector('[data-column={name}]').click()")
+
+
+def select(hand: Hand) -> None:
+    for setting in range(2):
+        for k in (1, 2, 0):
+            change = "s.selectedIndex = arguments[1]; s.dispatchEvent(new Event('change'))"
+            hand.script(f"const s = document.querySelectorAll('[data-select]')[arguments[0]]; {change}", setting, k)
 
 
 def search(hand: Hand) -> None:
@@ -113,6 +127,7 @@ def choose(hand: Hand) -> None:
 
 ACTIONS: dict[str, Callable[[Hand], None]] = {
     "sort": sort,
+    "select": select,
     "search": search,
     "tick outcomes": tick,
     "brush": brush,
@@ -121,8 +136,8 @@ ACTIONS: dict[str, Callable[[Hand], None]] = {
 }
 
 
-def measured(driver: Any, act: Callable[[Hand], None]) -> tuple[list[float], list[float], list[float]]:
-    """Frames, long tasks, processor time per step, in milliseconds; the page is put back afterwards."""
+def measured(driver: Any, act: Callable[[Hand], None]) -> tuple[list[float], ...]:
+    """Frames, long tasks, processor time and answer per step, in milliseconds; the page is put back afterwards."""
     hand = Hand(driver)
     driver.execute_script("recorded.frames = []; recorded.tasks = []")
     act(hand)
@@ -131,13 +146,13 @@ def measured(driver: Any, act: Callable[[Hand], None]) -> tuple[list[float], lis
     driver.execute_script("if (state.chosen >= 0) closeRun(); document.querySelector('#filters').reset()")
     driver.execute_script("state.sort = {column: null, descending: false}; changed()")
     time.sleep(REST_S)
-    return found["frames"], found["tasks"], hand.cpu_ms
+    return found["frames"], found["tasks"], hand.cpu_ms, hand.answer_ms
 
 
 def rows(page: Path, profile: Path, rounds: int) -> list[dict[str, object]]:
     from report_browser import chromium, wait_for
 
-    found: dict[str, tuple[list[float], ...]] = {name: ([], [], []) for name in ACTIONS}
+    found: dict[str, tuple[list[float], ...]] = {name: ([], [], [], []) for name in ACTIONS}
     with chromium(profile) as driver:
         driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
         driver.get(page.as_uri())
@@ -150,8 +165,13 @@ def rows(page: Path, profile: Path, rounds: int) -> list[dict[str, object]]:
     return [{"action": name, **told(*times)} for name, times in found.items()]
 
 
-def told(frames: list[float], tasks: list[float], cpu_ms: list[float]) -> dict[str, object]:
-    numbers = {
+def told(frames: list[float], tasks: list[float], cpu_ms: list[float], answer_ms: list[float]) -> dict[str, object]:
+    answers = {
+        "answer_ms_median": np.median,
+        "answer_ms_90_percent": lambda a: np.percentile(a, 90),
+        "answer_ms_worst": max,
+    }
+    numbers = {name: of(answer_ms) if answer_ms else np.nan for name, of in answers.items()} | {
         "cpu_ms_per_step_median": np.median(cpu_ms),
         "cpu_ms_per_step_worst": max(cpu_ms),
         "frame_ms_median": np.median(frames),
@@ -159,7 +179,7 @@ def told(frames: list[float], tasks: list[float], cpu_ms: list[float]) -> dict[s
         "longest_task_ms": max(tasks, default=0.0),
     }
     counts = {"steps": len(cpu_ms), "frames": len(frames), "long_tasks": len(tasks)}
-    return counts | {name: f"{value:.0f}" for name, value in numbers.items()}
+    return counts | {name: "" if np.isnan(value) else f"{value:.0f}" for name, value in numbers.items()}
 
 
 def main() -> None:

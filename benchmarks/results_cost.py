@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ssm_study.results.store import MANIFEST
+from ssm_study.engine.store import MANIFEST
 
 ACCOUNTS = Path("/sys/fs/cgroup/cpuacct")
 

@@ -1,18 +1,27 @@
-"""Gather 10,000 runs: seconds from cold, and again with nothing new.
+"""Gather 20,000 runs: processor seconds from cold, again, with one run changed, to show them and to report them.
 
-python benchmarks/results_gather.py --runs 10000
+The runs are records only, and alike but for their seeds: a page of runs that differ more is larger.
+
+python benchmarks/results_gather.py --runs 20000 --table results/reference/engine/gather.csv
 """
 
 import argparse
+import os
+import resource
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from ssm_study.results.columns import COLUMNS
-from ssm_study.results.gather import gather
-from ssm_study.results.provenance import provenance
-from ssm_study.results.records import write_record
-from ssm_study.results.show import plain_table, ranked
+from ssm_study.engine.provenance import provenance
+from ssm_study.engine.records import read_record, write_record
+from ssm_study.report.figures import draw
+from ssm_study.report.page.writing import write_page
+from ssm_study.table.columns import COLUMNS
+from ssm_study.table.gather import gather
+from ssm_study.table.rank import ranked
+from ssm_study.table.show import plain_table, summary
 
 VALUES = {"string": "word", "Int64": 8, "Float64": 0.123456789, "boolean": True}
 
@@ -22,33 +31,45 @@ def make(study: Path, runs: int) -> None:
     stages = {
         f"stage_{name}_{what}": "0" * 64 if what == "key" else 1.5 for name in "abcde" for what in ("key", "seconds")
     }
-    common = {column.name: VALUES[column.kind] for column in COLUMNS} | stages | provenance()
+    common: dict[str, Any] = {column.name: VALUES[column.kind] for column in COLUMNS} | stages
+    common |= provenance(("numpy", "torch"), Path(__file__))
     for number in range(runs):
         folder = study / f"order{number % 12}-width32-seed{number}-{number:010x}"
         folder.mkdir(parents=True)
         status = "ok" if number % 50 else "failed"
-        write_record(folder, common | {"run": folder.name, "status": status, "seed": number, "rmse_test": number / 7})
+        write_record(folder, common | {"run": folder.name, "status": status, "seed": number}, durable=False)
 
 
-def timed(study: Path) -> float:
-    begun = time.perf_counter()
-    table = gather(study)
-    print(f"  {len(table)} rows, {len(table.columns)} columns", end=" ")
-    return time.perf_counter() - begun
+def timed(step: Callable[[], object]) -> float:
+    begun = time.process_time()
+    step()
+    return round(time.process_time() - begun, 2)
+
+
+def measured(study: Path, runs: int) -> dict[str, float]:
+    """Processor seconds of each step, in order; last what reporting took beside them."""
+    make(study, runs)
+    found = {"first": timed(lambda: gather(study)), "again": timed(lambda: gather(study))}
+    one = next(study.glob("order*"))
+    write_record(one, (read_record(one) or {}) | {"seed": -1}, durable=False)
+    found["one_changed"] = timed(lambda: gather(study))
+    found |= {"show": timed(lambda: (plain_table(ranked(table := gather(study))), summary(table, runs)))}
+    found |= {"report": timed(lambda: (draw(None, study), write_page(study)))}
+    found["report_peak_MB"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)  # of this whole program
+    return found | {"page_MB": round((study / "report.html").stat().st_size / 1e6, 1), "load": os.getloadavg()[0]}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=10_000)
+    parser.add_argument("--runs", type=int, default=20_000)
+    parser.add_argument("--table", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        study = Path(scratch) / "study"
-        make(study, options.runs)
-        print(f"first: {timed(study):.1f} s")
-        print(f"again: {timed(study):.1f} s")
-        begun = time.perf_counter()
-        text = plain_table(ranked(gather(study), "rmse_test"), "rmse_test")
-        print(f"show:  {time.perf_counter() - begun:.1f} s for {len(text.splitlines())} lines")
+        found = measured(Path(scratch) / "study", options.runs)
+    rows = ["runs,step,value", *(f"{options.runs},{step},{seconds}" for step, seconds in found.items())]
+    print("\n".join(rows))
+    if options.table:
+        options.table.write_text("\n".join(rows) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,14 @@
 """Kill a study at random moments until it is finished, and compare it with one that nobody touched.
 
     python benchmarks/results_soak.py --kills 60 --damage --in /tmp/soak
+    python benchmarks/results_soak.py --sweeps 3 --minutes 8 --table results/reference/engine/soak.csv
 
 The study trains real models (experiment=smoke). Each attempt is the same command. Somewhere in it the sweep gets
-SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are at work. Between
+SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are at work. With
+`--sweeps 3` three such commands work on the study at once, and one of them is struck while the others go on. Between
 attempts a finished stage or record may in addition be truncated or have a bit flipped (--damage).
 Whenever a study is finished: its table equals the undisturbed one, every stage folder is intact, no process lives on.
-With `--in` the state is kept and the same command goes on (`--minutes` stops it between two kills). Edit nothing in the
+With `--in` the state is kept and the same command goes on; after `--minutes` no kill follows. Edit nothing in the
 package meanwhile: its stages would rightly be computed anew. So run it from a copy: git archive HEAD | tar x -C DIR.
 """
 
@@ -26,8 +28,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from ssm_study.results.gather import gather
-from ssm_study.results.store import MANIFEST, intact_manifest
+from ssm_study.engine.store import MANIFEST, intact_manifest
+from ssm_study.table.gather import gather
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PROGRAM = [sys.executable, "-m", "ssm_study.cli", "run", "-m", "experiment=smoke"]
@@ -43,7 +45,6 @@ EARLY = 0.6  # of the time the jobs took undisturbed: later hardly any is left t
 STUDY, STATE = "smoke", "state.json"
 # What a second attempt may change: when, where, how often.
 VOLATILE = (
-    "trained_together",
     "attempt",
     "ended_utc",
     "started_utc",
@@ -79,26 +80,27 @@ def processes_of(folder: Path) -> list[int]:
     return found
 
 
-def disturb(process: "subprocess.Popen[bytes]", folder: Path, rng: random.Random, done: "Soak") -> str:
+def disturb(sweeps: "list[subprocess.Popen[bytes]]", folder: Path, rng: random.Random, done: "Soak") -> str:
     """Wait a random while, then kill something; what was killed, or `finished` if nothing was left to kill."""
+    process = rng.choice(sweeps)
     if rng.random() < AT_WORK:
         until_at_work(process, folder)
         time.sleep(rng.uniform(0.0, EARLY * done.working_s))
     else:
         time.sleep(rng.uniform(0.0, done.longest_s - done.working_s))
-    if process.poll() is not None:
+    if all(sweep.poll() is not None for sweep in sweeps):
         return "finished"
+    if process.poll() is not None:  # one that found all its runs with the others
+        process = next(sweep for sweep in sweeps if sweep.poll() is None)
     target = rng.choice(["sweep KILL", "sweep KILL", "sweep TERM", "sweep INT", "job KILL", "job KILL"])
     if not target.startswith("job"):
         process.send_signal(getattr(signal, f"SIG{target.split()[1]}"))
-        process.wait(timeout=60)
-        return target
-    jobs = jobs_of(folder)
-    if not jobs:
-        process.wait(timeout=300)
-        return "nothing"
-    os.kill(rng.choice(jobs), signal.SIGKILL)
-    process.wait(timeout=300)
+    elif jobs := jobs_of(folder):
+        os.kill(rng.choice(jobs), signal.SIGKILL)
+    else:
+        target = "nothing"
+    for sweep in sweeps:
+        sweep.wait(timeout=300)
     return target
 
 
@@ -146,7 +148,7 @@ def stable_table(folder: Path) -> pd.DataFrame:
     return table.drop(columns=volatile).dropna(axis=1, how="all").sort_values("run", ignore_index=True)
 
 
-def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
+def soak(folder: Path, kills: int, damages: bool, until: float, sweeps: int = 1) -> "Soak":
     """Kill until `kills` have been dealt and the study is finished; raises AssertionError if a promise is broken."""
     done, undisturbed = Soak.read(folder), folder / "undisturbed"
     if not done.longest_s:
@@ -157,10 +159,10 @@ def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
         done.longest_s, done.working_s = time.monotonic() - begun, time.monotonic() - at_work
     while done.kills < kills and time.monotonic() < until:
         here = folder / f"round{done.rounds}"
-        process, rng = start(here), random.Random(done.counts.total())
-        done.counts[what := disturb(process, here, rng, done)] += 1
+        started, rng = [start(here) for _ in range(sweeps)], random.Random(done.counts.total())
+        done.counts[what := disturb(started, here, rng, done)] += 1
         if what == "finished":
-            assert process.returncode == 0
+            assert [sweep.returncode for sweep in started] == [0] * sweeps
             check(here, undisturbed, damages)
             shutil.rmtree(here)
             done.longest_s, done.working_s = 0.8 * done.longest_s, 0.8 * done.working_s  # too late: strike sooner
@@ -168,7 +170,7 @@ def soak(folder: Path, kills: int, damages: bool, until: float) -> "Soak":
         elif damages and rng.random() < 0.3:
             done.counts[damage(here, rng)] += 1
         done.write(folder)
-    if done.kills >= kills:
+    if (folder / f"round{done.rounds}").is_dir():
         check(folder / f"round{done.rounds}", undisturbed, damages)
         done.rounds += 1
     return done
@@ -223,13 +225,19 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--damage", action="store_true")
     parser.add_argument("--in", dest="folder", type=Path)
+    parser.add_argument("--sweeps", type=int, default=1)
+    parser.add_argument("--table", type=Path)
     parser.add_argument("--minutes", type=float, default=1e6)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = (options.folder or Path(scratch)).absolute()
-        done = soak(folder, options.kills, options.damage, time.monotonic() + 60 * options.minutes)
+        until = time.monotonic() + 60 * options.minutes
+        done = soak(folder, options.kills, options.damage, until, options.sweeps)
     print("\n".join(done.lines()))
-    raise SystemExit(0 if done.kills >= options.kills else 3)
+    if options.table:
+        rows = [f"{options.sweeps},{what},{number}" for what, number in sorted(done.counts.items())]
+        lines = ["sweeps_at_once,event,count", *rows, f"{options.sweeps},studies finished and equal,{done.rounds}"]
+        options.table.write_text("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

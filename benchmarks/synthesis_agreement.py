@@ -18,11 +18,10 @@ import scipy.linalg
 from synthesis_certified import instances, keep, named, told
 from synthesis_instances import Instance
 
-from ssm_study.synthesis import exact
-from ssm_study.synthesis.lmi import CompiledLmi
-from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
 from ssm_study.synthesis.modes import energy_root, split_modes
 from ssm_study.synthesis.problem import NoSolution, Problem
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 
 FEASIBLE, INFEASIBLE, CANNOT_TELL = "feasible", "infeasible", "cannot tell"
 TELLING = 1e-7  # Clarabel stops at 1e-8
@@ -31,7 +30,7 @@ GAPS = (0.01, -0.01)
 
 def on_fast_modes(case: Instance) -> Problem:
     """The asked inequality on its fast modes, balanced and scaled by 1/r. Nothing here knows the frontier."""
-    asked = ModalLmiSynthesis(rate_controller=case.rate, rate_observer=0.5).controller_problem(case.linear, case.ball)
+    asked = LmiSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(case.linear, case.ball)
     r = asked.contraction
     modes = split_modes(asked.a, asked.b, r)
     if modes.fast == 0:
@@ -61,9 +60,7 @@ def opinion(case: Instance) -> str:
         found = lmi.solve(problem)
     except NoSolution as nothing:
         return INFEASIBLE if "infeasible" in str(nothing) and "inaccurate" not in str(nothing) else CANNOT_TELL
-    ball = problem.ball
-    matrices = (problem.a, problem.b, ball.alpha, ball.beta, problem.rate, found.p, found.y, found.k, found.sigma)
-    if exact.is_positive_definite(exact.theorem_one(*matrices)):
+    if StateFeedbackOfBall.holds(**StateFeedbackOfBall.numbers_of(problem, found)):
         return FEASIBLE
     telling = lmi.problem.status == "optimal" and -lmi.problem.value < -TELLING
     return INFEASIBLE if telling else CANNOT_TELL

@@ -5,17 +5,21 @@ gradient search find from that centre, and their ratio (found over certified: on
 beside it the norm product of the paper over the upper end of the ball. Writes `certificates/bounds.csv`.
 """
 
+import sys
 import time
 from itertools import pairwise
+from pathlib import Path
 from statistics import median
 
 import numpy as np
 from synthesis_times import write
 
-from ssm_study.bounds.scaffolds import jacobian_ball
-from ssm_study.bounds.worst_case import worst_jacobian
-from ssm_study.models.network import Network
-from ssm_study.models.scaffold_mlp import MlpScaffold
+from ssm_study.bounds.network import Network
+from ssm_study.bounds.slopes import jacobian_ball
+from ssm_study.models.scaffolds.mlp import MlpScaffold
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # where oracles are
+from worst_case import worst_jacobian
 
 SHAPES = ((1, (8,)), (1, (32,)), (1, (8, 8)), (2, (8,)), (2, (32,)), (2, (8, 8)), (3, (16,)))
 COUNT, STARTS = 20, 6

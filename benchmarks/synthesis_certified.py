@@ -16,20 +16,17 @@ from pathlib import Path
 import numpy as np
 from synthesis_instances import Instance, random_instance
 
-from ssm_study.synthesis.closed_form import ClosedFormSynthesis
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
-from ssm_study.synthesis.paper_lmis import theorem_one_alone
-from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
 FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "certificates"
 METHODS: dict[str, type[Synthesis]] = {
     "closed_form": ClosedFormSynthesis,
     "riccati": RiccatiSynthesis,
-    "modal_lmi": ModalLmiSynthesis,
     "lmi": LmiSynthesis,
 }
 GAPS = (0.001, 0.0001, 0.01, 0.1, 0.5, -0.01)
@@ -65,7 +62,7 @@ def trained(gap: float, count: int) -> list[Instance]:
 
 def certified(method: str, case: Instance) -> bool:
     if method == "paper_lmi":
-        return theorem_one_alone(case.linear, case.ball, case.rate).certified
+        return paper_lmi(case.linear, case.ball, case.rate).certified
     options = {"objective": "feasibility"} if method == "lmi" else {}
     specification = METHODS[method](rate_controller=case.rate, rate_observer=0.5, **options)
     return specification.state_feedback(case.linear, case.ball).certified

@@ -13,11 +13,10 @@ from synthesis_certified import FOLDER, trained
 from synthesis_times import write
 
 from ssm_study.synthesis.certificate import StateFeedback
-from ssm_study.synthesis.closed_form import ClosedFormSynthesis
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.paper_lmis import paper_lmis
-from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
 FLOORS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
@@ -31,14 +30,14 @@ def feasibility_map(linear: StateSpace) -> list[dict[str, object]]:
         ball = JacobianBall.from_slopes(floor, 1.0)
         limit = frontier(linear.a, linear.b, ball).rate_limit
         for rate in RATES:
-            opinion, _ = paper_lmis(linear, ball, LINEAR_OUTPUT, float(rate), 0.5)
+            opinion = paper_lmi(linear, ball, float(rate))
             rows.append(
                 {
                     "slope_floor": floor,
                     "rate": f"{rate:.4f}",
                     "rate_limit": f"{limit:.6f}",
                     "inside": bool(rate < limit),
-                    "solver_status": opinion.status,
+                    "solver_status": opinion.solver_status,
                     "solver_certified": opinion.certified,
                 }
             )

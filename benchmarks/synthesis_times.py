@@ -18,15 +18,13 @@ import numpy as np
 import scipy.linalg
 from synthesis_instances import random_model
 
-from ssm_study.synthesis import exact
-from ssm_study.synthesis.closed_form import minimum_energy_gain, minimum_energy_solution
-from ssm_study.synthesis.doubling import solve_riccati
 from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.lmi import CompiledLmi
-from ssm_study.synthesis.modal_gain import modal_gain
-from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
+from ssm_study.synthesis.modes import solve_riccati
 from ssm_study.synthesis.problem import Problem
-from ssm_study.synthesis.riccati import at_tau, guaranteed_cost
+from ssm_study.synthesis.theorems.guaranteed_cost import at_tau, guaranteed_cost
+from ssm_study.synthesis.theorems.minimum_energy import minimum_energy_gain, minimum_energy_solution
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall
 
 FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "certificates"
@@ -34,7 +32,6 @@ ORDERS = (4, 8, 16, 32, 64, 128, 256, 512)
 LARGEST = {
     "paper_lmi_full": 32,
     "lmi_y_equals_p": 32,
-    "modal_lmi": 128,
     "exact_verification": 64,
     "riccati_search": 128,
     "scipy_dare": 512,
@@ -60,18 +57,13 @@ def compiled(problem: Problem, objective: str, full: bool = False) -> CompiledLm
 
 def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
     ball = problem.ball
-    values, vectors = np.linalg.eig(problem.a.astype(complex))
-    b = np.linalg.solve(vectors, problem.b.astype(complex))[:, 0]
     lmis = {full: compiled(problem, "feasibility", full) for full in (True, False)}
-    modal = ModalLmiSynthesis(rate_controller=problem.rate, rate_observer=0.5)
     solution = minimum_energy_solution(problem)
-    certificate = (problem.a, problem.b, ball.alpha, ball.beta, problem.rate, solution.p, solution.y, solution.k, 1.0)
+    certificate = StateFeedbackOfBall.numbers_of(problem, solution)
     kappa = np.eye(1) / 4.0
     return {
         "paper_lmi_full": lambda: lmis[True].solve(problem),
         "lmi_y_equals_p": lambda: lmis[False].solve(problem),
-        "modal_lmi": lambda: modal.solve(problem),
-        "closed_form_gain_from_modes": lambda: modal_gain(values, b, ball, problem.contraction),
         "closed_form_gain_from_matrices": lambda: minimum_energy_gain(problem.a, problem.b, ball, problem.contraction),
         "closed_form_with_metric": lambda: minimum_energy_solution(problem),
         "riccati_at_one_tau": lambda: at_tau(problem, 10.0),
@@ -80,7 +72,7 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
         "scipy_dare": lambda: scipy.linalg.solve_discrete_are(
             problem.a_hat, problem.b_hat, problem.state_weight, kappa
         ),
-        "exact_verification": lambda: exact.is_positive_definite(exact.theorem_one(*certificate)),
+        "exact_verification": lambda: StateFeedbackOfBall.holds(**certificate),
     }
 
 

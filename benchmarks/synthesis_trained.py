@@ -16,7 +16,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from ssm_study.bounds.scaffolds import jacobian_ball
+from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 

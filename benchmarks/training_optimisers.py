@@ -22,8 +22,8 @@ from models_clock import machine
 from scipy.signal import lfilter
 
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import Channel, DataSet, Trajectory
-from ssm_study.training import progress
+from ssm_study.signals import Channel, DataSet, Scale, Trajectory
+from ssm_study.training import saving
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "results" / "reference" / "training"
@@ -31,7 +31,7 @@ CURVES, TABLE = FOLDER / "optimiser_curves.csv", FOLDER / "optimisers.csv"
 EPOCHS = {"lbfgs": 60, "levenberg": 20, "adam": 30}  # each ends on its plateau
 SHARES = (95.0, 99.0, 99.9)
 
-progress.time.perf_counter = time.process_time  # type: ignore[assignment] # the machine is shared: CPU seconds
+saving.time.perf_counter = time.process_time  # type: ignore[assignment] # the machine is shared: CPU seconds
 
 
 def read(group: str, *overrides: str) -> Any:
@@ -65,7 +65,9 @@ def wiener_hammerstein(seed: int) -> DataSet:
     return DataSet(
         training=tuple(records[:8]), validation=(records[8],), test=(records[9],),
         inputs=(Channel(name="input", unit="1"),), outputs=(Channel(name="output", unit="1"),),
-        input_equilibrium=zero, output_equilibrium=zero, input_scale=np.array([1.2]), output_scale=scale,
+        scale=Scale(
+            input_equilibrium=zero, output_equilibrium=zero, input_scale=np.array([1.2]), output_scale=scale
+        ),
     )  # fmt: skip
 
 

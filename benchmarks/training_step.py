@@ -21,13 +21,12 @@ from models_peers import PublicLRU
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from ssm_study.models.scaffold_specs import Frame, Mlp
-from ssm_study.models.start import on_ring
-from ssm_study.models.torch_lift import Lift
-from ssm_study.models.torch_lru import LRU
-from ssm_study.models.torch_recurrence import by_plain_convolution
-from ssm_study.models.torch_scaffold import TorchIdentity
-from ssm_study.models.torch_ssm import TorchSSM
+from ssm_study.models.scaffolds.linear import Linear
+from ssm_study.models.scaffolds.mlp import Mlp
+from ssm_study.models.scaffolds.scaffold import Frame
+from ssm_study.models.spec import on_ring
+from ssm_study.models.torch_recurrence import by_convolution
+from ssm_study.models.torch_ssm import LRU, Lift, TorchSSM
 
 BATCH, SAMPLES, ORDER, WIDTH = 16, 5000, 16, 32
 TARGET = Path(__file__).resolve().parents[1] / "results" / "reference" / "training" / "step.csv"
@@ -49,7 +48,7 @@ def ours() -> TorchSSM:
     frame = Frame(width=WIDTH, slopes=(0.01, 1.0), samples=rng.normal(size=(1000, 1)))
     scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(frame, rng)
     lru = LRU(on_ring(ORDER, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), rng), feedthrough=False)
-    return TorchSSM(scaffold, lru, TorchIdentity(1)).float()
+    return TorchSSM(scaffold, lru, Linear().build(frame, rng)).float()
 
 
 def stepper(parameters: list[nn.Parameter], forward: Callable[[], Tensor], y: Tensor) -> Callable[[], None]:
@@ -71,13 +70,13 @@ def contenders() -> dict[str, Callable[[], None]]:
     fast, fft, public, plain, plain_fft = ours(), ours(), PublicLRU(ORDER // 2), PlainMlp(), PlainMlp()
     lifted, levels = Lift(u), Lift(held)
     return {
-        "ours": stepper(list(fast.parameters()), lambda: fast.respond(lifted(fast.scaffold_in)), y),
+        "ours": stepper(list(fast.parameters()), lambda: fast(u, lifted=lifted(fast.scaffold_in)), y),
         "ours, input held for 20 samples": stepper(
-            list(fast.parameters()), lambda: fast.respond(levels(fast.scaffold_in)), y
+            list(fast.parameters()), lambda: fast(held, lifted=levels(fast.scaffold_in)), y
         ),
         "plain eager FFT": stepper(
             [*fft.lru.parameters(), *plain_fft.parameters()],
-            lambda: by_plain_convolution(fft.lru.modes(), plain_fft(u)),
+            lambda: by_convolution(fft.lru.modes(), plain_fft(u)),
             y,
         ),
         "public scan": stepper([*public.parameters(), *plain.parameters()], lambda: public(plain(u)), y),

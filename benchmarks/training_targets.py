@@ -70,15 +70,8 @@ def optimisers() -> Iterator[Row]:
     yield row("worst end by the default, % of the best known fit, motor", worst, 97.0, False, name)
 
 
-def together() -> Iterator[Row]:
-    for r in read("together.csv"):
-        label = f"{r['members']} members, T = {r['samples']}"
-        seen = float(r["two_processes_ratio"])
-        yield row(f"members together on two cores over one by one, {label}", seen, 3.5, False, "together.csv")
-
-
 def main() -> None:
-    rows = [*recurrence(), *step(), *optimisers(), *together()]
+    rows = [*recurrence(), *step(), *optimisers()]
     with (FOLDER / "targets.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()

@@ -10,11 +10,12 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 from ssm_study.report.answers import answers
-from ssm_study.report.verdict import counts
+from ssm_study.report.words import counts
+from ssm_study.table.columns import listed
 
 ROOT = Path(__file__).resolve().parents[1]
 CHAPTERS = {
-    "Start": ["index.md", "tutorial.md"],
+    "Start": ["index.md", "tutorial.md", "glossary.md"],
     "How to": [
         "howto_data.md",
         "howto_plant.md",
@@ -23,17 +24,21 @@ CHAPTERS = {
         "howto_cluster.md",
         "howto_export.md",
     ],
-    "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "engine.md"],
+    "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "trust.md", "engine.md"],
     "Results": ["findings.md"],
-    "Inside": ["maintainers.md"],
+    "Notebooks": [
+        f"notebooks/{name}.md"
+        for name in ("the_paper", "reading_a_sweep", "how_far_can_a_certificate_go", "your_own_data")
+    ],
+    "Inside": ["maintainers.md", "report_page.md"],
 }
-PICTURES = "results/reference/certificates"
-ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop", "results", "report", "sweeps")
+PICTURES = ROOT / "results" / "reference"
+ROOMS = sorted(path.parent.name for path in (ROOT / "ssm_study").glob("*/__init__.py"))
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Chapters in reading order; a page nobody sorted yet comes under its own heading rather than nowhere."""
-    present = {path.name for path in (ROOT / "docs").glob("*.md")}
+    present = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
     nav: list[Any] = [{title: [page for page in pages if page in present]} for title, pages in CHAPTERS.items()]
     unsorted = sorted(present - {page for pages in CHAPTERS.values() for page in pages})
     nav += [{"More": unsorted}] if unsorted else []
@@ -44,13 +49,15 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """One reference page per room, with every module in it: a new file is in the reference without being listed."""
-    pages = {"shared": [ROOT / "ssm_study" / f"{name}.py" for name in ("signals", "systems", "refusal")]}
+    nouns = sorted((ROOT / "ssm_study").glob("[!_]*.py"))
+    pages = {"shared": nouns}
     for room in ROOMS:
         pages[room] = sorted(path for path in (ROOT / "ssm_study" / room).rglob("*.py") if path.name != "__init__.py")
     for room, modules in pages.items():
         files.append(File.generated(config, f"reference/{room}.md", content=_reference(room, modules)))
-    for picture in sorted((ROOT / PICTURES).glob("*.png")):
-        files.append(File.generated(config, f"certificates/{picture.name}", abs_src_path=str(picture)))
+    for picture in sorted(PICTURES.rglob("*.png")):
+        place = f"measured/{picture.relative_to(PICTURES).as_posix()}"
+        files.append(File.generated(config, place, abs_src_path=str(picture)))
     return files
 
 
@@ -62,9 +69,21 @@ def _reference(room: str, modules: list[Path]) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """`<!-- answers STUDY -->` becomes what the committed table of that study says; pictures come from their folder."""
-    markdown = markdown.replace(f"](../{PICTURES}/", "](certificates/")
+    """`<!-- answers STUDY -->` becomes what the committed table of that study says; pictures come from their folder.
+
+    `<!-- columns -->` becomes the table of the declared columns.
+    """
+    markdown = markdown.replace("](../results/reference/", "](measured/")
+    markdown = markdown.replace("<!-- columns -->", _columns())
     return re.sub(r"<!-- answers (\w+) -->", lambda match: _answers(match[1]), markdown)
+
+
+def _columns() -> str:
+    """The declared columns as a table: nobody writes it by hand."""
+    rows = ["| column | meaning (unit) | better | `verify` |", "| --- | --- | --- | --- |"]
+    for name, word, better, checked in listed():
+        rows.append(f"| `{name}` | {word} | {better} | {checked or 'compared'} |")
+    return "\n".join(rows)
 
 
 def _answers(study: str) -> str:
@@ -88,4 +107,5 @@ def on_page_content(html: str, **_: Any) -> str:
 
 def _mathml(latex: str, display: str) -> str:
     plain = latex.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&")
-    return str(convert(plain, display=display))
+    formula = str(convert(plain, display=display))
+    return f'<div class="formula">{formula}</div>' if display == "block" else formula

@@ -24,21 +24,21 @@ from pathlib import Path
 import numpy as np
 from IPython.display import Image, display
 
-from ssm_study.bounds.scaffolds import certified_balls
-from ssm_study.cli import main
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.cli.main import main
 from ssm_study.report import style
-from ssm_study.report.study_folder import Study
-from ssm_study.results.verify import verify
+from ssm_study.report.study_folder import StudyFolder
+from ssm_study.study.verify import verify
 from ssm_study.synthesis.certificate import Infeasible
-from ssm_study.synthesis.closed_form import ClosedFormSynthesis
 from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall
 
 EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 
 _ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress=false"])
-run = Study(folder=RESULTS / EXPERIMENT).best
+run = StudyFolder(folder=RESULTS / EXPERIMENT).best
 assert run is not None
 assert run.model is not None
 linear = run.model.linear
@@ -46,8 +46,8 @@ linear = run.model.linear
 # %% [markdown]
 # ## The frontier, and the solver-free verdict on both sides of it
 #
-# For each slope ratio μ/ν: the exact limit as a line; controllers asked 1, 10 and 20 % below it, and as much
-# above. Below, the closed-form gain is checked in exact rational arithmetic; above, the request is refused with the
+# For each slope ratio μ/ν the line is the exact limit. Controllers are requested 1, 10 and 20 % below it, and as much
+# above it. Below, the closed-form gain is checked in exact rational arithmetic; above, the request is refused with the
 # number that decides.
 
 # %%
@@ -83,11 +83,11 @@ print(f"{sum(v for *_, v in verdicts)} certified, {sum(not v for *_, v in verdic
 # %% [markdown]
 # ## What does a rate cost?
 #
-# The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate speaks of the *model*: a
-# gain in the thousands is certified just as well, and loses the plant.
+# The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate is a statement about
+# the *model*: a gain in the thousands is certified just as well, and the plant becomes unstable with it.
 
 # %%
-ball, _ = certified_balls(run.model)
+ball = certified_balls(run.model).input
 limit = controller_frontier(linear, ball).rate_limit
 for share in (0.1, 0.5, 0.9, 0.99, 0.999):
     part = ClosedFormSynthesis(rate_controller=limit * share, rate_observer=0.1).state_feedback(linear, ball)
@@ -99,7 +99,7 @@ for share in (0.1, 0.5, 0.9, 0.99, 0.999):
 # %% [markdown]
 # ## Trying to cheat
 #
-# Change one entry of the stored gain in the third digit and ask again. `verify` reads the files alone.
+# Change one entry of the stored gain in the third digit and verify again. `verify` reads the files alone.
 
 # %%
 findings = verify(run.path)

@@ -9,7 +9,7 @@
 # # Reading a sweep
 #
 # One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks the table the
-# questions a study is made for: which run is best, where feasibility ends, what the margin foretells.
+# questions a study is made for: which run is best, where feasibility ends, what the margin predicts.
 
 # %%
 import os
@@ -17,11 +17,13 @@ from pathlib import Path
 
 from IPython.display import Image, Markdown, display
 
-from ssm_study.cli import main
-from ssm_study.report import answers, figures, verdict
-from ssm_study.report.columns import words
-from ssm_study.report.page import write_page
-from ssm_study.report.study_folder import Study
+from ssm_study.cli.main import main
+from ssm_study.report import figures
+from ssm_study.report.answers import answers
+from ssm_study.report.page.writing import write_page
+from ssm_study.report.study_folder import StudyFolder
+from ssm_study.report.words import INFEASIBLE, verdicts, words
+from ssm_study.table.rank import best_first
 
 EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
@@ -30,19 +32,19 @@ STUDY = "reading_a_sweep"
 SWEEP = [
     "model.slope_lower=0.01,0.2",
     "synthesis=riccati",
-    "synthesis.rate_controller=0.1,0.6",
+    "synthesis.rate_controller=0.1,0.365",
     "synthesis.rate_observer=0.2",
 ]
 WHERE = [f"study={STUDY}", f"results_dir={RESULTS}", "progress=false"]
 _ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %% [markdown]
-# Four runs, but only two trainings: a rate is asked of a model that exists already. The table has a row per run,
+# Four runs, but only two trainings: a rate is requested for a model that exists already. The table has a row per run,
 # **failed and infeasible ones included**, and missing numbers are missing, never zero.
 
 # %%
-study = Study(folder=RESULTS / STUDY)
-table = verdict.best_first(study.table).assign(verdict=verdict.verdicts(study.table))
+study = StudyFolder(folder=RESULTS / STUDY)
+table = best_first(study.table).assign(verdict=verdicts(study.table))
 seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit"]
 seen += ["mismatch_margin", "stable_count", "settling_time_mean_s"]
 shown = table[seen].round(4).set_index(table.run.str.rsplit("-", n=1).str[-1].rename("run"))
@@ -52,7 +54,7 @@ shown.rename(columns={name: words(name).split(" (")[0] for name in seen})
 # ## The questions, answered from the table
 
 # %%
-for answer in answers.answers(study.table):
+for answer in answers(study.table):
     display(Markdown(f"**{answer.question}** {' '.join(answer.sentences)}"))
 
 # %% [markdown]
@@ -72,7 +74,7 @@ for name in ("feasibility_map", "rates", "fit_against_stability"):
 # The record says so, with the number that decides and what to change.
 
 # %%
-infeasible = table[table.verdict == verdict.INFEASIBLE.word]
+infeasible = table[table.verdict == INFEASIBLE.word]
 for _, row in infeasible.iterrows():
     print(row.run, "-", row.get("infeasible_reason"))
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from ssm_study.cli import main
+from ssm_study.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main(["run", *sys.argv[1:]]))

@@ -22,9 +22,9 @@ from pathlib import Path
 
 from IPython.display import Image, Markdown, display
 
-from ssm_study.cli import main
+from ssm_study.cli.main import main
 from ssm_study.report import figures
-from ssm_study.report.study_folder import Study
+from ssm_study.report.study_folder import StudyFolder
 
 EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
@@ -37,7 +37,7 @@ _ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress
 # A table with one row, and a folder whose files are enough to rebuild every claim.
 
 # %%
-study = Study(folder=RESULTS / EXPERIMENT)
+study = StudyFolder(folder=RESULTS / EXPERIMENT)
 run = study.best
 assert run is not None, "no run of this study left a model"
 print("\n".join(sorted(path.name for path in run.path.iterdir())))
@@ -52,7 +52,7 @@ def show(name: str) -> None:
 # %% [markdown]
 # ## Identification
 #
-# The validation record was not trained on, and the model simulates it freely: it never sees a measured output.
+# Training did not see the validation record. The model simulates it freely: it sees the input, never a measured output.
 
 # %%
 show("validation_trajectory")
@@ -69,7 +69,7 @@ show("learned_dead_zone")
 # %% [markdown]
 # ## Certificate
 #
-# The rates asked and the largest that *any* controller could be certified for, from eigenvalues and slopes alone.
+# The rates that were chosen, and the largest that *any* controller can be certified for, from eigenvalues and slopes.
 # `certified` is the verdict of exact rational arithmetic on the stored matrices, not a solver's status.
 
 # %%
@@ -93,9 +93,9 @@ print(f"settled: {run.record['stable_count']} of {run.record['initial_conditions
 print(f"mean settling time: {controlled:.3f} s, left alone {alone:.3f} s")
 
 # %% [markdown]
-# ## Believe nothing
+# ## Check it
 #
-# `verify` derives every claim again from the run's files. The exit status is 0 only if all of them hold.
+# `verify` recomputes every number of the run from its files. The exit status is 0 only if all of them agree.
 
 # %%
 status = main(["verify", str(run.path)])

@@ -1,7 +1,8 @@
 """Makes `hydra/launcher=processes` and `hydra/sweeper=grid` known to Hydra; read at each start, so nothing heavy."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-import ssm_study.results.naming  # noqa: F401  (registers ${run_name:} wherever Hydra runs)
+import ssm_study.engine.settings  # noqa: F401  (registers ${run_name:...} wherever Hydra runs)
 
 
 @dataclass
@@ -21,9 +22,7 @@ class ProcessesConf:
     n_jobs: int | None = None  # null: as many as the cores allow
     threads: int = 1  # per job; n_jobs * threads may not exceed the cores
     timeout_s: float | None = None  # a job that takes longer is stopped and recorded as failed; null: never
-    preload: list[str] = field(
-        default_factory=lambda: ["torch", "lightning", "ssm_study.study", "ssm_study.sweeps.warm"]
-    )
+    fail_fast: bool = False  # true: after the first failed run none is begun
 
 
 ConfigStore.instance().store(group="hydra/launcher", name="processes", node=ProcessesConf, provider="ssm-study")
@@ -52,6 +51,8 @@ class GridSweeper(BasicSweeper):
             if [path.name for path in folder.iterdir()] == ["multirun.yaml"]:
                 (folder / "multirun.yaml").unlink()
                 folder.rmdir()
+                with suppress(OSError):  # the results folder, where it holds nothing else
+                    folder.parent.rmdir()
 
     def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
         del batch
@@ -60,15 +61,16 @@ class GridSweeper(BasicSweeper):
 class ProcessesLauncher(Launcher):
     """One fresh process per job, from a server that has imported the heavy libraries already."""
 
-    def __init__(self, n_jobs: int | None, threads: int, timeout_s: float | None, preload: list[str]) -> None:
-        self.n_jobs, self.threads, self.timeout_s, self.preload = n_jobs, threads, timeout_s, tuple(preload)
+    def __init__(self, n_jobs: int | None, threads: int, timeout_s: float | None, fail_fast: bool) -> None:
+        self.n_jobs, self.threads, self.timeout_s, self.fail_fast = n_jobs, threads, timeout_s, fail_fast
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        from ssm_study.sweeps.launcher import Processes, Sweep
+        from ssm_study.engine.launcher import Processes, launch
 
-        sweep = Sweep(hydra_context=self.hydra_context, task_function=self.task_function, config=self.config)
-        processes = Processes(n_jobs=self.n_jobs, threads=self.threads, timeout_s=self.timeout_s, preload=self.preload)
-        return processes.launch(sweep, [list(overrides) for overrides in job_overrides], initial_job_idx)
+        processes = Processes(
+            n_jobs=self.n_jobs, threads=self.threads, timeout_s=self.timeout_s, fail_fast=self.fail_fast
+        )
+        return launch(processes, self, [list(words) for words in job_overrides], initial_job_idx)

@@ -12,6 +12,7 @@ with suppress(ImportError):  # the extra `slurm` is not installed
         """The original raises at the first job that Slurm cancelled or lost, and forgets those after it."""
 
         def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-            from ssm_study.sweeps.slurm import launch
+            from ssm_study.engine.launcher import launch
+            from ssm_study.engine.slurm import Slurm
 
-            return launch(self, [list(overrides) for overrides in job_overrides], initial_job_idx)
+            return launch(Slurm(self), self, [list(words) for words in job_overrides], initial_job_idx)

@@ -1,5 +1,8 @@
 """How this project says no: one sentence naming the field, the value and the remedy."""
 
+import math
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 
@@ -11,20 +14,42 @@ class BadRequest(ValueError):
 
     def __init__(self, field: str, value: Any, problem: str, remedy: str) -> None:
         self.field, self.value, self.problem, self.remedy = field, value, problem, remedy
-        reason = " ".join(problem.split())  # a library that is quoted may answer in several lines
+        # A library may answer in lines, and a foreign name may hold what would command the terminal.
+        shown, reason = (printable(" ".join(str(part).split())) for part in (value, problem))
+        if len(shown) > 80:
+            shown = f"...{shown[-77:]}" if isinstance(value, Path) else f"{shown[:77]}..."  # a path ends with its file
         end = "" if remedy.endswith("?") else "."
-        super().__init__(f"{field} = {_shown(value)}: {reason}; {remedy}{end}")
+        super().__init__(f"{field} = {shown}: {reason}; {remedy}{end}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.field, self.value, self.problem, self.remedy))
 
 
-def _shown(value: Any) -> str:
-    text = " ".join(str(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+def printable(text: str) -> str:
+    """Control characters are shown as their escapes."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
-def require(condition: bool, field: str, value: Any, problem: str, remedy: str) -> None:
+def require(condition: Any, field: str, value: Any, problem: str, remedy: str) -> None:
     """Raise `BadRequest(field, value, problem, remedy)` unless the condition holds."""
     if not condition:
         raise BadRequest(field, value, problem, remedy)
+
+
+def positive(field: str, value: Any, remedy: str) -> None:
+    """Refuse a number, or any number of several, that is not above zero and finite; None says nothing and passes."""
+    values = value if isinstance(value, list | tuple) else (value,)
+    good = all(v is None or 0 < v < math.inf for v in values)
+    require(good, field, value, "must be positive and finite", remedy)
+
+
+def at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
+    """Refuse a number below `least`, or one that is not finite."""
+    problem = "must not be negative" if least == 0 else f"must be at least {least:g}"
+    require(least <= value < math.inf, field, value, problem, remedy)
+
+
+def one_of(known: Iterable[Any], field: str, value: Any) -> None:
+    """Refuse what is not among the known, and list them."""
+    *others, last = map(str, names := tuple(known))
+    require(value in names, field, value, "unknown", f"use {', '.join(others)} or {last}")

@@ -1,11 +1,11 @@
 """The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a simulation."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require
+from ssm_study.refusal import positive, require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,59 +20,120 @@ class Channel:
 class Trajectory:
     """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
 
-    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. Raises `BadRequest` for unequal lengths, values that are
-    not finite, or a sampling time that is not positive.
+    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the output. Raises
+    `BadRequest` for unequal lengths, values that are not finite, or a sampling time that is not positive.
     """
 
     u: Float[np.ndarray, "T m"]
     y: Float[np.ndarray, "T2 p"]
     step_s: float
     name: str = "trajectory"
+    closed_loop: bool = False
 
     def __post_init__(self) -> None:
-        require(self.step_s > 0, "step_s", self.step_s, "the sampling time must be positive", "give it in seconds")
-        require(
-            len(self.u) == len(self.y),
-            f"{self.name}.u, {self.name}.y",
-            (len(self.u), len(self.y)),
-            "input and output differ in length",
-            "cut both to the same samples",
-        )
+        positive("step_s", self.step_s, "give it in seconds")
+        both, lengths = f"{self.name}.u, {self.name}.y", (len(self.u), len(self.y))
+        problem, remedy = "input and output differ in length", "cut both to the same samples"
+        require(lengths[0] == lengths[1], both, lengths, problem, remedy)
         for label, values in (("u", self.u), ("y", self.y)):
-            bad = np.argwhere(~np.isfinite(values))
-            require(
-                len(bad) == 0,
-                f"{self.name}.{label}",
-                "NaN or infinity",
-                f"first at sample {bad[0][0] if len(bad) else 0}",
-                "remove or interpolate these samples",
-            )
+            bad, remedy = np.argwhere(~np.isfinite(values)), "remove or interpolate these samples"
+            first = f"first at sample {bad[0][0] if len(bad) else 0}"
+            require(not len(bad), f"{self.name}.{label}", "NaN or infinity", first, remedy)
 
     def __len__(self) -> int:
         return len(self.u)
+
+    def __getitem__(self, samples: slice) -> "Trajectory":
+        return replace(self, u=self.u[samples], y=self.y[samples])
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
         return np.arange(len(self.u)) * self.step_s
 
 
-@dataclass(frozen=True, kw_only=True)
-class DataSet:
-    """Separate training, validation and test records of one system.
+SHORTEST_PERIOD = 32  # samples: what repeats sooner is a hold or a sine, not an experiment done twice
 
-    `start_up_samples` are simulated but not scored. The equilibrium `(input_equilibrium, output_equilibrium)` is where
-    the model's `S_u(0) = 0` sits; the scales are pure gains around it, so that zero stays zero.
+
+def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
+    """`(start, period)`: the last two equal pieces `u[start : start + period]` that follow each other; None if none do.
+
+    The inputs must be equal, as commanded ones are; a piece that does not move does not count.
+    """
+    moving = u - u.mean(axis=0)
+    spectrum = np.fft.rfft(moving, n=2 * len(u), axis=0)
+    alike = np.fft.irfft((np.abs(spectrum) ** 2).sum(axis=1))[: len(u) // 2 + 1]
+    lags = np.arange(SHORTEST_PERIOD, len(alike))
+    for lag in lags[np.argsort(-alike[lags] / (len(u) - lags), kind="stable")[:20]]:
+        equal = np.all(np.abs(u[lag:] - u[:-lag]) <= 1e-9 * np.ptp(u, axis=0), axis=1)
+        changes = np.any(u[1:] != u[:-1], axis=1)[: len(equal)]
+        run, moves = (np.concatenate([[0], np.cumsum(flags)]) for flags in (equal, changes))
+        starts = np.flatnonzero((run[lag:] - run[:-lag] == lag) & (moves[lag:] - moves[:-lag] > 0))
+        if len(starts):
+            return int(starts[-1]), int(lag)
+    return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """`u = u_eq + s_u v,  y = y_eq + s_y w`: physical outside, scaled inside, by pure gains around the equilibrium.
+
+    So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes: `input_* (m,)`,
+    `output_* (p,)`. Raises `BadRequest` for gains that are not positive, or ends of different lengths.
     """
 
-    training: tuple[Trajectory, ...]
-    validation: tuple[Trajectory, ...]
-    test: tuple[Trajectory, ...]
-    inputs: tuple[Channel, ...]
-    outputs: tuple[Channel, ...]
-    input_equilibrium: Float[np.ndarray, "m"]
-    output_equilibrium: Float[np.ndarray, "p"]
     input_scale: Float[np.ndarray, "m"]
     output_scale: Float[np.ndarray, "p"]
+    input_equilibrium: Float[np.ndarray, "m"]
+    output_equilibrium: Float[np.ndarray, "p"]
+
+    def __post_init__(self) -> None:
+        gains = bool((self.input_scale > 0).all() and (self.output_scale > 0).all())
+        require(gains, "input_scale, output_scale", "not positive", "a scale is a positive gain", "scale again")
+
+    @classmethod
+    def unit(cls, inputs: int, outputs: int) -> "Scale":
+        """`v = u`, `w = y`."""
+        m, p = np.ones(inputs), np.ones(outputs)
+        return cls(input_scale=m, output_scale=p, input_equilibrium=0 * m, output_equilibrium=0 * p)
+
+    @property
+    def inputs(self) -> int:
+        return len(self.input_scale)
+
+    @property
+    def outputs(self) -> int:
+        return len(self.output_scale)
+
+    def scaled_input(self, u: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
+        return (u - self.input_equilibrium) / self.input_scale
+
+    def physical_input(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
+        return self.input_equilibrium + self.input_scale * v
+
+    def scaled_output(self, y: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
+        return (y - self.output_equilibrium) / self.output_scale
+
+    def physical_output(self, w: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
+        return self.output_equilibrium + self.output_scale * w
+
+
+Trajectories = tuple[Trajectory, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataSet:
+    """Separate training, validation and test records of one system; `start_up_samples` are simulated, not scored.
+
+    `trials` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping and no score uses them.
+    """
+
+    training: Trajectories
+    validation: Trajectories
+    test: Trajectories
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    scale: Scale
+    trials: Trajectories = ()
     start_up_samples: int = 0
     metadata: dict[str, str] = field(default_factory=dict)
 
@@ -84,7 +145,12 @@ class DataSet:
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:
     """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)`, Frobenius norms over all channels, after the start-up samples."""
     y, y_hat = y[start_up_samples:], y_hat[start_up_samples:]
-    return float(100.0 * (1.0 - np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0))))
+    return fit_of_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
+
+
+def fit_of_error(share: float | np.floating) -> float:
+    """`100 (1 - share)`, percent, of an error that is this share of the output's own deviation from its mean."""
+    return float(100.0 * (1.0 - share))
 
 
 def rmse(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

@@ -1,15 +1,34 @@
-"""The systems everyone shares: a discrete-time linear state space, and a ball of Jacobians."""
+"""The systems everyone shares: a discrete-time linear state space, balls of Jacobians, a pair of gains."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
+
+AGAIN = "write model.json again"
+
+
+class _Recurrence:
+    """Finite matrices, `a` among them."""
+
+    a: Float[np.ndarray, "n n"]
+
+    def __post_init__(self) -> None:
+        wrong = [name for name, matrix in vars(self).items() if not np.isfinite(matrix).all()]
+        require(not wrong, ", ".join(wrong), "NaN or infinity", "is not finite", "identify the model again")
+
+    @property
+    def order(self) -> int:
+        return self.a.shape[0]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StateSpace:
+class StateSpace(_Recurrence):
     """`x+ = a x + b u,  y = c x + d u` in discrete time.
 
     Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, real. Raises `BadRequest` for entries that are not finite.
@@ -19,20 +38,6 @@ class StateSpace:
     b: Float[np.ndarray, "n m"]
     c: Float[np.ndarray, "p n"]
     d: Float[np.ndarray, "p m"]
-
-    def __post_init__(self) -> None:
-        for label, matrix in (("a", self.a), ("b", self.b), ("c", self.c), ("d", self.d)):
-            require(
-                bool(np.isfinite(matrix).all()),
-                label,
-                "NaN or infinity",
-                "the matrix is not finite",
-                "identify the model again",
-            )
-
-    @property
-    def order(self) -> int:
-        return self.a.shape[0]
 
     @property
     def spectral_radius(self) -> float:
@@ -52,6 +57,46 @@ class StateSpace:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StructuredSystem(_Recurrence):
+    """`x+ = a x + b v + e w,  y = c x + d v + h w,  w = phi(f x + g v + bias) - phi(bias)`, slopes of phi in [0, 1].
+
+    What the theorems need of a structured model: the neurons act one by one and are known by their slopes alone.
+    Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`, real.
+    With `q = 0` it is `StateSpace`. Raises `BadRequest` for entries that are not finite.
+    Source: THEORY section 6; Revay, Wang & Manchester 2024 (REN with `D11 = 0`).
+    """
+
+    a: Float[np.ndarray, "n n"]
+    b: Float[np.ndarray, "n m"]
+    c: Float[np.ndarray, "p n"]
+    d: Float[np.ndarray, "p m"]
+    e: Float[np.ndarray, "n q"]
+    f: Float[np.ndarray, "q n"]
+    g: Float[np.ndarray, "q m"]
+    h: Float[np.ndarray, "p q"]
+
+    @property
+    def neurons(self) -> int:
+        return self.e.shape[1]
+
+    def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
+        """Slopes that are all zero or one: every such choice of up to `most` neurons, else a few, one per row."""
+        q = self.neurons
+        if q <= most:
+            return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
+        return np.vstack([np.zeros(q), np.ones(q), np.eye(q), 1 - np.eye(q)])
+
+    def at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
+        """The linear system with the neurons' slopes frozen: `a + e S f`, `b + e S g`, `c + h S f`, `d + h S g`."""
+        driven, seen = self.e * slopes, self.h * slopes
+        a, b = self.a + driven @ self.f, self.b + driven @ self.g
+        return StateSpace(a=a, b=b, c=self.c + seen @ self.f, d=self.d + seen @ self.g)
+
+
+System = StateSpace | StructuredSystem
+
+
+@dataclass(frozen=True, kw_only=True)
 class JacobianBall:
     """All Jacobians `J = alpha I + beta Delta`, `||Delta||_2 <= 1`: what the theorems really need of a scaffolding.
 
@@ -63,13 +108,11 @@ class JacobianBall:
     beta: float
 
     def __post_init__(self) -> None:
-        require(
-            np.isfinite(self.alpha) and np.isfinite(self.beta) and self.beta >= 0,
-            "alpha, beta",
-            (self.alpha, self.beta),
-            "a ball needs a finite centre and a finite radius >= 0",
-            "bound the scaffolding again",
+        sound, said = (
+            np.isfinite([self.alpha, self.beta]).all() and self.beta >= 0,
+            "needs a finite centre and radius >= 0",
         )
+        require(bool(sound), "alpha, beta", (self.alpha, self.beta), said, "bound the scaffolding again")
 
     @classmethod
     def from_slopes(cls, lower: float, upper: float) -> "JacobianBall":
@@ -88,3 +131,48 @@ class JacobianBall:
     def relative_radius(self) -> float:
         """`beta / |alpha|`: what the exact frontier is stated in."""
         return float("inf") if self.alpha == 0 else self.beta / abs(self.alpha)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Balls:
+    """The balls that the theorems are applied with: `input` holds the Jacobians of `S_u`, `output` those of `S_y`."""
+
+    input: JacobianBall
+    output: JacobianBall
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """Controller and observer gains of `u = K xh,  xh+ = A xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
+
+    `s` is the model's order, or the order and the number of outputs with integral action (`synthesis.integral`).
+    Of a structured model `l_z` injects `L_z (yh - y)` into the neurons as well; None where nothing is injected.
+    """
+
+    k: Float[np.ndarray, "*pairs m s"]
+    l: Float[np.ndarray, "*pairs n p"]  # noqa: E741 - the paper's letter
+    l_z: Float[np.ndarray, "*pairs q p"] | None = None
+
+    def at(self, which: int | Int[np.ndarray, "N"]) -> "Pair":
+        """One of many, or some."""
+        return Pair(k=self.k[which], l=self.l[which], l_z=None if self.l_z is None else self.l_z[which])
+
+
+def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float[np.ndarray, "..."]:
+    """`data[key]` as a finite float64 array of that many dimensions; raises `BadRequest` otherwise."""
+    require(key in data, key, "missing", "the stored model lacks this entry", AGAIN)
+    try:
+        values = np.asarray(data[key], dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadRequest(key, data[key], "not a rectangular array of numbers", AGAIN) from error
+    if values.size == 0 and values.ndim < dimensions:  # JSON keeps no shape of an empty array
+        values = values.reshape((0,) * dimensions)
+    sound, problem = values.ndim == dimensions, f"expected a finite array of {dimensions} dimension(s)"
+    require(sound and bool(np.isfinite(values).all()), key, f"shape {values.shape}", problem, AGAIN)
+    return values
+
+
+def arrays_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> tuple[Float[np.ndarray, "..."], ...]:
+    """A list of arrays, one per layer."""
+    require(isinstance(data.get(key), list), key, data.get(key), "expected a list of layers", AGAIN)
+    return tuple(array_from_json({key: layer}, key, dimensions) for layer in data[key])

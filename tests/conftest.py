@@ -5,7 +5,12 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers with default threads are 20 times slower than one
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import jaxtyping
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -18,6 +23,36 @@ settings.register_profile("soak", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+# Whole runs, verified again and again: a shape checked at each of a million steps is four fifths of their time, and the
+# tests of each room check the same functions.
+WHOLE_RUNS = {
+    *("test_contributing", "test_data_sets", "test_docs_commands", "test_docs_notebooks", "test_evidence_controls"),
+    *("test_extensions", "test_loop_within_limits", "test_results_verify", "test_study_line", "test_study_refine"),
+    *("test_table_columns", "test_cli_guard"),
+}
+
+
+@contextmanager
+def shapes_unchecked(unchecked: bool = True) -> Iterator[None]:
+    """Without jaxtyping's check of every call."""
+    jaxtyping.config.update("jaxtyping_disable", unchecked)
+    try:
+        yield
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(autouse=True)
+def _no_composition_left() -> Iterator[None]:
+    """A request composed in this process holds Hydra's one place for it: the next test begins without."""
+    yield
+    GlobalHydra.instance().clear()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
+    with shapes_unchecked(request.module.__name__.rpartition(".")[2] in WHOLE_RUNS):
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -33,13 +68,14 @@ def smoke_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers: read only."""
     from filelock import FileLock
 
-    from ssm_study.cli import main
+    from ssm_study.cli.main import main
 
     shared = tmp_path_factory.getbasetemp()
     shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
     with FileLock(shared / "smoke.lock"):
         if not (shared / "results" / "smoke" / "runs.parquet").exists():
-            assert main(["run", "experiment=smoke", f"results_dir={shared / 'results'}", "progress=false"]) == 0
+            with shapes_unchecked():
+                assert main(["run", "experiment=smoke", f"results_dir={shared / 'results'}", "progress=false"]) == 0
     return shared / "results" / "smoke"
 
 

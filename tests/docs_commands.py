@@ -12,8 +12,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.cli import configuration_folder
-from ssm_study.results.naming import register_resolver
+from ssm_study.cli.main import configuration_folder
+from ssm_study.engine.settings import register_resolver
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
@@ -24,7 +24,7 @@ OURS = r"(?:ssm-study|python|make) [^`\n]+"
 INLINE, INDENTED = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`"), re.compile(rf"^    ({OURS})$", re.M)
 
 # The rule. The same command with these settings appended (or in place of its own), where its configuration has them;
-# of every swept list the first value, of a search two trials. `experiment=smoke` is small as it is and stays whole.
+# of every swept list the first value, `experiment=smoke` is small as it is and stays whole.
 SMALL = {
     "data.trajectories": 2,
     "data.samples": 200,
@@ -36,7 +36,6 @@ SMALL = {
     "loop.comparison.designs": 2,
     "loop.comparison.spread_plants": 1,
     "loop.comparison.situations": "[nominal,delay]",
-    "hydra.sweeper.trials": 2,
     "hydra.launcher.n_jobs": 1,
     "progress": "false",
 }
@@ -46,12 +45,12 @@ SMALL_OPTIONS = {
     "loop_margin.py run": "--order 2 --seed 0",
     "report_page.py": "--runs 60 --rounds 1",
     "results_gather.py": "--runs 20",
+    "start_up.py": "--runs 4",
     "synthesis_agreement.py": "--count 2",
     "synthesis_certified.py": "--count 2 --gaps 0.1 -0.01",
     "synthesis_paper_lmi.py": "--minutes 0.01",
     "synthesis_times.py": "--orders 2",
     "training_optimisers.py": "1",
-    "training_together.py": "--members 2 --samples 80",
 }
 SMALL_SOURCE = {  # pattern: what stands in its place
     "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
@@ -78,14 +77,17 @@ SMALL_SOURCE = {  # pattern: what stands in its place
     },
     "synthesis_times.py": {r"^REPETITIONS = .*": "REPETITIONS = {}"},
     "synthesis_trained.py": {r"^MOST = .*": "MOST = 1"},
-    "training_together.py": {r"^    as_launched\(\)": "    pass"},  # would start the test run again
     "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
 }
 # Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
 AS_IT_IS = {"plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
 ELSEWHERE = {  # what a test cannot have, by name
+    "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
+    "ssm-study new": "made, run and judged in tests/laws/test_extensions.py",
+    "ssm-study excite": "run in tests/laws/test_data_own_plant.py",
     "hydra/launcher=slurm": "needs a Slurm cluster",
     "hydra/launcher=ray": "needs a Ray cluster",
+    "ssm-study watch": "serves until it is stopped; tests/laws/test_report_live.py asks it",
 }
 
 
@@ -115,7 +117,9 @@ def maker(study: str) -> str | None:
     """The documented command that makes this study, or what `make study` runs."""
     made = re.findall(r"^\t\$\(BIN\)/(ssm-study run .+)$", (ROOT / "Makefile").read_text(), re.M)
     runs = [command for command in [*every_command(), *made] if command.startswith("ssm-study run ")]
-    runs = [command for command in runs if not any(word in command for word in [*ELSEWHERE, "--"])]
+    runs = [
+        command for command in runs if not any(word in command.replace("--with ", "") for word in [*ELSEWHERE, "--"])
+    ]
     named = [command for command in runs if f"study={study}" in command.split()]
     return next(iter(named + [c for c in runs if f"experiment={study}" in c.split() and " study=" not in c]), None)
 
@@ -124,11 +128,10 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
     """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the reader's own."""
     if {"experiment=smoke", "--help", "--cfg"} & set(arguments):
         return arguments
-    searching = "hydra/sweeper=search" in arguments
-    words = [word if word.startswith("-") or searching else first_value(word) for word in arguments]
+    words = [word if word.startswith("-") else first_value(word) for word in arguments]
     config = composed([*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])])
     given = {word.split("=")[0] for word in words}
-    swept = {} if searching else OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]
+    swept = OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]
     words += [first_value(f"{key}={values}") for key, values in swept.items() if key not in given]
     config = composed(words) if swept else config
     replaced = {key: value for key, value in SMALL.items() if has(config, key)}
@@ -197,5 +200,5 @@ def place(folder: Path) -> None:
     for script in (ROOT / "benchmarks").glob("*.py"):
         small_copy(script, folder / "benchmarks" / script.name)
     shutil.copytree(ROOT / "results" / "reference", folder / "results" / "reference")
-    for name in ("conf", "tests", "experiments", "Makefile"):
+    for name in ("conf", "tests", "experiments", "Makefile", "benchmarks/rehearsal"):
         (folder / name).symlink_to(ROOT / name)

@@ -1,6 +1,7 @@
 """A study of nothing, with jobs that behave as badly as asked: what the engine's tests run in real processes."""
 
 import ctypes
+import importlib
 import json
 import os
 import resource
@@ -8,89 +9,63 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
-import hydra
-from omegaconf import DictConfig, OmegaConf
-
+from ssm_study.engine.program import main
+from ssm_study.engine.runs import Run
+from ssm_study.engine.settings import Settings
+from ssm_study.engine.stages import Stage, Stages
+from ssm_study.engine.task import Task
 from ssm_study.refusal import require
-from ssm_study.results.keys import code_version
-from ssm_study.results.runs import Run, execute
-from ssm_study.results.store import StageResult, Stages, Store
-from ssm_study.sweeps.groups import Sharing
 
-CONF = {
-    "study": "study",
-    "results_dir": "???",
+SETTINGS = {
+    "run": "${run_name:}",
     "seed": 0,
-    "retry_failed": False,
-    "dry_run": False,
     "do": "work",
     "rate": 1,
-    "work_s": 0.0,
-    "together": "no",
 }
 
 
-def check(config: DictConfig) -> None:
-    require(config.seed >= 0, "seed", config.seed, "negative", "give 0 or more")
+def read(folder: Path) -> float:
+    return float(json.loads((folder / "number.json").read_text())["number"])
 
 
-def job(config: DictConfig) -> str:
-    folder = Path(config.results_dir) / config.study / str(OmegaConf.select(config, "name"))
-    text = {"config.yaml": OmegaConf.to_yaml(config, resolve=True)}
-    parameters = {"seed": config.seed, "rate_controller": config.rate}
-    return execute(
-        folder,
-        parameters,
-        lambda run: _work(config, run),
-        configuration=text,
-        retry_failed=config.retry_failed,
-    ).status
-
-
-def _work(config: DictConfig, run: Run) -> dict[str, object]:
-    data, model = walk(config, Store(Path(config.results_dir) / ".store"))
-    run.stage(data)
-    run.stage(model)
-    BEHAVIOUR[config.do](run)
-    number = float(json.loads((data.path / "data.json").read_text())["number"])
-    (run.path / "model.json").write_text(json.dumps({"number": number}))
-    return {"fit_test_percent": number + config.rate, "stable_fraction": 1.0, "threads_seen": _threads(config)}
-
-
-def walk(config: DictConfig, stages: Stages) -> tuple[StageResult, StageResult]:
-    version = code_version("refusal")
-    data = stages.stage("data", {"seed": config.seed}, [], version, lambda f: _compute(f, config, "data"))
-    model = stages.stage("model", {"rate": config.rate}, [data.key], version, lambda f: _compute(f, config, "model"))
-    return data, model
-
-
-def sharing(config: DictConfig, stages: Stages) -> Sharing | None:
-    """One kind of model per rate; `together` says what the program that trains them does."""
-    model = walk(config, stages)[1]
-    return None if config.together == "no" or model.reused else Sharing(kind=str(config.rate), key=model.key)
-
-
-def train_members(configs: list[DictConfig]) -> None:
-    with (Path(configs[0].results_dir) / "programs").open("a") as stream:
-        stream.write(" ".join(str(config.seed) for config in configs) + "\n")
-    for config in configs[: 1 if configs[0].together == "killed" else None]:
-        walk(config, Store(Path(config.results_dir) / ".store"))
-    if configs[0].together == "killed":
-        os.kill(os.getpid(), 9)
-    if configs[0].together == "hangs":
-        time.sleep(86399)
-
-
-def _compute(folder: Path, config: DictConfig, name: str) -> None:
-    ledger = Path(config.results_dir) / "ledger"
+def compute(folder: Path, *_: float, **asked: Any) -> None:
+    ledger = folder.parents[2] / "ledger"
     with ledger.open("a") as stream:
-        stream.write(f"{name} {config.seed} {config.rate if name == 'model' else ''}\n")
-    time.sleep(config.work_s)
-    (folder / f"{name}.json").write_text(json.dumps({"number": 10.0 * config.seed}))
+        stream.write(f"{folder.parent.name} {asked}\n")
+    time.sleep(float(os.environ.get("WORK_S", "0")))
+    (folder / "number.json").write_text(json.dumps({"number": 10.0 * asked["seed"]}))
 
 
-def _threads(config: DictConfig) -> int | None:
+DATA = Stage(name="data", compute=compute, read=read)
+MODEL = Stage(name="model", compute=compute, read=read, measure=lambda number, _: {"number": number})
+
+
+class Badly(Task[Settings]):
+    def check(self, config: Settings) -> Settings:
+        require(config.seed >= 0, "seed", config.seed, "negative", "give 0 or more")
+        return config
+
+    def stages(self, request: Settings, stages: Stages) -> None:
+        data = stages.take(DATA, {"seed": request.seed})
+        stages.take(MODEL, {"rate": request.rate, "seed": request.seed}, None, data)
+
+    def parameters(self, request: Settings) -> dict[str, Any]:
+        return {"seed": request.seed, "rate_controller": request.rate}
+
+    def run(self, request: Settings, run: Run) -> dict[str, Any]:
+        BEHAVIOUR[request.do](run)
+        number = run.facts["number"]
+        (run.path / "model.json").write_text(json.dumps({"number": number}))
+        return {"fit_test_percent": number + request.rate, "stable_fraction": 1.0, "threads_seen": _threads(request)}
+
+    def warm(self) -> None:
+        for module in filter(None, os.environ.get("WARM", "").split()):
+            importlib.import_module(module)
+
+
+def _threads(config: Settings) -> int | None:
     if config.do != "threads":
         return None
     import torch
@@ -153,27 +128,5 @@ BEHAVIOUR = {
     "infeasible": _infeasible,
 }
 
-HYDRA = """
-hydra:
-  job: {name: job, chdir: false}
-  output_subdir: null
-  run: {dir: "${results_dir}/${study}/${run_name:}"}
-  sweep: {dir: "${results_dir}/${study}", subdir: "${run_name:}"}
-  job_logging: {root: {handlers: [file]}}
-  hydra_logging: {root: {handlers: []}}
-"""
-
-
-def main() -> None:
-    folder = Path(os.environ["ENGINE_CONF"])
-    if not (folder / "study.yaml").exists():
-        defaults = "defaults:\n  - override hydra/launcher: processes\n  - _self_\n"
-        text = defaults + OmegaConf.to_yaml(OmegaConf.create({**CONF, "name": "${run_name:}"})) + HYDRA
-        temporary = folder / f"study.{os.getpid()}"
-        temporary.write_text(text)
-        temporary.replace(folder / "study.yaml")
-    hydra.main(version_base="1.3", config_path=str(folder), config_name="study")(job)()
-
-
 if __name__ == "__main__":
-    main()
+    main(Badly(), SETTINGS)

@@ -7,16 +7,17 @@ import numpy as np
 import yaml
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold_linear import LinearScaffold
-from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.dc_motor import DCMotor
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 INPUT_BALL = JacobianBall.from_slopes(0.12, 1.0)
 OUTPUT_BALL = JacobianBall(alpha=1.0, beta=0.0)
+BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 
 
 @cache
@@ -37,10 +38,12 @@ def motor_model() -> SSM:
         ),
         scaffold_in=MonotoneScaffold(breakpoints=np.array([[-0.39, 0.39]]), slopes=np.array([[1.0, 0.12, 1.0]])),
         scaffold_out=LinearScaffold(gain=np.eye(1)),
-        input_scale=np.array([1.7]),
-        output_scale=np.array([5.0]),
-        input_equilibrium=np.zeros(1),
-        output_equilibrium=np.zeros(1),
+        scale=Scale(
+            input_scale=np.array([1.7]),
+            output_scale=np.array([5.0]),
+            input_equilibrium=np.zeros(1),
+            output_equilibrium=np.zeros(1),
+        ),
         step_s=0.01,
     )
 
@@ -79,9 +82,11 @@ def random_model(seed: int, *, inputs: int = 1, outputs: int = 1, order: int = 4
         ),
         scaffold_in=MonotoneScaffold(breakpoints=breakpoints, slopes=rng.uniform(0.5, 1.0, (inputs, 4))),
         scaffold_out=LinearScaffold.identity(outputs),
-        input_scale=rng.uniform(0.5, 2, inputs),
-        output_scale=rng.uniform(0.5, 5, outputs),
-        input_equilibrium=rng.standard_normal(inputs),
-        output_equilibrium=rng.standard_normal(outputs),
+        scale=Scale(
+            input_scale=rng.uniform(0.5, 2, inputs),
+            output_scale=rng.uniform(0.5, 5, outputs),
+            input_equilibrium=rng.standard_normal(inputs),
+            output_equilibrium=rng.standard_normal(outputs),
+        ),
         step_s=0.01,
     )

@@ -5,16 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
+from ssm_study.bounds.network import Network
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.models.identified import SSM
-from ssm_study.models.network import Network
-from ssm_study.models.scaffold import Scaffold
-from ssm_study.models.scaffold_linear import LinearScaffold
-from ssm_study.models.scaffold_mlp import MlpScaffold
-from ssm_study.models.scaffold_monotone import MonotoneScaffold
-from ssm_study.models.scaffold_residual import ResidualScaffold
-from ssm_study.signals import Channel
-from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.mlp import MlpScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.models.scaffolds.residual import ResidualScaffold
+from ssm_study.models.scaffolds.scaffold import Scaffold
+from ssm_study.signals import Channel, Scale
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.theorems.observer import ObserverOfBall
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import StateSpace
 
 KINDS = ("linear", "mlp", "monotone", "residual")
@@ -40,10 +42,12 @@ def random_model(rng: np.random.Generator, kind: str, channels: int) -> SSM:
         linear=StateSpace(a=0.6 * a / np.abs(np.linalg.eigvals(a)).max(), b=b, c=c, d=d),
         scaffold_in=random_scaffold(rng, kind, channels),
         scaffold_out=random_scaffold(rng, kind, channels),
-        input_scale=rng.uniform(0.5, 2, channels),
-        output_scale=rng.uniform(0.5, 2, channels),
-        input_equilibrium=rng.standard_normal(channels),
-        output_equilibrium=rng.standard_normal(channels),
+        scale=Scale(
+            input_scale=rng.uniform(0.5, 2, channels),
+            output_scale=rng.uniform(0.5, 2, channels),
+            input_equilibrium=rng.standard_normal(channels),
+            output_equilibrium=rng.standard_normal(channels),
+        ),
         step_s=0.01,
     )
 
@@ -72,7 +76,7 @@ def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -
 
 
 def random_design(rng: np.random.Generator, model: SSM, integral: bool) -> Design:
-    (n, m), p, linear = model.linear.b.shape, len(model.output_scale), model.linear
+    (n, m), p, linear = model.linear.b.shape, model.scale.outputs, model.linear
     shared = {"alpha": 0.5, "beta": 0.1, "rate": 0.2, "certified": True, "margin": 0.1, "condition": 1.0}
     shared |= {"rate_limit": 0.4, "method": "placeholder", "solver_status": "none", "seconds": 0.0}
     a, b = linear.a, linear.b
@@ -83,8 +87,8 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool) -> Desig
     k, l = 0.1 * rng.standard_normal((m, len(a))), 0.05 * rng.standard_normal((n, p))  # noqa: E741
     wide, eye = np.eye(len(a)), np.eye(n)
     return Design(
-        state_feedback=StateFeedback(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared),
-        observer=Observer(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
+        state_feedback=StateFeedbackOfBall(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared),
+        observer=ObserverOfBall(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
     )
 
 
@@ -107,7 +111,7 @@ def write_recordings(run: Path, *, plant_alone: bool = True) -> Path:
         cases += [group(f"/case_{i}/reference", speed, 0 * y), group(f"/case_{i}/output", speed, decay)]
         cases += [group(f"/case_{i}/input", volt, -decay)]
         cases += [group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))] if plant_alone else []
-    write_mcap(run / "closed_loop.mcap", tuple(cases), {})
+    write_mcap(run / "closed_loop.mcap", tuple(cases), {"settling_band": "0.5"})
     rows = [f"{name},{case},0.9,0.1,0.2,3.0" for name in ("pi", "auto") for case in ("nominal", "delay")]
     head = "controller,situation,stable_fraction,settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
     (run / "comparison.csv").write_text("\n".join([head, *rows]) + "\n")

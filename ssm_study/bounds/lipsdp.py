@@ -16,12 +16,12 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-import scipy.linalg
+import scipy
 from jaxtyping import Float
 
+from ssm_study.bounds.network import Network
 from ssm_study.bounds.slopes import SlopeBound, bound_from_ball
-from ssm_study.models.network import Network
-from ssm_study.refusal import BadRequest
+from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import JacobianBall
 
 # The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by this share, far
@@ -41,9 +41,8 @@ class MatrixBall:
 
 def lipsdp_bound(network: Network) -> SlopeBound:
     """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the solver fails."""
-    if network.inputs != network.outputs:
-        shape = (network.outputs, network.inputs)
-        raise BadRequest("scaffold", shape, "a ball around alpha I needs a square scaffolding", "use m outputs")
+    shape = (network.outputs, network.inputs)
+    require(shape[0] == shape[1], "scaffold", shape, "a ball around alpha I needs a square one", "use m outputs")
     ball = lipsdp_ball(network, scalar_centre=True)
     return bound_from_ball(JacobianBall(alpha=float(ball.centre[0, 0]), beta=ball.radius), method="lipsdp")
 
@@ -52,15 +51,12 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
     """The ball of least radius around any matrix, or around `alpha I` (`scalar_centre`). Refuses as above."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
-    if scalar_centre:
-        alpha = cp.Variable()
-        centre = alpha * np.eye(network.inputs)
-    else:
-        centre = cp.Variable((network.outputs, network.inputs))
-    square = cp.Variable(nonneg=True)
+    shape = (network.outputs, network.inputs)
+    centre = cp.Variable() * np.eye(network.inputs) if scalar_centre else cp.Variable(shape)
+    square = cp.Variable(nonneg=True)  # L^2: the inequality is linear in it
     form = _sectors(network, multipliers) + square * _select(network, 0).T @ _select(network, 0)
     output = network.weights[-1] @ _select(network, len(hidden)) - centre @ _select(network, 0)
-    matrix = cp.bmat([[form, output.T], [output, np.eye(network.outputs)]])
+    matrix = cp.bmat([[form, output.T], [output, np.eye(network.outputs)]])  # Schur complement of |W d - C v|^2
     problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
     try:
         with warnings.catch_warnings():
@@ -68,13 +64,12 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
             problem.solve(solver="CLARABEL")
     except (cp.error.SolverError, ArithmeticError) as error:
         raise BadRequest("bound_method", "lipsdp", f"the solver failed ({error})", "use interval") from error
-    if square.value is None:
-        raise BadRequest("bound_method", "lipsdp", f"the solver reports {problem.status}", "use interval")
-    found = np.asarray(centre.value, dtype=float).reshape(network.outputs, network.inputs)
+    require(square.value is not None, "bound_method", "lipsdp", f"the solver reports {problem.status}", "use interval")
+    found = np.asarray(centre.value, dtype=float).reshape(shape)
     values = [np.asarray(t.value, dtype=float) for t in multipliers]
     radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
-    if not np.isfinite(radius):
-        raise BadRequest("bound_method", "lipsdp", "the multipliers found do not prove a bound", "use interval")
+    proved = np.isfinite(radius)
+    require(proved, "bound_method", "lipsdp", "the multipliers found do not prove a bound", "use interval")
     return MatrixBall(centre=found, radius=radius)
 
 
@@ -87,7 +82,7 @@ def _radius(network: Network, multipliers: list[Float[np.ndarray, "_"]], centre:
     form = form - output.T @ output
     inner = (form[m:, m:] + form[m:, m:].T) / 2
     try:
-        factor = scipy.linalg.cho_factor(inner)
+        factor = scipy.linalg.cho_factor(inner)  # fails where these multipliers prove nothing
     except np.linalg.LinAlgError:
         return np.inf
     needed = form[:m, m:] @ scipy.linalg.cho_solve(factor, form[m:, :m]) - form[:m, :m]

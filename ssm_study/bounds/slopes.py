@@ -2,12 +2,18 @@
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require
-from ssm_study.systems import JacobianBall
+from ssm_study.bounds.network import Network, slope_interval
+from ssm_study.refusal import BadRequest, one_of, require
+from ssm_study.systems import Balls, JacobianBall
+
+# Interval bounds are computed in floats and widened by this share: a thousand additions err by less than 1e-12.
+ROUNDING_SHARE = 1e-12
+METHODS = ("best", "exact", "interval", "lipsdp", "spectral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +30,8 @@ class SlopeBound:
     upper: float
     ball: JacobianBall | None
     method: str
-    sound_lower: bool
-    sound_upper: bool
+    sound_lower: bool = True
+    sound_upper: bool = True
     exact: bool = False
 
     @property
@@ -35,27 +41,19 @@ class SlopeBound:
 
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str, exact: bool) -> SlopeBound:
     """Both ends rounded outwards to floats; the ball encloses the rational interval, not its rounded picture."""
-    return SlopeBound(
-        lower=_rounded_down(lower),
-        upper=-_rounded_down(-upper),
-        ball=enclosing_ball(lower, upper),
-        method=method,
-        sound_lower=True,
-        sound_upper=True,
-        exact=exact,
-    )
+    least, most, ball = _rounded_down(lower), -_rounded_down(-upper), enclosing_ball(lower, upper)
+    return SlopeBound(lower=least, upper=most, ball=ball, method=method, exact=exact)
 
 
 def bound_from_ball(ball: JacobianBall, method: str, exact: bool = False) -> SlopeBound:
     """`lower, upper = alpha -+ beta`, with sign: `alpha < 0` is a decreasing map."""
-    ends = {"lower": ball.lower, "upper": ball.upper}
-    return SlopeBound(**ends, ball=ball, method=method, sound_lower=True, sound_upper=True, exact=exact)
+    return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method, exact=exact)
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
     """The smallest ball of floats with `alpha - beta <= lower` and `upper <= alpha + beta` in exact arithmetic."""
     require(lower <= upper, "slopes", (float(lower), float(upper)), "lower exceeds upper", "swap them")
-    alpha = float((lower + upper) / 2)
+    alpha = float((lower + upper) / 2)  # rounded; the radius covers it
     radius = max(upper - Fraction(alpha), Fraction(alpha) - lower)
     return JacobianBall(alpha=alpha, beta=-_rounded_down(-radius))
 
@@ -74,3 +72,91 @@ def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> Jac
     alpha = float(np.trace(centre)) / len(centre)
     distance = float(np.linalg.norm(centre - alpha * np.eye(len(centre)), 2)) if len(centre) > 1 else 0.0
     return JacobianBall(alpha=alpha, beta=distance + radius)
+
+
+def network_bound(network: Network, method: str) -> SlopeBound:
+    """`best` is exact for one channel, and otherwise the narrower of LipSDP and interval arithmetic.
+
+    `spectral` is the paper's figure for comparison: without a ball, its lower end unsound. Raises `BadRequest` for a
+    method that does not apply.
+    """
+    if method == "spectral":
+        return spectral_norm_bound(network)
+    if method == "exact" or (method == "best" and network.inputs == 1):
+        return bound_from_interval(*slope_interval(network), "break_points", exact=True)
+    if method == "interval":
+        return interval_bound(network)
+    from ssm_study.bounds.lipsdp import lipsdp_bound  # CVXPY takes a second to import
+
+    if method == "lipsdp":
+        return lipsdp_bound(network)
+    interval = interval_bound(network)
+    try:
+        return min(interval, lipsdp_bound(network), key=_width)
+    except BadRequest:  # the solver failed: what it was to improve on stands
+        return interval
+
+
+def _width(bound: SlopeBound) -> tuple[float, float]:
+    """Balls that exclude zero by their relative radius, as the frontier sees them; the others by their radius."""
+    return (np.inf, np.inf) if bound.ball is None else (min(bound.ball.relative_radius, 1.0), bound.ball.beta)
+
+
+def interval_bound(network: Network) -> SlopeBound:
+    """`|J(v) - centre| <= radius` entrywise for every v, by interval products `W_{L+1} Phi_L W_L ... Phi_1 W_1`.
+
+    So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel. Refuses a network
+    that is not square. Source: Moore 1966 (interval arithmetic).
+    """
+    shape, problem = (network.outputs, network.inputs), "a ball around alpha I needs as many outputs as inputs"
+    require(shape[0] == shape[1], "scaffold", shape, problem, "use a square scaffolding")
+    centre, size = np.eye(network.inputs), np.eye(network.inputs)  # size: what rounding errors are a share of
+    radius = np.zeros_like(centre)
+    for weight, _, negative, positive in network.hidden():
+        centre, radius, size = weight @ centre, np.abs(weight) @ radius, np.abs(weight) @ size
+        middle, half = ((positive + negative) / 2)[:, None], (np.abs(positive - negative) / 2)[:, None]
+        radius = np.abs(middle) * radius + half * (np.abs(centre) + radius)  # interval product, entry by entry
+        centre, size = middle * centre, np.maximum(np.abs(positive), np.abs(negative))[:, None] * size
+    last = network.weights[-1]
+    radius = np.abs(last) @ radius + ROUNDING_SHARE * (np.abs(last) @ size)
+    return bound_from_ball(ball_around_identity(last @ centre, float(np.linalg.norm(radius, 2))), method="interval")
+
+
+def spectral_norm_bound(network: Network) -> SlopeBound:
+    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: [Z26] section IV.
+
+    The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map, yet the product is
+    positive. Neither says where the Jacobians lie, so there is no ball.
+    """
+    lower = upper = 1.0
+    for weight in network.weights:
+        values = np.linalg.svd(weight, compute_uv=False)
+        lower, upper = lower * float(values[-1]), upper * float(values[0])
+    for _, _, *both in network.hidden():
+        slopes = np.abs(np.concatenate(both))
+        lower, upper = lower * float(slopes.min()), upper * float(slopes.max())
+    return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm", sound_lower=False)
+
+
+def jacobian_ball(scaffold: Any, method: str = "best") -> SlopeBound:
+    """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
+
+    `best` is the exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings),
+    the construction for residual ones, and otherwise the narrower of LipSDP and interval arithmetic. Raises
+    `BadRequest` for a scaffolding that is not square, an unknown method, or one that does not apply.
+    """
+    one_of(METHODS, "bound_method", method)
+    shape = (scaffold.outputs, scaffold.inputs)
+    require(shape[0] == shape[1], "scaffold", shape, "the theorems need a square scaffolding", "lift to m channels")
+    return scaffold.bound(method)
+
+
+def certified_balls(model: Any) -> Balls:
+    """The balls of `scaffold_in` and `scaffold_out` for the theorems: sound on both sides, or `BadRequest`."""
+    balls = []
+    for name in ("scaffold_in", "scaffold_out"):
+        bound = jacobian_ball(getattr(model, name))
+        if bound.ball is None or not bound.sound:
+            raise BadRequest(name, bound.method, "no sound ball of Jacobians is known", "choose another scaffold")
+        balls.append(bound.ball)
+    return Balls(input=balls[0], output=balls[1])

@@ -1,76 +1,73 @@
-"""From trajectories to a data set: equilibrium offsets, scales as pure gains, and what must hold of every record."""
+"""From records to a data set: scales as pure gains about the equilibrium, and what must hold of every record."""
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 
 SAME_STEP = 1e-9  # relative: sampling times written by different programs
+Parts = tuple[Sequence[Trajectory], Sequence[Trajectory], Sequence[Trajectory]]
+Rest = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "p"]]
 
 
 def assemble(
+    parts: Parts,
+    rest: Rest,
     *,
-    training: tuple[Trajectory, ...],
-    validation: tuple[Trajectory, ...],
-    test: tuple[Trajectory, ...],
     inputs: tuple[Channel, ...],
     outputs: tuple[Channel, ...],
-    input_equilibrium: Float[np.ndarray, "m"],
-    output_equilibrium: Float[np.ndarray, "p"],
     start_up_samples: int,
     metadata: dict[str, str],
+    trials: tuple[Trajectory, ...] = (),
 ) -> DataSet:
-    """`scale = rms(training - equilibrium)` per channel: a gain about the equilibrium, so that zero stays zero.
+    """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`.
 
-    Raises `BadRequest` for a part without records, differing sampling times, a record no longer than the start-up
-    window, or a channel that is constant over the training records.
+    `parts` are training, validation and test. Raises `BadRequest` for a part without records, differing sampling times,
+    a record no longer than the start-up window, or a channel that is constant over the training records.
     """
-    for part, records in (("training", training), ("validation", validation), ("test", test)):
+    named: list[tuple[Trajectory, ...]] = []
+    for part, records in zip(("training", "validation", "test"), parts, strict=True):
         require(len(records) > 0, f"data.{part}", "none", "a data set needs at least one record here", "add one")
-        for record in records:
-            _check(record, training[0].step_s, start_up_samples)
+        named.append(tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)))
+    training, validation, test = named
+    for record in (*training, *validation, *test):
+        _check(record, training[0].step_s, start_up_samples)
+    scale = Scale(
+        input_scale=_gains(np.concatenate([r.u for r in training]), rest[0], inputs),
+        output_scale=_gains(np.concatenate([r.y for r in training]), rest[1], outputs),
+        input_equilibrium=rest[0],
+        output_equilibrium=rest[1],
+    )
     return DataSet(
         training=training,
         validation=validation,
         test=test,
         inputs=inputs,
         outputs=outputs,
-        input_equilibrium=input_equilibrium,
-        output_equilibrium=output_equilibrium,
-        input_scale=_gains(np.concatenate([r.u for r in training]), input_equilibrium, inputs),
-        output_scale=_gains(np.concatenate([r.y for r in training]), output_equilibrium, outputs),
+        scale=scale,
+        trials=trials,
         start_up_samples=start_up_samples,
         metadata=metadata,
     )
 
 
 def _check(record: Trajectory, step_s: float, start_up_samples: int) -> None:
-    require(
-        len(record) > start_up_samples + 1,
-        f"{record.name} (samples)",
-        len(record),
-        f"no longer than the start-up window of {start_up_samples} samples",
-        "use a longer record or a smaller data.start_up_samples",
-    )
-    require(
-        abs(record.step_s - step_s) <= SAME_STEP * step_s,
-        f"{record.name}.step_s",
-        record.step_s,
-        f"differs from the {step_s:g} s of the first training record",
-        "resample the records to one sampling time",
-    )
+    problem = f"no longer than the start-up window of {start_up_samples} samples"
+    remedy = "use a longer record or a smaller data.start_up_samples"
+    require(len(record) > start_up_samples + 1, f"{record.name} (samples)", len(record), problem, remedy)
+    same = abs(record.step_s - step_s) <= SAME_STEP * step_s
+    problem = f"differs from the {step_s:g} s of the first training record"
+    require(same, f"{record.name}.step_s", record.step_s, problem, "resample the records to one sampling time")
 
 
 def _gains(
     values: Float[np.ndarray, "T c"], equilibrium: Float[np.ndarray, "c"], channels: tuple[Channel, ...]
 ) -> Float[np.ndarray, "c"]:
-    for j, channel in enumerate(channels):
-        require(
-            float(np.ptp(values[:, j])) > 0,
-            channel.name,
-            values[0, j],
-            "constant over the training records, so nothing can be identified from it",
-            "excite it, or leave the channel out",
-        )
+    problem = "constant over the training records, so nothing can be identified from it"
+    for column, channel in zip(values.T, channels, strict=True):
+        require(np.ptp(column) > 0, channel.name, column[0], problem, "excite it, or leave the channel out")
     return np.sqrt(np.mean((values - equilibrium) ** 2, axis=0))

@@ -1,96 +1,107 @@
-"""Experiments assigned to training, validation and test one by one: how the benchmark records are described."""
+"""Experiments assigned to training, validation and test one by one: the benchmark records, and where they lie."""
 
+import importlib
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ssm_study.data.assembly import assemble
-from ssm_study.data.benchmark_files import benchmark_folder, file_in
-from ssm_study.data.recorded import RecordedSource, check_recorded, rest_of
+from ssm_study.data.assembly import Parts
+from ssm_study.data.metrics import SCORES
+from ssm_study.data.recorded import AroundRest
 from ssm_study.data.recording import Recording
-from ssm_study.data.scores import SCORES
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, one_of, require
 from ssm_study.signals import DataSet, Trajectory
+
+RECORDS_VARIABLE = "SSM_STUDY_DATA"  # a folder with one folder per benchmark
+RECORDS_BESIDE = Path("../shared/data")  # where a clone may have them, relative to the folder one works in
+DOWNLOADERS = {"emps": "EMPS", "ced": "CED", "cascaded_tanks": "Cascaded_Tanks", "silverbox": "Silverbox"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedExperiments(RecordedSource):
+class RecordedExperiments(AroundRest):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
     `folder` null searches for the `benchmark` (`benchmark_folder`). `score` is "rmse" in the unit of the output,
-    "rmse_mm" of an output in m, or "position_mm" for what a velocity integrates to. Equilibrium: as in `RecordedData`.
-    `fold` k of `folds`, counted from 0, holds out the k-th of so many equal pieces of every training recording: it is
-    scored in place of `test`, whose files are then not opened, so that settings can be chosen without them.
+    "rmse_mm" of an output in m, "rmse_milli" in thousandths of the unit, or "position_mm" for what a
+    velocity integrates to.
+    A `fold` is held out of every training recording: it is scored in place of `test`, whose files are then not opened,
+    so that settings can be chosen without them.
     """
 
     benchmark: str
     training: list[Recording]
     validation: list[Recording]
     test: list[Recording]
-    start_up_samples: int
-    equilibrium: str = "mean"
-    input_equilibrium: list[float] | None = None
-    output_equilibrium: list[float] | None = None
     score: str = "rmse"
     folder: str | None = None
-    fold: int | None = None
-    folds: int = 4
 
     def __post_init__(self) -> None:
-        check_recorded(self.start_up_samples, self.equilibrium)
-        require(self.folds >= 2, "data.folds", self.folds, "nothing would be left to train on", "use 4 or so")
-        inside = self.fold is None or 0 <= self.fold < self.folds
-        require(inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0")
-        require(self.score in SCORES, "data.score", self.score, f"is none of {', '.join(SCORES)}", "use one of these")
+        super().__post_init__()
+        one_of(SCORES, "data.score", self.score)
         for part in ("training", "validation", "test"):
             require(len(getattr(self, part)) > 0, f"data.{part}", "none", "no recording is named", "name at least one")
 
     def files(self) -> tuple[Path, ...]:
-        folder, apart = self.located(), (*self.validation, *self.test) if self.fold is None else ()
-        names = dict.fromkeys(r.path for r in (*self.training, *apart))
-        return tuple(file_in(folder, name) for name in names)
+        apart = (*self.validation, *self.test) if self.fold is None else ()
+        names = dict.fromkeys(recording.path for recording in (*self.training, *apart))
+        return tuple(file_in(self.located(), name) for name in names)
 
     def build(self, seed: int) -> DataSet:
-        training, validation, test = self._parts(self.located())
-        return assemble(
-            training=training,
-            validation=validation,
-            test=test,
-            inputs=self.training[0].inputs,
-            outputs=self.training[0].outputs,
-            start_up_samples=self.start_up_samples,
-            **rest_of(training, self.equilibrium, self.input_equilibrium, self.output_equilibrium),
-            metadata={"source": "recorded", "benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
-            | ({} if self.fold is None else {"held_out": f"fold {self.fold} of {self.folds}, of the training records"}),
-        )
+        about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
+        if self.fold is not None:
+            about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
+        return self.assembled(self._parts(), self.training[0].inputs, self.training[0].outputs, **about)
 
-    def _parts(self, folder: Path) -> tuple[tuple[Trajectory, ...], ...]:
+    def _parts(self) -> Parts:
         """Training, validation and test; of a fold, what is kept also validates, as it does without folds."""
-        training = _read(folder, "training", self.training)
+        folder = self.located()
         if self.fold is None:
-            return training, _read(folder, "validation", self.validation), _read(folder, "test", self.test)
-        kept = tuple(piece for record in training for piece in _around(record, self.fold, self.folds))
-        return kept, kept, tuple(_piece(record, self.fold, self.fold + 1, self.folds) for record in training)
+            return _read(folder, self.training), _read(folder, self.validation), _read(folder, self.test)
+        kept, held_out = [], []
+        for record in _read(folder, self.training):
+            start, end = (round(len(record) * k / self.folds) for k in (self.fold, self.fold + 1))
+            kept += [piece for piece in (record[:start], record[end:]) if len(piece)]
+            held_out.append(record[start:end])
+        return kept, kept, held_out
 
     def located(self) -> Path:
         """The folder of the records; `BadRequest` where there is none."""
-        if self.folder is not None:
-            require(Path(self.folder).is_dir(), "data.folder", self.folder, "no such folder", "check the spelling")
-            return Path(self.folder)
-        return benchmark_folder(self.benchmark)
+        if self.folder is None:
+            return benchmark_folder(self.benchmark)
+        require(Path(self.folder).is_dir(), "data.folder", self.folder, "no such folder", "check the spelling")
+        return Path(self.folder)
 
 
-def _read(folder: Path, part: str, recordings: list[Recording]) -> tuple[Trajectory, ...]:
-    return tuple(
-        replace(r, path=str(file_in(folder, r.path)), name=f"{part}_{k + 1}").read() for k, r in enumerate(recordings)
-    )
+def benchmark_folder(benchmark: str) -> Path:
+    """The folder of a benchmark (`DOWNLOADERS`): in $SSM_STUDY_DATA, in ../shared/data, or the official package's.
+
+    That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest` where it is nowhere.
+    """
+    around = [Path(os.environ[RECORDS_VARIABLE])] if RECORDS_VARIABLE in os.environ else []
+    for place in (*around, RECORDS_BESIDE):
+        if (place / benchmark).is_dir():
+            return place / benchmark
+    problem = f"the {benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}"
+    remedy = "give data.folder=PATH, or pip install 'ssm-study[benchmarks]' to download them"
+    try:
+        found = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])(
+            data_file_locations=True
+        )
+    except (ImportError, KeyError) as error:
+        raise BadRequest("data.folder", None, problem, remedy) from error
+    except Exception as error:  # whatever the network and the archive readers raise (2026-11)
+        raise BadRequest("data.folder", None, f"{problem}, and downloading failed ({error})", remedy) from error
+    return Path(found if isinstance(found, str | os.PathLike) else found[0]).parent
 
 
-def _around(record: Trajectory, fold: int, folds: int) -> list[Trajectory]:
-    """What lies before and behind the fold."""
-    return [_piece(record, first, last, folds) for first, last in ((0, fold), (fold + 1, folds)) if first < last]
+def file_in(folder: Path, name: str) -> Path:
+    """The file of that name, or of its stem as CSV or MAT: records are distributed as both. Refuses without."""
+    exact = folder / name
+    twins = sorted(p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv"))
+    found, remedy = exact.is_file() or bool(twins), "point it at the benchmark's own folder"
+    require(found, "data.folder", folder, f"has no {name}", remedy)
+    return exact if exact.is_file() else twins[0]
 
 
-def _piece(record: Trajectory, first: int, last: int, folds: int) -> Trajectory:
-    """Folds `first` to before `last` of a record cut into `folds` equal pieces."""
-    samples = slice(round(len(record) * first / folds), round(len(record) * last / folds))
-    return replace(record, u=record.u[samples], y=record.y[samples], name=f"{record.name}_fold_{first + 1}")
+def _read(folder: Path, recordings: list[Recording]) -> list[Trajectory]:
+    return [replace(recording, path=str(file_in(folder, recording.path))).read() for recording in recordings]

@@ -1,16 +1,17 @@
-"""Data from files: one or several logs cut in time, or experiments assigned to parts one by one."""
+"""Data from files: one or several logs, each cut into training, validation and test."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
-from ssm_study.data.assembly import assemble
-from ssm_study.data.recording import Names, Recording, listed
-from ssm_study.refusal import require
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.data.assembly import Parts, assemble
+from ssm_study.data.readers.reader import has_columns
+from ssm_study.data.recording import Columns, Names, listed
+from ssm_study.data.splits import BLOCKS, FEWEST, Pieces, by_fold, by_intervals, by_time, end_is_unlike, in_blocks
+from ssm_study.refusal import at_least, one_of, require
+from ssm_study.signals import Channel, DataSet, Trajectory
 
 
 class RecordedSource(ABC):
@@ -25,127 +26,144 @@ class RecordedSource(ABC):
         """The data set; `seed` only names the run, for nothing here is random."""
 
 
-def existing(path: Path) -> Path:
-    """The path, which must be a file."""
-    require(path.is_file(), "data.path", path, "no such file", "check the spelling")
-    return path
-
-
 @dataclass(frozen=True, kw_only=True)
-class RecordedData(RecordedSource):
-    """Logs of one system, each cut in time: training first, then validation, then test.
+class AroundRest(RecordedSource):
+    """Records about an equilibrium: "zero" or "mean" (of the training samples), or one number per channel, as given.
 
-    `path` names one log or several (of any lengths); `input`, `output`, `time` name columns. `test_path` gives separate
-    test logs, and nothing is then cut for the test. The equilibrium is "zero" or "mean" (of the training samples),
-    unless `input_equilibrium` and `output_equilibrium` give it, one number per channel.
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom starts at rest.
+    `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces of every record.
     """
 
-    path: Names
-    input: Names
-    output: Names
-    step_s: float | None = None
-    time: str | None = None
-    test_path: Names | None = None
-    validation_fraction: float = 0.2
-    test_fraction: float = 0.2
+    fold: int | None = None
+    folds: int = 5
     start_up_samples: int = 0
     equilibrium: str = "mean"
     input_equilibrium: list[float] | None = None
     output_equilibrium: list[float] | None = None
-    input_unit: Names = ""
-    output_unit: Names = ""
-    jitter_tolerance: float = 0.05
-    resample: bool = False
-    decimate: int = 1
-    differentiate: bool = False
 
     def __post_init__(self) -> None:
+        at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
+        one_of(("zero", "mean"), "data.equilibrium", self.equilibrium)
+        at_least(2, "data.folds", self.folds, "use 4 or so")
+        inside = self.fold is None or 0 <= self.fold < self.folds
+        require(inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0")
+
+    def assembled(
+        self, parts: Parts, inputs: tuple[Channel, ...], outputs: tuple[Channel, ...], **about: str
+    ) -> DataSet:
+        """The data set of these parts; refuses what `assemble` refuses."""
+        require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less")
+        rest = []
+        for side, given in (("u", self.input_equilibrium), ("y", self.output_equilibrium)):
+            mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
+            field = "data.input_equilibrium" if side == "u" else "data.output_equilibrium"
+            fits, problem = given is None or len(given) == len(mean), f"there are {len(mean)} channels"
+            require(fits, field, given, problem, "give one number per channel")
+            ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
+            rest.append(ruled if given is None else np.array(given, dtype=np.float64))
+        return assemble(
+            parts,
+            (rest[0], rest[1]),
+            inputs=inputs,
+            outputs=outputs,
+            start_up_samples=self.start_up_samples,
+            metadata={"source": "recorded", **about},
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedData(Columns, AroundRest):
+    """Logs of one system, each cut into training, validation and test (`data.splits`).
+
+    `split` is "time" (training first, then validation, then test), "blocks" (interleaved), or "auto": blocks where the
+    end of the log is unlike its beginning and it is long enough. `validation` and `test` may name intervals in seconds
+    instead, `[[0, 20], [40, 60]]`; what they leave trains. With `fold` the piece before the one that tests validates.
+    `path` names one log or several (of any lengths); `output_path` as many files for their outputs, where these stand
+    apart (of one log `path` may name both, if no column of one is called like one of the other). `input`, `output` and
+    `time` name columns. `test_path` (and `test_output_path`) give separate test logs, and nothing is then cut for the
+    test.
+    """
+
+    path: Names
+    output_path: Names | None = None
+    test_path: Names | None = None
+    test_output_path: Names | None = None
+    split: str = "auto"
+    validation: list[list[float]] | None = None
+    test: list[list[float]] | None = None
+    validation_fraction: float = 0.2
+    test_fraction: float = 0.2
+
+    def __post_init__(self) -> None:
+        Columns.__post_init__(self)
+        AroundRest.__post_init__(self)
         for name in ("validation_fraction", "test_fraction"):
             value = getattr(self, name)
             require(0 < value < 1, f"data.{name}", value, "not inside (0, 1)", "use 0.2 or so")
         total = self.validation_fraction + (self.test_fraction if self.test_path is None else 0.0)
-        require(
-            total < 1, "data.validation_fraction, data.test_fraction", total, "nothing is left to train on", "cut less"
-        )
-        check_recorded(self.start_up_samples, self.equilibrium)
+        both = "data.validation_fraction, data.test_fraction"
+        require(total < 1, both, total, "nothing is left to train on", "cut less")
+        one_of(("auto", "time", "blocks"), "data.split", self.split)
+        named, tested = (self.validation, self.test), self.test is not None or self.test_path is not None
+        whole = (self.validation is None and self.test is None) or (self.validation is not None and tested)
+        remedy = "name intervals for data.validation and data.test"
+        require(whole, "data.validation, data.test", named, "one is missing", remedy)
+        free = self.fold is None or (self.split == "auto" and named == (None, None) and not tested)
+        problem, remedy = "the parts are named too", "leave out data.split, validation, test and test_path"
+        require(free, "data.fold", self.fold, problem, remedy)
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
+        self.files_of("path", "output_path")
+        self.files_of("test_path", "test_output_path")
+
+    @property
+    def apart(self) -> bool:
+        return self.output_path is not None
+
+    def files_of(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
+        """Each file of `field` with that of its outputs, where these stand apart; refuses too few or too many."""
+        names, others = (listed(getattr(self, name) or ()) for name in (field, outputs))
+        expected = len(names) if self.apart else 0
+        problem = f"{len(others)} files of outputs, {expected} expected"
+        require(len(others) == expected, f"data.{outputs}", list(others), problem, "name one for each file of inputs")
+        return [tuple(map(Path, pair)) for pair in (zip(names, others, strict=True) if others else zip(names))]
 
     def files(self) -> tuple[Path, ...]:
-        return tuple(existing(Path(path)) for path in (*listed(self.path), *listed(self.test_path or ())))
+        pairs = [*self.files_of("path", "output_path"), *self.files_of("test_path", "test_output_path")]
+        for path in (paths := tuple(path for pair in pairs for path in pair)):
+            require(path.is_file(), "data.path", path, "no such file", "check the spelling")
+        return paths
 
     def build(self, seed: int) -> DataSet:
-        logs = [self._recording(path) for path in listed(self.path)]
-        read = [log.read() for log in logs]
+        cuts, split = self._split(self._logs("path", "output_path"))
+        training, validation, test = ([piece for pieces in cuts for piece in pieces[k]] for k in range(3))
+        if self.test_path is not None:
+            test = self._logs("test_path", "test_output_path")
+        about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
+        return self.assembled((training, validation, test), self.inputs, self.outputs, **about)
+
+    def _logs(self, field: str, outputs: str) -> list[Trajectory]:
+        """Every log; two files of which one has the inputs and the other the outputs are one log."""
+        logs = self.files_of(field, outputs)
+        if len(logs) == 2 and not self.apart:
+            (first,), (second,) = logs
+            alone = has_columns(first, listed(self.output)) or not has_columns(first, listed(self.input))
+            logs = logs if alone or not has_columns(second, listed(self.output)) else [(first, second)]
+        return [self.read_from(*log) for log in logs]
+
+    def _split(self, logs: list[Trajectory]) -> tuple[list[Pieces], str]:
+        """The pieces of every log, and in words how they were cut."""
+        if self.validation is not None:
+            named = {"validation": self.validation, "test": self.test or []}
+            return [by_intervals(log, named) for log in logs], "into named intervals"
+        if self.fold is not None:
+            said = f"into {self.folds} folds, of which number {self.fold} tests and the one before it validates"
+            return [by_fold(log, self.fold, self.folds) for log in logs], said
         own_test = self.test_path is None
-        parts = [_cut(record, self.validation_fraction, self.test_fraction if own_test else 0.0) for record in read]
-        test = (
-            [part[2] for part in parts]
-            if own_test
-            else [self._recording(p).read() for p in listed(self.test_path or ())]
-        )
-        training = _named("training", [part[0] for part in parts])
-        return assemble(
-            training=training,
-            validation=_named("validation", [part[1] for part in parts]),
-            test=_named("test", test),
-            inputs=logs[0].inputs,
-            outputs=logs[0].outputs,
-            start_up_samples=self.start_up_samples,
-            **rest_of(training, self.equilibrium, self.input_equilibrium, self.output_equilibrium),
-            metadata={"source": "recorded", "path": ", ".join(listed(self.path)), "seed": str(seed)},
-        )
-
-    def _recording(self, path: str) -> Recording:
-        return Recording(
-            path=path,
-            input=self.input,
-            output=self.output,
-            step_s=self.step_s,
-            time=self.time,
-            input_unit=self.input_unit,
-            output_unit=self.output_unit,
-            jitter_tolerance=self.jitter_tolerance,
-            resample=self.resample,
-            decimate=self.decimate,
-            differentiate=self.differentiate,
-        )
-
-
-def check_recorded(start_up_samples: int, equilibrium: str) -> None:
-    """What every kind of recorded data is asked before it is read."""
-    require(start_up_samples >= 0, "data.start_up_samples", start_up_samples, "must not be negative", "use 0")
-    known = ("zero", "mean")
-    require(equilibrium in known, "data.equilibrium", equilibrium, f"is none of {', '.join(known)}", "use one of these")
-
-
-def rest_of(
-    training: tuple[Trajectory, ...], rule: str, u_given: list[float] | None, y_given: list[float] | None
-) -> dict[str, Float[np.ndarray, "_"]]:
-    """The equilibrium of a data set, by the rule or as given: `input_equilibrium (m,)`, `output_equilibrium (p,)`."""
-    return {
-        "input_equilibrium": _rest([record.u for record in training], rule, u_given, "data.input_equilibrium"),
-        "output_equilibrium": _rest([record.y for record in training], rule, y_given, "data.output_equilibrium"),
-    }
-
-
-def _rest(
-    values: list[Float[np.ndarray, "_ c"]], rule: str, given: list[float] | None, field: str
-) -> Float[np.ndarray, "c"]:
-    mean = np.concatenate(values).mean(axis=0)
-    if given is None:
-        return mean if rule == "mean" else np.zeros_like(mean)
-    require(len(given) == len(mean), field, given, f"there are {len(mean)} channels", "give one number per channel")
-    return np.array(given, dtype=np.float64)
-
-
-def _cut(record: Trajectory, validation: float, test: float) -> tuple[Trajectory, Trajectory, Trajectory]:
-    """Contiguous pieces, in the order of time."""
-    first = round(len(record) * (1 - validation - test))
-    second = round(len(record) * (1 - test))
-    pieces = [slice(0, first), slice(first, second), slice(second, None)]
-    return tuple(replace(record, u=record.u[p], y=record.y[p]) for p in pieces)  # type: ignore[return-value]  # three
-
-
-def _named(part: str, records: list[Trajectory]) -> tuple[Trajectory, ...]:
-    return tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records))
+        in_time = [by_time(log, self.validation_fraction, self.test_fraction if own_test else 0.0) for log in logs]
+        if self.split == "time" or not own_test:
+            return in_time, "in the order of time"
+        able = all(len(log) // BLOCKS >= self.start_up_samples + FEWEST for log in logs)
+        if self.split == "auto" and not (able and any(map(end_is_unlike, in_time))):
+            return in_time, "in the order of time"
+        why = "" if self.split == "blocks" else ", because its end is unlike its beginning"
+        return [in_blocks(log) for log in logs], f"in {BLOCKS} interleaved blocks{why}"

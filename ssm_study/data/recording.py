@@ -7,24 +7,24 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.columns import Wanted, read_table
-from ssm_study.data.sampling import mean_period_s, resampled, uniform_step_s
-from ssm_study.data.table import Table
-from ssm_study.refusal import BadRequest, require
+from ssm_study.data.readers.reader import read_table
+from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
 
-Names = str | list[str] | tuple[str, ...]
+Names = str | int | list[str] | list[int] | tuple[str, ...]
+AGREEMENT = 1e-3  # relative difference allowed between the claimed sampling time and the one the times show
 
 
 def listed(names: Names) -> tuple[str, ...]:
-    """One name or several, as several."""
-    return (names,) if isinstance(names, str) else tuple(names)
+    """One name or several, as several; a column without a name goes by its number."""
+    return (str(names),) if isinstance(names, str | int) else tuple(map(str, names))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
-    """Columns `input` and `output` of the file at `path`, samples `first` to before `last`.
+class Columns:
+    """Columns `input` and `output` of a file, or of a file each, and the clock of their rows.
 
+    Columns go by their names, those of a CSV file without a line of names by their numbers, from 0.
     The clock is `step_s`, or the column `time` (seconds; MCAP brings its own), or both, which must then agree.
     Samples off a uniform clock by more than `jitter_tolerance` periods are refused unless `resample` is true.
     `decimate` n keeps every n-th output and the mean input of the n samples from there on: what a hold would have
@@ -32,95 +32,145 @@ class Recording:
     times `step_s` is the position again, exactly; the first sample is spent on it.
     """
 
-    path: str
     input: Names
     output: Names
     step_s: float | None = None
-    time: str | None = None
-    first: int = 0
-    last: int | None = None
+    time: str | int | None = None
     input_unit: Names = ""
     output_unit: Names = ""
     jitter_tolerance: float = 0.05
     resample: bool = False
     decimate: int = 1
     differentiate: bool = False
-    name: str = "recording"
 
     def __post_init__(self) -> None:
-        step_s = self.step_s
-        require(step_s is None or 0 < step_s < np.inf, "data.step_s", step_s, "must be positive", "give it in seconds")
-        require(self.decimate >= 1, "data.decimate", self.decimate, "must be at least 1", "use 1 to keep every sample")
-        require(self.first >= 0, "data.first", self.first, "must not be negative", "count samples from 0")
-        require(
-            0 <= self.jitter_tolerance < 1, "data.jitter_tolerance", self.jitter_tolerance, "not in [0, 1)", "use 0.05"
-        )
+        positive("data.step_s", self.step_s, "give it in seconds")
+        at_least(1, "data.decimate", self.decimate, "use 1 to keep every sample")
+        jitter = self.jitter_tolerance
+        require(0 <= jitter < 1, "data.jitter_tolerance", jitter, "not in [0, 1)", "use 0.05")
         for field, names in (("data.input", self.input), ("data.output", self.output)):
             require(len(listed(names)) > 0 and all(listed(names)), field, names, "names no column", "name at least one")
         both = set(listed(self.input)) & set(listed(self.output))
-        require(not both, "data.output", sorted(both), "is an input too", "name other columns")
+        remedy = "name other columns, or data.output_path"
+        require(self.apart or not both, "data.output", sorted(both), "is an input too", remedy)
+
+    @property
+    def apart(self) -> bool:
+        """Whether the outputs stand in files of their own."""
+        return False
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
-        return _channels(self.input, self.input_unit, "data.input_unit")
+        return _channels(self.input, self.input_unit, "input", self.apart)
+
+    @property
+    def measured(self) -> tuple[Channel, ...]:
+        """What stands in the files; the `outputs` unless `differentiate` makes them rates, in the unit per second."""
+        return _channels(self.output, self.output_unit, "output", self.apart)
 
     @property
     def outputs(self) -> tuple[Channel, ...]:
-        """With `differentiate` the unit is the position's per second."""
-        channels = _channels(self.output, self.output_unit, "data.output_unit")
-        if not self.differentiate:
-            return channels
-        return tuple(Channel(name=f"{c.name}_rate", unit=f"{c.unit}/s") for c in channels)
+        rates = tuple(Channel(name=f"{c.name}_rate", unit=f"{c.unit}/s") for c in self.measured)
+        return rates if self.differentiate else self.measured
 
-    def read(self) -> Trajectory:
-        """The experiment in physical units. Raises `BadRequest`, always in one sentence."""
-        table = self._table()
-        u = np.stack([table.columns[name] for name in listed(self.input)], axis=1)
-        y = np.stack([table.columns[name] for name in listed(self.output)], axis=1)
-        both, step_s = self._on_clock(table, np.concatenate([u, y], axis=1))
-        both = self._cut(both)
-        u, y = decimated(both[:, : u.shape[1]], both[:, u.shape[1] :], self.decimate)
+    def read_from(
+        self, path: Path, output_path: Path | None = None, *, first: int = 0, last: int | None = None
+    ) -> Trajectory:
+        """Samples `first` to before `last`, in physical units, outputs from `output_path` where it is given.
+
+        Raises `BadRequest`, always in one sentence.
+        """
+        time_s, u, y = self._read(path, output_path or path)
+        values, step_s = self._on_clock(time_s, np.hstack([u, y]), path.name)
+        end, problem = len(values) if last is None else last, f"no such samples, {path.name} has {len(values)}"
+        require(first < end <= len(values), "data.first, data.last", (first, end), problem, "count from 0")
+        at_least(2 * self.decimate + 1, "samples", end - first, "use a longer record")
+        u, y = np.split(values[first:end], [len(self.inputs)], axis=1)
+        u, y = decimated(u, y, self.decimate)
         step_s *= self.decimate
         if self.differentiate:
             u, y = u[1:], np.diff(y, axis=0) / step_s
-        return Trajectory(u=u, y=y, step_s=step_s, name=self.name)
+        return Trajectory(u=u, y=y, step_s=step_s, name=path.name)
 
-    def _table(self) -> Table:
-        names = [*listed(self.input), *listed(self.output)]
-        units = [c.unit for c in self.inputs]
-        units += [c.unit for c in _channels(self.output, self.output_unit, "data.output_unit")]
-        if self.time is not None:
-            names, units = [*names, self.time], [*units, "s"]
-        return read_table(Path(self.path), Wanted(names=tuple(names), units=tuple(units)))
+    def _read(
+        self, path: Path, output_path: Path
+    ) -> tuple[Float[np.ndarray, "T"] | None, Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
+        """Times, inputs and outputs; each file is read once, and the rows of two must go together."""
+        sides = [(path, listed(self.input), self.inputs), (output_path, listed(self.output), self.measured)]
+        wanted: dict[Path, dict[str, str]] = {}
+        for file, names, channels in sides:
+            clock = {} if self.time is None else {str(self.time): "s"}
+            wanted.setdefault(file, clock).update(zip(names, (c.unit for c in channels), strict=True))
+        tables = {file: read_table(file, units) for file, units in wanted.items()}
+        u, y = (np.stack([tables[file].columns[name] for name in names], axis=1) for file, names, _ in sides)
+        found = [t.time_s if self.time is None else t.columns[str(self.time)] for t in tables.values()]
+        times = [time_s for time_s in found if time_s is not None]
+        problem, remedy = f"has {len(y)} rows, {path.name} {len(u)}", "cut them alike"
+        require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
+        if len(tables) > 1 and times:
+            problem, remedy = "log times count from each recording's own start", "put both signals into one recording"
+            require(self.time is not None, "data.output_path", output_path, problem, remedy)
+            late_s = float(np.abs(times[0] - times[1]).max())
+            problem = f"its rows are up to {late_s:.3g} s away from those of the inputs"
+            close = late_s <= self.jitter_tolerance * np.ptp(times[0]) / len(u)
+            require(close, "data.output_path", output_path, problem, "log both on one clock")
+        return times[0] if times else None, u, y
 
-    def _on_clock(self, table: Table, values: Float[np.ndarray, "T c"]) -> tuple[Float[np.ndarray, "T2 c"], float]:
-        time_s = table.time_s if self.time is None else table.columns[self.time]
-        if time_s is None and self.step_s is None:
-            raise BadRequest(
-                "data.step_s", None, "the sampling time is unknown", "give it, or name the column data.time"
-            )
+    def _on_clock(
+        self, time_s: Float[np.ndarray, "T"] | None, values: Float[np.ndarray, "T c"], where: str
+    ) -> tuple[Float[np.ndarray, "T2 c"], float]:
+        """The rows on a uniform clock, and its period."""
         if time_s is None:
-            return values, float(self.step_s or 0.0)
-        where = Path(self.path).name
-        if self.resample:
-            step_s = mean_period_s(time_s, where) if self.step_s is None else self.step_s
-            mean_period_s(time_s, where)
-            return resampled(time_s, values, step_s), step_s
-        return values, uniform_step_s(time_s, self.step_s, self.jitter_tolerance, where)
+            if self.step_s is None:
+                problem, remedy = "the sampling time is unknown", "give it, or name the column data.time"
+                raise BadRequest("data.step_s", None, problem, remedy)
+            return values, self.step_s
+        mean_s = mean_period_s(time_s, where)
+        if not self.resample:
+            check_uniform(time_s, mean_s, self.jitter_tolerance, where)
+            agrees = self.step_s is None or abs(self.step_s - mean_s) <= AGREEMENT * mean_s
+            remedy = "correct one of them (units?), or leave step_s null"
+            require(agrees, "data.step_s", self.step_s, f"the times of {where} show {mean_s:.6g} s", remedy)
+            return values, mean_s if self.step_s is None else self.step_s
+        step_s = mean_s if self.step_s is None else self.step_s
+        # Half a rounding error more than the last period, so that a whole number of periods gives all its samples.
+        clock = time_s[0] + step_s * np.arange(int((time_s[-1] - time_s[0]) / step_s + 1e-9) + 1)
+        return np.stack([np.interp(clock, time_s, column) for column in values.T], axis=1), step_s
 
-    def _cut(self, values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "T2 c"]:
-        last = len(values) if self.last is None else self.last
-        require(
-            self.first < last <= len(values),
-            "data.first, data.last",
-            (self.first, last),
-            f"no such samples, {Path(self.path).name} has {len(values)}",
-            "count from 0",
-        )
-        kept = values[self.first : last]
-        fewest = 2 * self.decimate + 1
-        require(len(kept) >= fewest, "samples", len(kept), f"at least {fewest} are needed", "use a longer record")
-        return kept
+
+@dataclass(frozen=True, kw_only=True)
+class Recording(Columns):
+    """Samples `first` to before `last` of the columns of the file at `path`."""
+
+    path: str
+    first: int = 0
+    last: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(0, "data.first", self.first, "count samples from 0")
+
+    def read(self) -> Trajectory:
+        """The experiment in physical units; refuses as `read_from`."""
+        return self.read_from(Path(self.path), first=self.first, last=self.last)
+
+
+def mean_period_s(time_s: Float[np.ndarray, "T"], where: str) -> float:
+    """The mean period of times that increase; refuses others."""
+    at_least(2, f"{where} (time)", len(time_s), "use a longer record")
+    k = int(np.argmax(np.diff(time_s) <= 0)) + 1
+    problem = f"sample {k} is not later than the one before"
+    require(time_s[k] > time_s[k - 1], f"{where} (time)", time_s[k], problem, "sort the record")
+    return float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
+
+
+def check_uniform(time_s: Float[np.ndarray, "T"], mean_s: float, tolerance: float, where: str) -> None:
+    """Refuse an instant further than `tolerance` periods from where the clock puts it."""
+    late = np.abs(time_s - time_s[0] - mean_s * np.arange(len(time_s))) / mean_s
+    worst = int(np.argmax(late))
+    problem = f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, and {tolerance:g} is tolerated"
+    remedy = "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance"
+    require(late[worst] <= tolerance, f"{where} (time)", time_s[worst], problem, remedy)
 
 
 def decimated(
@@ -131,14 +181,15 @@ def decimated(
     return u[: periods * every].reshape(periods, every, -1).mean(axis=1), y[: periods * every : every]
 
 
-def _channels(names: Names, units: Names, field: str) -> tuple[Channel, ...]:
+def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
+    """Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
+
+    A number says which side it is of, `input_0`; so does every name of files apart, where two may be equal.
+    """
     columns, stated = listed(names), listed(units)
     stated = ("",) * len(columns) if stated == ("",) else stated
-    require(len(stated) == len(columns), field, units, f"there are {len(columns)} columns", "give one unit per column")
-    return tuple(Channel(name=_identifier(name), unit=unit) for name, unit in zip(columns, stated, strict=True))
-
-
-def _identifier(column: str) -> str:
-    """`Motor voltage (V)` becomes `Motor_voltage_V`: recordings store signals under names without other characters."""
-    words = re.sub(r"[^0-9A-Za-z]+", "_", column).strip("_") or "signal"
-    return f"signal_{words}" if words[0].isdigit() else words
+    problem, remedy = f"there are {len(columns)} columns", "give one unit per column"
+    require(len(stated) == len(columns), f"data.{side}_unit", units, problem, remedy)
+    plain = [re.sub(r"[^0-9A-Za-z]+", "_", column).strip("_") or "signal" for column in columns]
+    plain = [f"{side}_{words}" if apart or words[0].isdigit() else words for words in plain]
+    return tuple(Channel(name=name, unit=unit) for name, unit in zip(plain, stated, strict=True))

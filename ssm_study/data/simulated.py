@@ -1,4 +1,9 @@
-"""Data from a plant of this project: excite, simulate, add measurement noise, keep the three parts apart."""
+"""Data from a plant of this project: excite, simulate, add measurement noise, keep the three parts apart.
+
+A few more records are for one purpose only: how far the plant is from its model where the loop will take it. No fit
+uses them. An excitation at full amplitude, held for some samples at a time, says little of what happens near rest,
+above its own band, or from where the loop starts. Source: THEORY section 7.
+"""
 
 from dataclasses import dataclass
 
@@ -6,12 +11,17 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.assembly import assemble
-from ssm_study.data.excitation import Excitation, Request
+from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import require
+from ssm_study.refusal import at_least, require
 from ssm_study.signals import DataSet, Trajectory
 
 FEWEST_SAMPLES = 20
+SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)  # amplitudes of the trials, as shares of the plant's own
+PERIOD = 1024  # samples; every trial holds two, so that what repeats is told from what does not
+LEAD_IN = PERIOD // 4  # the end of a period runs before the first, so that the transient from rest is over
+REST = PERIOD // 2  # samples at rest input behind the last period
+DECAYS = (-1.0, -0.5, 0.5, 1.0)  # where the free decays start, as shares of the plant's initial range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +30,8 @@ class SimulatedData:
 
     `trajectories` training records of `samples` each, one validation and one test record. Validation and test are
     excited by `scoring_excitation` (multilevel) whatever the training excitation is, so that runs compare.
-    `noise_variance` None takes the plant's own. Every record starts at the plant's equilibrium.
+    With `trials` there are further records, for the mismatch alone. `noise_variance` None takes the
+    plant's own. Every record of the three parts starts at the plant's equilibrium.
     """
 
     trajectories: int
@@ -31,70 +42,70 @@ class SimulatedData:
     noise_variance: float | None = None
     test_noise: bool = False
     start_up_samples: int = 0
+    trials: bool = True
 
     def __post_init__(self) -> None:
-        require(self.trajectories >= 1, "data.trajectories", self.trajectories, "must be at least one", "use 8 or so")
+        at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
         for name in ("samples", "validation_samples", "test_samples"):
-            value = getattr(self, name)
-            require(
-                value >= FEWEST_SAMPLES, f"data.{name}", value, f"fewer than {FEWEST_SAMPLES} samples", "use 1000 or so"
-            )
-        noise = self.noise_variance
-        require(
-            noise is None or 0 <= noise < np.inf,
-            "data.noise_variance",
-            noise,
-            "a variance is never negative",
-            "use 0 for no noise, or null for the plant's own",
-        )
-        require(
-            self.start_up_samples >= 0, "data.start_up_samples", self.start_up_samples, "must not be negative", "use 0"
-        )
+            at_least(FEWEST_SAMPLES, f"data.{name}", getattr(self, name), "use 1000 or so")
+        noise, remedy = self.noise_variance, "use 0 for no noise, or null for the plant's own"
+        allowed = noise is None or 0 <= noise < np.inf
+        require(allowed, "data.noise_variance", noise, "a variance is never negative", remedy)
+        at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
         """The data set of this plant under this excitation; equal seeds give equal numbers."""
-        rng = np.random.default_rng(seed)
-        training = self._records(plant, excitation, rng, "training", self.trajectories, self.samples, noisy=True)
-        scoring = self.scoring_excitation
-        validation = self._records(plant, scoring, rng, "validation", 1, self.validation_samples, noisy=True)
-        test = self._records(plant, scoring, rng, "test", 1, self.test_samples, noisy=self.test_noise)
-        rest = plant.equilibrium()
+        rng, own = np.random.default_rng(seed), np.array(plant.noise_variance)
+        deviation = np.sqrt(own if self.noise_variance is None else np.full_like(own, self.noise_variance))
+        amplitude, clock_s, rest = plant.input_amplitude, plant.input_clock_s, plant.equilibrium()
+
+        def records(exciting: Excitation, count: int, samples: int, noisy: bool = True) -> list[Trajectory]:
+            request = SignalRequest(samples=samples, step_s=plant.step_s, amplitude=amplitude, clock_s=clock_s)
+            u = rest.u + np.stack([exciting.signal(request, rng) for _ in range(count)])
+            y = plant.simulate(u)[1]
+            if noisy:
+                y = y + deviation * rng.standard_normal(y.shape)
+            return [Trajectory(u=u[i], y=y[i], step_s=plant.step_s) for i in range(count)]
+
+        training = records(excitation, self.trajectories, self.samples)
+        validation = records(self.scoring_excitation, 1, self.validation_samples)
+        test = records(self.scoring_excitation, 1, self.test_samples, self.test_noise)
+        about = {"source": "simulated", "plant": type(plant).__name__, "excitation": excitation.kind}
         return assemble(
-            training=training,
-            validation=validation,
-            test=test,
+            (training, validation, test),
+            (rest.u, rest.y),
             inputs=plant.inputs,
             outputs=plant.outputs,
-            input_equilibrium=rest.u,
-            output_equilibrium=rest.y,
             start_up_samples=self.start_up_samples,
-            metadata={
-                "source": "simulated",
-                "plant": type(plant).__name__,
-                "excitation": excitation.kind,
-                "seed": str(seed),
-            },
+            metadata=about | {"seed": str(seed)},
+            trials=trials(plant, seed, deviation) if self.trials else (),
         )
 
-    def _records(
-        self,
-        plant: Plant,
-        excitation: Excitation,
-        rng: np.random.Generator,
-        part: str,
-        count: int,
-        samples: int,
-        noisy: bool,
-    ) -> tuple[Trajectory, ...]:
-        request = Request(
-            samples=samples, step_s=plant.step_s, amplitude=plant.input_amplitude, clock_s=plant.input_clock_s
-        )
-        u = plant.equilibrium().u + np.stack([excitation.signal(request, rng) for _ in range(count)])
-        _, y = plant.simulate(u)
-        if noisy:
-            y = y + self._noise_deviation(plant) * rng.standard_normal(y.shape)
-        return tuple(Trajectory(u=u[i], y=y[i], step_s=plant.step_s, name=f"{part}_{i + 1}") for i in range(count))
 
-    def _noise_deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
-        own = np.array(plant.noise_variance)
-        return np.sqrt(own if self.noise_variance is None else np.full_like(own, self.noise_variance))
+def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[Trajectory, ...]:
+    """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of that `deviation`."""
+    rng, rest = np.random.default_rng([seed, 7]), plant.equilibrium()
+    longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
+    period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * np.array(plant.input_amplitude)
+    whole = np.concatenate([period[-LEAD_IN:], period, period, np.zeros((REST, len(rest.u)))])
+    driven = rest.u + np.array(SHARES)[:, None, None] * whole
+    low, high = plant.initial_range
+    share = np.array(DECAYS)[:, None] * np.ones(len(rest.y))
+    starts = rest.y + np.where(share < 0, -low, high) * share
+    still = np.tile(rest.u, (len(DECAYS), PERIOD, 1))
+    found: list[Trajectory] = []
+    for word, shares, u, x0 in (
+        ("trial_at", SHARES, driven, None),
+        ("decay_from", DECAYS, still, plant.states_at(starts)),
+    ):
+        y = plant.simulate(u, x0)[1]
+        noisy = y + deviation * rng.standard_normal(y.shape)
+        names = [f"{word}_{share:g}" for share in shares]
+        found += [Trajectory(u=u[i], y=noisy[i], step_s=plant.step_s, name=name) for i, name in enumerate(names)]
+    return tuple(found)
+
+
+def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
+    """Levels uniform in [-1, 1], held from one sample to `longest`, short and long equally often on a log scale."""
+    holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
+    return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]

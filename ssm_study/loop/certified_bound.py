@@ -1,4 +1,4 @@
-"""The certified bound of the output feedback, sample by sample: what the model may never exceed.
+"""The certified bound of the output feedback, sample by sample, and what it says when the input is limited.
 
 With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] = ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <= r_c d[k] + c e[k]`
 and Theorem 2 `e[k+1] <= r_o e[k]`, so
@@ -6,57 +6,99 @@ and Theorem 2 `e[k+1] <= r_o e[k]`, so
     d[k] <= r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i,        c = nu ||M^{1/2} B||_2 ||K Q^{-1/2}||_2,
 
 `r = sqrt(1 - rate)` and `nu` the largest slope of `S_u`: the input that the estimate's error adds is at most
-`nu ||K (xh - x)||`. Source: [Z26] Lemma 1 and Theorem 3, with the constant made explicit.
+`nu ||K (xh - x)||`. With neurons it also acts through them, see `input_gain`. Source: [Z26] Lemma 1 and Theorem 3,
+with the constant made explicit.
+
+**Inside.** While `|k_i xh| <= l_i` no limit acts, so all this holds, and
+
+    |k_i xh| <= kappa_i d + eta_i e,      kappa_i = sqrt(k_i P k_i'),  eta_i = sqrt(k_xi Q^{-1} k_xi').
+
+If the right-hand side, along the bound from `(d_0, e_0)`, stays at or below `l_i` for every sample, then by induction
+no limit ever acts and the full rates hold. It is linear in the start, so the largest set of starts is a scaled one.
+
+**Everywhere.** A limit is a map of slopes in [0, 1], so `S_u(sat(.))` has slopes between 0 and `nu`: the ball
+`alpha = beta = nu/2`, for which Theorem 1 at the given K proves a rate or not. No gain makes it exceed the open loop's:
+with slope zero the input does nothing. The observer is told what was applied, so its rate holds with limits as without.
+Source: [Z26] Theorems 1 to 3; THEORY section 8.
 """
 
+import time
+from dataclasses import dataclass
+from itertools import product
+
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import solve_triangular
 
-from ssm_study.synthesis.certificate import Observer, StateFeedback
+from ssm_study.loop.trajectory import held
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import require
+from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
 
-ROUNDING = 1e-9
-"""Relative: what float64 may add to a distance over a thousand steps."""
-RESOLUTION = 1e-12
-"""Of the bound's own start: below it both sides are rounding."""
-FORGOTTEN = 1e-6
-"""Of the estimate's first error: its decay is measured until there, far above rounding."""
+ROUNDING = 1e-9  # relative: what float64 may add to a distance over a thousand steps
+RESOLUTION = 1e-12  # of the bound's own start: below it both sides are rounding
+MOST_NEURONS = 10  # up to so many the corners of their slopes are tried, a thousand small norms
+FORGOTTEN = 1e-6  # of the estimate's first error: its decay is measured until there, far above rounding
+PEAK_PASSED = 1e-9  # of the start: a bound that has shrunk to it stays below its peak
+LEAST_RATE = 1e-6  # below it nothing is said to contract
+HALVINGS = 12
+SLACK = 1e-6  # E as a share of the mean of `B B'/r^2`: what rounding must not eat
+States = Float[np.ndarray, "N T n"]
+Estimates = Float[np.ndarray, "N T s"]  # integrators are the columns beyond n
+
+
+def rooted(matrix: Float[np.ndarray, "n n"], columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    """`R^{-1} columns` with `R R' = matrix`: column norms are those in the metric `matrix^{-1}`."""
+    return scipy.linalg.solve_triangular(np.linalg.cholesky(matrix), columns, lower=True)
 
 
 def distances(
-    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T s"], feedback: StateFeedback, observer: Observer
+    x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
 ) -> tuple[Float[np.ndarray, "N T"], Float[np.ndarray, "N T"]]:
     """`||x||_M` with `M = P^{-1}` and `||xh - x||_Q`; integrators, the columns of `x_hat` beyond n, belong to both."""
-    n, lower = x.shape[2], np.linalg.cholesky(feedback.p)
-    whole = np.concatenate([x, x_hat[:, :, n:]], axis=2)
-    d = np.linalg.norm(solve_triangular(lower, whole.reshape(-1, whole.shape[2]).T, lower=True), axis=0)
+    n = x.shape[2]
     e = np.linalg.norm((x_hat[:, :, :n] - x) @ np.linalg.cholesky(observer.q), axis=2)
-    return d.reshape(x.shape[:2]), e
+    return _in_metric(np.concatenate([x, x_hat[:, :, n:]], axis=2), feedback), e
+
+
+def _in_metric(rows: Estimates, feedback: StateFeedback) -> Float[np.ndarray, "N T"]:
+    flat = rooted(feedback.p, rows.reshape(-1, rows.shape[2]).T)
+    return np.linalg.norm(flat, axis=0).reshape(rows.shape[:2])
 
 
 def certified_bound(
     d0: Float[np.ndarray, "N"], e0: Float[np.ndarray, "N"], samples: int, feedback: StateFeedback, observer: Observer
 ) -> Float[np.ndarray, "N T"]:
     """The right-hand side above for `k = 0 .. samples - 1`."""
-    r_c, r_o, c = np.sqrt(1 - feedback.rate), np.sqrt(1 - observer.rate), input_gain(feedback, observer)
-    bound, error = np.empty((len(d0), samples)), e0
+    c, bound, error = input_gain(feedback, observer), np.empty((len(d0), samples)), e0
     for k in range(samples):
-        bound[:, k] = d0 if k == 0 else r_c * bound[:, k - 1] + c * error
-        error = error if k == 0 else r_o * error
+        bound[:, k] = d0 if k == 0 else feedback.contraction * bound[:, k - 1] + c * error
+        error = error if k == 0 else observer.contraction * error
     return bound
 
 
 def input_gain(feedback: StateFeedback, observer: Observer) -> float:
-    """`c = nu ||M^{1/2} B||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on the estimate."""
-    on_state = feedback.k[:, : len(observer.q)]
-    into = solve_triangular(np.linalg.cholesky(feedback.p), feedback.b, lower=True)
-    out = solve_triangular(np.linalg.cholesky(observer.q), on_state.T, lower=True)
-    return float((abs(feedback.alpha) + feedback.beta) * np.linalg.norm(into, 2) * np.linalg.norm(out, 2))
+    """`c = nu max_S ||M^{1/2} (B + E S G)||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on the estimate.
+
+    S runs over the neurons' slopes: the norm is convex in them, so that the corners decide; above `MOST_NEURONS` it is
+    bounded by `||M^{1/2} B||_2 + ||M^{1/2} E||_2 ||G||_2`. Source: THEORY section 6.
+    """
+    into = rooted(feedback.p, feedback.b)  # M^{1/2} B
+    if not isinstance(feedback, StructuredStateFeedback):
+        largest = np.linalg.norm(into, 2)
+    elif len(feedback.g) > MOST_NEURONS:
+        through = np.linalg.norm(rooted(feedback.p, feedback.e), 2) * np.linalg.norm(feedback.g, 2)
+        largest = np.linalg.norm(into, 2) + through
+    else:
+        inner, corners = rooted(feedback.p, feedback.e), product((0.0, 1.0), repeat=len(feedback.g))
+        largest = max(np.linalg.norm(into + (inner * slopes) @ feedback.g, 2) for slopes in corners)
+    out = rooted(observer.q, feedback.k[:, : len(observer.q)].T)  # (K_x Q^{-1/2})^T
+    return float((abs(feedback.alpha) + feedback.beta) * float(largest) * np.linalg.norm(out, 2))
 
 
-def violations(
-    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T s"], feedback: StateFeedback, observer: Observer
-) -> int:
+def violations(x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer) -> int:
     """Samples, over all cases, whose measured distance exceeds the bound by more than rounding."""
     d, e = distances(x, x_hat, feedback, observer)
     bound = certified_bound(d[:, 0], e[:, 0], x.shape[1], feedback, observer)
@@ -64,9 +106,7 @@ def violations(
     return int((d > bound * (1 + ROUNDING) + floor).sum())
 
 
-def decay_rate(
-    x: Float[np.ndarray, "N T n"], x_hat: Float[np.ndarray, "N T s"], feedback: StateFeedback, observer: Observer
-) -> float | None:
+def decay_rate(x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer) -> float | None:
     """`1 - r^2`, r the mean shrink per sample of `e = ||xh - x||_Q` until it is below `FORGOTTEN` of its start.
 
     The slowest case; on the model `e[k+1] <= r_o e[k]`, so it is at least the certified `observer.rate`. Cases that do
@@ -82,9 +122,7 @@ def decay_rate(
     return float((1.0 - shrink ** (2.0 / np.maximum(at, 1))).min())
 
 
-def excess(
-    x_hat: Float[np.ndarray, "N T s"], x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
-) -> float | None:
+def excess(x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer) -> float | None:
     """`max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples: how far an estimate leaves what is certified.
 
     On the model from `x0`, `||xh||_M <= ||x||_M + kappa ||xh - x||_Q <= b[k] = d[k] + kappa r_o^k e[0]` with `d` the
@@ -93,16 +131,91 @@ def excess(
     the bound's start, how far noise and model error push the loop beyond the certificate. None if all cases start at 0.
     """
     d, e = distances(x0[:, None], x_hat[:, :1], feedback, observer)
-    samples, factor = x_hat.shape[1], np.linalg.cholesky(feedback.p)
-    decay = np.sqrt(1 - observer.rate) ** np.arange(samples)
-    bound = certified_bound(d[:, 0], e[:, 0], samples, feedback, observer) + _kappa(feedback, observer) * e * decay
-    measured = np.linalg.norm(solve_triangular(factor, x_hat.reshape(-1, len(factor)).T, lower=True), axis=0)
-    beyond = measured.reshape(bound.shape) - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
+    samples, into_state = x_hat.shape[1], np.eye(len(feedback.p), len(observer.q))
+    kappa = float(np.linalg.norm(rooted(observer.q, rooted(feedback.p, into_state).T), 2))
+    faded = kappa * e * observer.contraction ** np.arange(samples)
+    bound = certified_bound(d[:, 0], e[:, 0], samples, feedback, observer) + faded
+    beyond = _in_metric(x_hat, feedback) - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
     moving = bound[:, 0] > 0
     return float(np.maximum(beyond[moving] / bound[moving, :1], 0.0).max()) if moving.any() else None
 
 
-def _kappa(feedback: StateFeedback, observer: Observer) -> float:
-    into_state = np.eye(len(feedback.p), len(observer.q))
-    scaled = solve_triangular(np.linalg.cholesky(feedback.p), into_state, lower=True)
-    return float(np.linalg.norm(solve_triangular(np.linalg.cholesky(observer.q), scaled.T, lower=True), 2))
+@dataclass(frozen=True, kw_only=True)
+class WithinLimits:
+    """`lower, upper (p,)`: plants at rest at outputs between them start inside the set, physical units.
+
+    `everywhere` is the certificate of the saturated state feedback from any start, None where Theorem 1 proves none.
+    """
+
+    lower: Float[np.ndarray, "p"]
+    upper: Float[np.ndarray, "p"]
+    everywhere: StateFeedbackOfBall | None
+
+
+def within_limits(
+    model: SSM, design: Design, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"], *, informed: bool
+) -> WithinLimits:
+    """Both statements for input limits in physical units; `informed`: the estimate starts at rest at the measurement.
+
+    Otherwise it starts at the equilibrium. Raises `BadRequest` where the equilibrium's input is not inside the limits,
+    for an infeasible design, or for several outputs behind a nonlinear S_y.
+    """
+    (feedback, observer), scale, outward = design.parts(), model.scale, model.scaffold_out
+    room = np.minimum(upper - scale.input_equilibrium, scale.input_equilibrium - lower)
+    limits, problem = (lower.tolist(), upper.tolist()), "do not enclose the input at rest"
+    require(bool((room > 0).all()), "input limits", limits, problem, "widen them or choose another operating point")
+    single, told = outward.inputs == 1 or outward.kind == "linear", "the range of several outputs needs a linear map"
+    require(single, "model.scaffold_out", outward.kind, told, "use scaffold@model.scaffold_out=linear")
+    share = float((room / scale.input_scale / _peaks(model, feedback, observer, informed)).min()) / (1 + ROUNDING)
+    ends = outward(share * np.array([[-1.0], [1.0]]) * np.ones(outward.inputs))
+    low, high = np.sort(scale.physical_output(ends), axis=0)
+    saturated = everywhere(feedback) if isinstance(feedback, StateFeedbackOfBall) else None
+    return WithinLimits(lower=low, upper=high, everywhere=saturated)
+
+
+def _peaks(model: SSM, feedback: StateFeedback, observer: Observer, informed: bool) -> Float[np.ndarray, "m"]:
+    """The largest `kappa_i d + eta_i e` along the bound, over rest states whose `ybar` lies in the unit box."""
+    n, (rest, gain) = model.order, held(model.linear)
+    to_state = rest @ np.linalg.pinv(gain)  # from ybar at rest to the state that holds it
+    corners = np.array(list(product((-1.0, 1.0), repeat=to_state.shape[1]))) @ to_state.T
+    d0 = np.linalg.norm(rooted(feedback.p, np.pad(corners, ((0, 0), (0, len(feedback.p) - n))).T), axis=0)
+    e0 = 0.0 * d0 if informed else np.linalg.norm(corners @ np.linalg.cholesky(observer.q), axis=1)
+    samples = 2 + int(np.ceil(np.log(PEAK_PASSED) / np.log(max(feedback.contraction, observer.contraction))))
+    d = certified_bound(np.array([d0.max()]), np.array([e0.max()]), samples, feedback, observer)[0]
+    e = e0.max() * observer.contraction ** np.arange(samples)
+    kappa = np.sqrt(np.einsum("ij,jk,ik->i", feedback.k, feedback.p, feedback.k))  # |k_i x| <= kappa_i ||x||_M
+    eta = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(observer.q), feedback.k[:, :n].T), axis=0)
+    return (kappa[:, None] * d + eta[:, None] * e).max(axis=1)
+
+
+def everywhere(feedback: StateFeedbackOfBall) -> StateFeedbackOfBall | None:
+    """Theorem 1 for the given K and the ball `alpha = beta = nu/2`, near its largest rate; None where it proves none.
+
+    The distance factor is bisected between the open loop's (with slope zero the input does nothing) and one; exact
+    arithmetic decides each.
+    """
+    half = (abs(feedback.alpha) + feedback.beta) / 2  # slopes in [0, nu]
+    ball = {"alpha": float(np.copysign(half, feedback.alpha)), "beta": half}
+    low, high = min(float(np.abs(np.linalg.eigvals(feedback.a)).max()), 1.0), float(np.sqrt(1 - LEAST_RATE))
+    best = _at(feedback, ball, high)
+    for _ in range(HALVINGS if best else 0):
+        middle = (low + high) / 2
+        found = _at(feedback, ball, middle)
+        low, high, best = (low, middle, found) if found else (middle, high, best)
+    return best
+
+
+def _at(feedback: StateFeedbackOfBall, ball: dict[str, float], r: float) -> StateFeedbackOfBall | None:
+    """`P = F (P^{-1} - beta^2 K'K)^{-1} F' + B B'/r^2 + E`, `F = (A + alpha B K)/r`: a discrete Riccati equation."""
+    started, (n, m) = time.perf_counter(), feedback.b.shape
+    f, driven = (feedback.a + ball["alpha"] * feedback.b @ feedback.k) / r, feedback.b @ feedback.b.T / r**2
+    slack = SLACK * np.trace(driven) / n * np.eye(n)
+    try:
+        p = scipy.linalg.solve_discrete_are(f.T, feedback.k.T, driven + slack, -np.eye(m) / ball["beta"] ** 2)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    p = (p + p.T) / 2
+    numbers = {"a": feedback.a, "b": feedback.b, "k": feedback.k, "p": p, "y": p, "sigma": 1.0, "rate": 1 - r**2}
+    known = {"method": "limited input", "rate_limit": feedback.rate_limit}
+    proved: StateFeedbackOfBall = type(feedback).proved(numbers | ball, started=started, status="bisected", **known)
+    return proved if proved.certified else None

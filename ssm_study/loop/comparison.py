@@ -1,38 +1,27 @@
 """One table: controllers down, situations across, on the same plant, initial conditions and noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import qmc
 
-from ssm_study.loop.metrics import Columns, pooled
-from ssm_study.loop.peers import NAMES, Peer, peer
-from ssm_study.loop.regulation import ClosedLoop, Loop, Table
-from ssm_study.loop.table import Identified, Row
-from ssm_study.plants.actuator import DelayedInput, SaturatedInput
+from ssm_study.loop import peers
+from ssm_study.loop.metrics import pooled
+from ssm_study.loop.peers.peer import ComparisonTable, Identified, Peer, Row, compared
+from ssm_study.loop.regulation import Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import require
+from ssm_study.plants.wrapper import DelayedInput, SaturatedInput
+from ssm_study.refusal import at_least, require
 
-SITUATIONS = (
-    "nominal",
-    "load_step",
-    "load_pulse",
-    "load_periodic",
-    "noise_free",
-    "noise_4x",
-    "saturation",
-    "delay",
-    "spread",
-)
-PREDICTED = ("mismatch_margin", "resolved_margin", "controller_radius")
-"""Nothing where a controller has no model."""
+LOADS = ("load_step", "load_pulse", "load_periodic")
+SITUATIONS = ("nominal", *LOADS, "noise_free", "noise_4x", "saturation", "delay", "spread")
 Case = tuple[Plant, Loop]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison(Table):
+class Comparison(ComparisonTable):
     """Every controller in every situation; one row each.
 
     Situations: `nominal`; `load_step` (a constant `load`, unit of the plant's first disturbance, from a third of the
@@ -42,7 +31,7 @@ class Comparison(Table):
     up to `spread_share`, a Latin hypercube). What a plant cannot show (no disturbance, no fields) is left out.
     """
 
-    controllers: Sequence[str] = NAMES
+    controllers: Sequence[str] = field(default_factory=lambda: tuple(Peer.members(peers)))
     situations: Sequence[str] = ("nominal",)
     rate: float = 0.05
     load: float = 0.005
@@ -53,78 +42,57 @@ class Comparison(Table):
     spread_fields: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        for name, known in (("controllers", NAMES), ("situations", SITUATIONS)):
+        for name, known in (("controllers", tuple(Peer.members(peers))), ("situations", SITUATIONS)):
             unknown = [value for value in getattr(self, name) if value not in known]
             require(not unknown, f"loop.comparison.{name}", unknown, "not known", f"use some of {', '.join(known)}")
         require(0 < self.rate < 1, "loop.comparison.rate", self.rate, "a rate lies in (0, 1)", "try 0.05")
         share = self.spread_share
         require(0 <= share < 1, "loop.comparison.spread_share", share, "parameters would change sign", "use 0.2")
-        count = self.spread_plants
-        require(count >= 1, "loop.comparison.spread_plants", count, "at least one plant is needed", "use 20")
+        at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
         """The table; a controller that does not exist for this model has rows with the reason and no numbers."""
-        peers = [peer(name, plant, known, self.rate) for name in self.controllers]
-        return [
-            self._row(one, situation, cases, seed)
-            for situation in self.situations
-            if (cases := self.cases(plant, loop, situation, seed))
-            for one in peers
-        ]
-
-    def _row(self, one: Peer, situation: str, cases: list[Case], seed: int) -> Row:
-        said: Row = {"controller": one.name, "situation": situation, "certified": one.certified}
-        said |= (dict.fromkeys(PREDICTED) if one.prediction is None else one.prediction.columns()) | {
-            "reason": one.reason
-        }
-        if one.controller is None:
-            return said
-        results: list[ClosedLoop] = [
-            varied.compare(varied_plant, {one.name: one.controller}, seed)[one.name] for varied_plant, varied in cases
-        ]
-        numbers: Columns = pooled(results)
-        return said | numbers
+        built = [compared(name, plant, known, self.rate) for name in self.controllers]
+        rows = []
+        for situation in self.situations:
+            cases = self.cases(plant, loop, situation, seed)
+            for controller, said in built if cases else ():
+                runs = [varied.on_plant(on, controller, seed) for on, varied in cases] if controller else []
+                name = said["controller"]
+                rows.append({"controller": name, "situation": situation} | said | (pooled(runs) if runs else {}))
+        return rows
 
     def cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
         """The plants and loops one situation consists of; none if the plant cannot show it."""
         horizon_s = loop.samples(plant.step_s) * plant.step_s
-        if situation.startswith("load") and not plant.disturbances:
-            return []
         match situation:
-            case "nominal":
-                return [(plant, loop)]
-            case "load_step":
-                return [(plant, replace(loop, disturbance=StepDisturbance(size=self.load, at_s=horizon_s / 3)))]
-            case "load_pulse":
-                pulse = StepDisturbance(size=self.load, at_s=horizon_s / 3, until_s=horizon_s / 2)
-                return [(plant, replace(loop, disturbance=pulse))]
-            case "load_periodic":
-                sine = PeriodicDisturbance(amplitude=self.load, frequency_hz=self.load_frequency_hz)
-                return [(plant, replace(loop, disturbance=sine))]
-            case "noise_free":
-                return [(plant, replace(loop, noise_factor=0.0))]
-            case "noise_4x":
-                return [(plant, replace(loop, noise_factor=4.0 * loop.noise_factor))]
+            case "spread":
+                return [(varied, loop) for varied in self.spread(plant, seed)]
             case "saturation":
                 rest, reach = plant.equilibrium().u, self.reach_share * np.array(plant.input_amplitude)
-                limits = {"lower": (rest - reach).tolist(), "upper": (rest + reach).tolist()}
-                return [(SaturatedInput(plant=plant, **limits), loop)]
+                lower, upper = (rest - reach).tolist(), (rest + reach).tolist()
+                return [(SaturatedInput(plant=plant, lower=lower, upper=upper), loop)]
             case "delay":
                 return [(DelayedInput(plant=plant, samples=1), loop)]
+            case "nominal" | "noise_free" | "noise_4x":
+                times = {"noise_free": 0.0, "noise_4x": 4.0}.get(situation, 1.0)
+                return [(plant, replace(loop, noise_factor=times * loop.noise_factor))]
+            case "load_periodic":
+                sine = PeriodicDisturbance(amplitude=self.load, frequency_hz=self.load_frequency_hz)
+                return [(plant, replace(loop, disturbance=sine))] if plant.disturbances else []
             case _:
-                return [(varied, loop) for varied in self.spread(plant, seed)]
+                until_s = horizon_s / 2 if situation == "load_pulse" else None
+                step = StepDisturbance(size=self.load, at_s=horizon_s / 3, until_s=until_s)
+                return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def spread(self, plant: Plant, seed: int) -> list[Plant]:
         """`spread_plants` plants, each field multiplied by a factor in `1 +- spread_share`, space-filling."""
         if not self.spread_fields:
             return []
-        known = [name for name in self.spread_fields if hasattr(plant, name)]
-        missing = sorted(set(self.spread_fields) - set(known))
+        missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))
         require(not missing, "loop.comparison.spread_fields", missing, "not fields of this plant", "name its own")
-        sampler = qmc.LatinHypercube(d=len(known), rng=np.random.default_rng([seed, 2]))
-        factors = 1 + self.spread_share * (2 * sampler.random(self.spread_plants) - 1)
-        nominal = np.array([float(getattr(plant, name)) for name in known])
-        return [
-            replace(plant, **dict(zip(known, (float(v) for v in row * nominal), strict=True)))  # type: ignore[type-var]
-            for row in factors
-        ]
+        sampler = qmc.LatinHypercube(d=len(self.spread_fields), rng=np.random.default_rng([seed, 2]))
+        factors = 1 + self.spread_share * (2 * sampler.random(self.spread_plants) - 1)  # in [1 - share, 1 + share]
+        nominal = np.array([float(getattr(plant, name)) for name in self.spread_fields])
+        varied = [dict(zip(self.spread_fields, row, strict=True)) for row in (factors * nominal).tolist()]
+        return [replace(plant, **values) for values in varied]  # type: ignore[type-var]  # a dataclass

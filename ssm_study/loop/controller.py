@@ -11,11 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.loop.trajectory import feasible_trajectory
-from ssm_study.models.identified import SSM
+from ssm_study.loop.trajectory import Plan, Reference, feasible_trajectory, guided_trajectory, set_points
+from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.refusal import require
+from ssm_study.synthesis.certificate import Design
+from ssm_study.systems import Pair
+
+Memory = Float[np.ndarray, "N s"]
+Inputs = Float[np.ndarray, "N m"]
+Outputs = Float[np.ndarray, "N p"]
+Target = Float[np.ndarray, "t"]
+Estimate = Float[np.ndarray, "N n"]
 
 
 class Controller(ABC):
@@ -25,45 +32,30 @@ class Controller(ABC):
     before the loop runs. Law: the same memory and measurement give the same input, row by row, whatever the batch.
     """
 
-    @property
-    @abstractmethod
-    def step_s(self) -> float:
-        """The sampling time the law was designed for."""
+    step_s: float  # the sampling time the law was designed for
+    dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
-    @property
-    @abstractmethod
-    def dimensions(self) -> tuple[int, int]:
-        """`(m, p)`: inputs it commands, outputs it reads."""
+    def start(self, cases: int) -> Memory:
+        """The memory before the first sample; by default there is none."""
+        return np.zeros((cases, 0))
 
-    @abstractmethod
-    def start(self, cases: int) -> Float[np.ndarray, "N s"]:
-        """The memory before the first sample."""
-
-    def targets(self, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
+    def targets(self, reference: Reference) -> Plan:
         """What is followed at each sample; by default the reference itself."""
         return reference
 
-    def demanded(self, targets: Float[np.ndarray, "T t"]) -> Float[np.ndarray, "K m"]:
+    def demanded(self, targets: Plan) -> Float[np.ndarray, "K m"]:
         """The inputs that following the targets takes, by the law's own reckoning; none if it reckons nothing."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
-    def input(
-        self, memory: Float[np.ndarray, "N s"], y: Float[np.ndarray, "N p"], target: Float[np.ndarray, "t"]
-    ) -> Float[np.ndarray, "N m"]:
+    def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         """The input to hold over the coming sample."""
 
-    @abstractmethod
-    def advance(
-        self,
-        memory: Float[np.ndarray, "N s"],
-        u: Float[np.ndarray, "N m"],
-        y: Float[np.ndarray, "N p"],
-        target: Float[np.ndarray, "t"],
-    ) -> Float[np.ndarray, "N s"]:
+    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
         """The memory at the next sample, given the input that was really applied."""
+        return memory
 
-    def estimate(self, memory: Float[np.ndarray, "N s"]) -> Float[np.ndarray, "N n"]:
+    def estimate(self, memory: Memory) -> Estimate:
         """The part of the memory that estimates the model's state, if any."""
         return memory[:, :0]
 
@@ -72,127 +64,103 @@ class Controller(ABC):
 class Uncontrolled(Controller):
     """`u = u_eq`: the plant left alone, which every other law is measured against."""
 
-    plant: Plant
+    u: Float[np.ndarray, "m"]
+    step_s: float
+    dimensions: tuple[int, int]
 
-    @property
-    def step_s(self) -> float:
-        return self.plant.step_s
+    @classmethod
+    def of(cls, plant: Plant) -> "Uncontrolled":
+        dimensions = len(plant.inputs), len(plant.outputs)
+        return cls(u=plant.equilibrium().u, step_s=plant.step_s, dimensions=dimensions)
 
-    @property
-    def dimensions(self) -> tuple[int, int]:
-        return len(self.plant.inputs), len(self.plant.outputs)
-
-    def start(self, cases: int) -> Float[np.ndarray, "N s"]:
-        return np.zeros((cases, 0))
-
-    def input(
-        self, memory: Float[np.ndarray, "N s"], y: Float[np.ndarray, "N p"], target: Float[np.ndarray, "t"]
-    ) -> Float[np.ndarray, "N m"]:
-        return np.tile(self.plant.equilibrium().u, (len(y), 1))
-
-    def advance(
-        self,
-        memory: Float[np.ndarray, "N s"],
-        u: Float[np.ndarray, "N m"],
-        y: Float[np.ndarray, "N p"],
-        target: Float[np.ndarray, "t"],
-    ) -> Float[np.ndarray, "N s"]:
-        return memory
+    def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        return np.tile(self.u, (len(y), 1))
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObserverFeedback(Controller):
-    """`u = u_eq + s_u (u* + K (xh - x*)),  xh+ = A xh + B S_u(u) + L (yh - y) / s_y`  ([Z26] eq. 9 and Theorem 3).
+class EstimateFeedback(Controller):
+    """A law on an observer's estimate: `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh its output.
 
-    `K (m, n)` and `L (n, p)` act in the model's scaled units. `xh[k]` predicts from `y` up to sample k-1, so the input
-    of sample k does not wait for the measurement of sample k. A target row is `(x*, u*, y*)`, a trajectory of the
-    model itself near the reference: around any such trajectory the certified loop contracts.
+    With neurons `L_z (yh - y) / s_y` is added inside them. `L (n, p)` and `L_z` act in the model's scaled units, as `K`
+    does; the memory is as wide as K. The input of sample k does not wait for the measurement of sample k. By default
+    the law follows rest points `(x*, u*)`.
+    """
+
+    model: Model
+    gains: Pair
+
+    @property
+    def step_s(self) -> float:  # type: ignore[override]  # a plain field elsewhere; here the model knows it
+        return self.model.step_s
+
+    @property
+    def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
+        return self.model.scale.inputs, self.model.scale.outputs
+
+    def start(self, cases: int) -> Memory:
+        return np.zeros((cases, self.gains.k.shape[-1]))
+
+    def targets(self, reference: Reference) -> Plan:
+        return set_points(self.model, reference)
+
+    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Estimate:
+        x_hat, lifted = memory[:, : self.model.order], self.model.lift(u)
+        innovation = (self.model.read(x_hat, lifted) - y) / self.model.scale.output_scale
+        injected = () if self.gains.l_z is None else (times(self.gains.l_z, innovation),)
+        return self.model.advance(x_hat, lifted, *injected) + times(self.gains.l, innovation)
+
+    def estimate(self, memory: Memory) -> Estimate:
+        return memory  # the estimated state of the model, then the integrators, if any
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserverFeedback(EstimateFeedback):
+    """`u = u_eq + s_u (u* + K (xh - x*))`, xh the observer's estimate ([Z26] eq. 9 and Theorem 3).
+
+    A target row is `(x*, u*, y*)`, a trajectory of the model itself near the reference: around any such trajectory the
+    certified loop contracts. `K (m, n)`, or one pair of gains for each case, stacked.
 
     With `K (m, n + p)` the law has integral action: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
     `z+ = z + (y - y*) / s_y`. So that it does not wind up, z is held while a limit keeps the input from what was asked.
     """
 
-    model: SSM
-    k: Float[np.ndarray, "m s"]
-    l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
-
     def __post_init__(self) -> None:
-        (n, m), p = self.model.linear.b.shape, len(self.model.output_scale)
-        remedy = "use the design made for this model"
-        fits = self.k.shape in ((m, n), (m, n + p))
-        require(fits, "k", self.k.shape, f"the model needs a gain of shape {(m, n)} or {(m, n + p)}", remedy)
-        require(self.l.shape == (n, p), "l", self.l.shape, f"the model needs a gain of shape {(n, p)}", remedy)
+        (n, m), p = self.model.linear.b.shape, self.model.scale.outputs
+        k, l_, remedy = self.gains.k.shape[-2:], self.gains.l.shape[-2:], "use the design made for this model"
+        require(k in ((m, n), (m, n + p)), "k", k, f"the model needs a gain of shape {(m, n)} or {(m, n + p)}", remedy)
+        require(l_ == (n, p), "l", l_, f"the model needs a gain of shape {(n, p)}", remedy)
 
     @classmethod
-    def of(cls, model: SSM, design: Design) -> "ObserverFeedback":
+    def of(cls, model: Model, design: Design) -> "ObserverFeedback":
         """The loop of a design; raises `BadRequest` if one of its parts is infeasible."""
-        feedback, observer = parts(design)
-        return cls(model=model, k=feedback.k, l=observer.l)
+        return cls(model=model, gains=design.pair)
 
-    @property
-    def step_s(self) -> float:
-        return self.model.step_s
+    def targets(self, reference: Reference) -> Plan:
+        n = self.model.order
+        if isinstance(self.model, StructuredSSM):
+            plan = guided_trajectory(self.model, self.gains.k[:, :n], reference)
+        else:
+            plan = feasible_trajectory(self.model, reference)
+        return np.concatenate([plan, self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))], axis=1)
 
-    @property
-    def dimensions(self) -> tuple[int, int]:
-        return len(self.model.input_scale), len(self.model.output_scale)
+    def demanded(self, targets: Plan) -> Float[np.ndarray, "K m"]:
+        n, m = self.model.order, self.model.scale.inputs
+        return self.model.scale.physical_input(targets[:, n : n + m])
 
-    def start(self, cases: int) -> Float[np.ndarray, "N s"]:
-        return np.zeros((cases, self.k.shape[1]))
+    def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
+        n, m = self.model.order, self.model.scale.inputs
+        error = np.concatenate([memory[:, :n] - target[:n], memory[:, n:]], axis=1)  # integrators aim at zero
+        return self.model.scale.physical_input(target[n : n + m] + times(self.gains.k, error))
 
-    def targets(self, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
-        plan, n = feasible_trajectory(self.model, reference), self.model.order
-        planned = self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))
-        return np.concatenate([plan, planned], axis=1)
-
-    def demanded(self, targets: Float[np.ndarray, "T t"]) -> Float[np.ndarray, "K m"]:
-        scaled = targets[:, self.model.order :][:, : len(self.k)]
-        return self.model.input_equilibrium + self.model.input_scale * scaled
-
-    def input(
-        self, memory: Float[np.ndarray, "N s"], y: Float[np.ndarray, "N p"], target: Float[np.ndarray, "t"]
-    ) -> Float[np.ndarray, "N m"]:
-        n, m = self.model.order, len(self.k)
-        error = np.concatenate([memory[:, :n] - target[:n], memory[:, n:]], axis=1)
-        scaled = target[n : n + m] + error @ self.k.T
-        return self.model.input_equilibrium + self.model.input_scale * scaled
-
-    def advance(
-        self,
-        memory: Float[np.ndarray, "N s"],
-        u: Float[np.ndarray, "N m"],
-        y: Float[np.ndarray, "N p"],
-        target: Float[np.ndarray, "t"],
-    ) -> Float[np.ndarray, "N s"]:
-        n, p = self.model.order, y.shape[1]
-        x_hat = observe(self.model, self.l, memory[:, :n], u, y)
-        if self.k.shape[1] == n:
+    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
+        x_hat, z = super().advance(memory, u, y, target), memory[:, self.model.order :]
+        if not z.shape[1]:
             return x_hat
         free = np.isclose(u, self.input(memory, y, target), rtol=1e-9, atol=1e-12).all(axis=1, keepdims=True)
-        error = (y - target[-p:]) / self.model.output_scale
-        return np.concatenate([x_hat, memory[:, n:] + np.where(free, error, 0.0)], axis=1)
-
-    def estimate(self, memory: Float[np.ndarray, "N s"]) -> Float[np.ndarray, "N n"]:
-        """The estimated state of the model, then the integrators, if any."""
-        return memory
+        error = (y - target[-z.shape[1] :]) / self.model.scale.output_scale
+        return np.concatenate([x_hat, z + np.where(free, error, 0.0)], axis=1)
 
 
-def parts(design: Design) -> tuple[StateFeedback, Observer]:
-    """Controller and observer of a feasible design; raises `BadRequest` with the reason for any other."""
-    for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
-        if isinstance(part, Infeasible):
-            raise BadRequest(f"design.{name}", "infeasible", part.reason, "close no loop with it")
-    return design.state_feedback, design.observer  # type: ignore[return-value]  # Infeasible has just been refused
-
-
-def observe(
-    model: SSM,
-    l: Float[np.ndarray, "n p"],  # noqa: E741 - the paper's letter
-    x_hat: Float[np.ndarray, "N n"],
-    u: Float[np.ndarray, "N m"],
-    y: Float[np.ndarray, "N p"],
-) -> Float[np.ndarray, "N n"]:
-    """`xh+ = A xh + B S_u(u) + L (yh - y) / s_y,  yh = S_y(C xh + D S_u(u))` with `u`, `y` in physical units."""
-    lifted = model.lift(u)
-    innovation = (model.read(x_hat, lifted) - y) / model.output_scale
-    return x_hat @ model.linear.a.T + lifted @ model.linear.b.T + innovation @ l.T
+def times(gain: Float[np.ndarray, "*cases r c"], rows: Float[np.ndarray, "N c"]) -> Float[np.ndarray, "N r"]:
+    """One gain for all rows, or one for each."""
+    return rows @ gain.T if gain.ndim == 2 else np.einsum("nij,nj->ni", gain, rows)

@@ -1,28 +1,23 @@
-"""What the output should follow: a signal, given as offsets from the plant's equilibrium output."""
+"""What the output should follow: a signal as a disturbance is one, of offsets from rest, the same for every output."""
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.plants.disturbance import Disturbance, NoDisturbance, PeriodicDisturbance
 from ssm_study.refusal import BadRequest, require
 
-
-class Reference(ABC):
-    """`offset(time_s) -> (T,)`: the same offset from rest for every output, in the output's unit."""
-
-    @abstractmethod
-    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]: ...
+Reference = Disturbance
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rest(Reference):
+class Rest(NoDisturbance):
     """`r = y_eq`: bring the plant to rest."""
 
-    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        return np.zeros_like(time_s)
+
+class SineReference(PeriodicDisturbance):
+    """`r = amplitude sin(2 pi frequency_hz t)`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +28,7 @@ class StepReference(Reference):
     after: float
     at_s: float
 
-    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         return np.where(time_s < self.at_s - 1e-12, float(self.before), float(self.after))
 
 
@@ -49,22 +44,8 @@ class RampReference(Reference):
         ordered = 0 <= self.from_s < self.until_s
         require(ordered, "from_s, until_s", (self.from_s, self.until_s), "not in order", "give 0 <= from_s < until_s")
 
-    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         return self.slope_per_s * (np.clip(time_s, self.from_s, self.until_s) - self.from_s)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SineReference(Reference):
-    """`r = amplitude sin(2 pi frequency_hz t)`."""
-
-    amplitude: float
-    frequency_hz: float
-
-    def __post_init__(self) -> None:
-        require(self.frequency_hz > 0, "frequency_hz", self.frequency_hz, "must be positive", "use rest for no motion")
-
-    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        return self.amplitude * np.sin(2 * np.pi * self.frequency_hz * time_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,19 +54,15 @@ class FileReference(Reference):
 
     path: str
 
-    def offset(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        known_s, offset = self._columns()
-        return np.interp(time_s, known_s, offset)
-
-    def _columns(self) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
+    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         remedy = "give a CSV file of two columns, time in seconds and offset"
         try:
             lines = [line for line in Path(self.path).read_text(encoding="utf-8").splitlines() if line.strip()]
             table = np.loadtxt(lines, delimiter=",", ndmin=2, comments="#") if lines else np.empty((0, 2))
         except (OSError, ValueError) as error:
             raise BadRequest("loop.reference.path", self.path, " ".join(str(error).split())[:120], remedy) from error
-        require(table.shape[1:] == (2,) and len(table) > 0, "loop.reference.path", self.path, "not two columns", remedy)
-        require(bool(np.isfinite(table).all()), "loop.reference.path", self.path, "holds NaN or infinity", remedy)
+        sound = table.shape[1:] == (2,) and len(table) > 0 and bool(np.isfinite(table).all())
+        require(sound, "loop.reference.path", self.path, "not two columns of finite numbers", remedy)
         rising = bool((np.diff(table[:, 0]) > 0).all())
         require(rising, "loop.reference.path", self.path, "times do not increase", "sort the rows by time")
-        return table[:, 0], table[:, 1]
+        return np.interp(time_s, *table.T)

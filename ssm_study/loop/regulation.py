@@ -1,53 +1,136 @@
 """The experiment: initial conditions, noise, reference and disturbance, on the plant, without control, on the model."""
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
-from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.loop.peers.peer import ComparisonTable
 from ssm_study.loop.reference import Reference, Rest
-from ssm_study.loop.rollout import Rollouts, close_loop, matched
-from ssm_study.loop.table import Identified, Row
-from ssm_study.models.identified import SSM
+from ssm_study.loop.rollout import UNLIMITED, Rollouts, close_loop, settling_times_s
+from ssm_study.loop.trajectory import equilibrium
+from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
-from ssm_study.plants.plant import Plant
-from ssm_study.refusal import require
+from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.refusal import BadRequest, at_least, positive, require
+from ssm_study.signals import Channel
+from ssm_study.synthesis.area import at_rest
 from ssm_study.synthesis.certificate import Design
 
-SAMPLES = 150
-"""Horizon unless told otherwise: for the motor 1.5 s, seven times the uncontrolled mean settling time."""
+Channels = tuple[Channel, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClosedLoop:
+class IdentifiedPlant(Plant):
+    """`x+ = A x + B S_u(u) + B d,  y = S_y(C x)`: the model answers for itself, so the loop says nothing of mismatch.
+
+    The state is the model's (scaled), `u` and `y` are physical; `d (m)` disturbs the recurrence's scaled input.
+    Raises `BadRequest` for a model with feedthrough: the loop reads the output before the input acts.
+    """
+
+    model: Model
+    step_s: float
+    settling_band: float
+    inputs: Channels = ()
+    outputs: Channels = ()
+    states: Channels = ()
+    disturbances: Channels = ()
+    initial_range: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        model, remedy = self.model, "identify with model.feedthrough=false"
+        neurons = isinstance(model, StructuredSSM) and bool((model.g.any(axis=1) & model.h.any(axis=0)).any())
+        problem, told = "the input reaches the output at once", "the loop samples the output before the input acts"
+        require(not model.linear.d.any() and not neurons, "model.feedthrough", problem, told, remedy)
+        channels, needed = (len(self.inputs), len(self.outputs)), (model.scale.inputs, model.scale.outputs)
+        require(channels == needed, "channels", channels, f"the model has {needed}", "name each of its signals")
+
+    @classmethod
+    def of(cls, model: Model, inputs: Channels = (), outputs: Channels = ()) -> "IdentifiedPlant":
+        """Channels are `u_1, ...` and `y_1, ...`, or without a number where there is one, unless given.
+
+        Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as settled.
+        """
+        unit, counts = float(model.scale.output_scale.min()), {"u": model.scale.inputs, "y": model.scale.outputs}
+        names = {one: [one] if n == 1 else [f"{one}_{i + 1}" for i in range(n)] for one, n in counts.items()}
+        return cls(
+            model=model,
+            step_s=model.step_s,
+            settling_band=0.05 * unit,
+            inputs=inputs or tuple(Channel(name=name, unit="") for name in names["u"]),
+            outputs=outputs or tuple(Channel(name=name, unit="") for name in names["y"]),
+            states=tuple(Channel(name=f"x{i}", unit="1") for i in range(model.order)),
+            disturbances=tuple(Channel(name=f"scaled_input_{i}", unit="1") for i in range(model.linear.b.shape[1])),
+            initial_range=(-unit, unit),
+        )
+
+    @property
+    def input_amplitude(self) -> tuple[float, ...]:
+        return tuple(self.model.scale.input_scale.tolist())
+
+    def equilibrium(self) -> Equilibrium:
+        scale = self.model.scale
+        return Equilibrium(u=scale.input_equilibrium, x=np.zeros(self.model.order), y=scale.output_equilibrium)
+
+    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
+        """States in which a constant input would hold `y0`: the model released from a set point.
+
+        Where no input holds it (neurons may rectify or saturate), the smallest state that the linear part reads as it.
+        """
+        return np.stack([self._released(y) for y in y0])
+
+    def _released(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
+        try:
+            return equilibrium(self.model, y)[0]
+        except BadRequest:
+            if not isinstance(self.model, StructuredSSM):
+                raise
+            return np.linalg.pinv(self.model.c) @ self.model.scale.scaled_output(y)
+
+    def advance(
+        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
+    ) -> Float[np.ndarray, "N n"]:
+        return self.model.advance(x, self.model.lift(u) + d)
+
+    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+        return self.model.read(x, np.zeros((len(x), self.model.linear.b.shape[1])))
+
+
+SAMPLES = (150, 1500)
+"""Shortest and longest horizon unless told otherwise; 150 are 1.5 s on the motor, seven times its uncontrolled mean."""
+RESPONSES = 4  # horizon, in lengths of the model's own response
+REMAINDER = 0.01
+"""The response's length: what is left of `sum |C A^k B|` behind it is this share of the whole."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopRuns:
     """What one experiment left: the controlled plant, the plant left alone from the same states, and the model.
 
     `on_model` is the certified situation: the model in the plant's place, no noise, no disturbance, no reference, the
     same initial outputs; None for a controller that has no model. `settling_band` in the output's unit.
+    `noise_free` is the controlled plant without measurement noise, where that noise alone crosses the band: it is then
+    what settling is judged on.
     """
 
     controlled: Rollouts
     uncontrolled: Rollouts
-    on_model: Rollouts | None
+    on_model: Rollouts | None = None
     settling_band: float
     input_equilibrium: Float[np.ndarray, "m"]
+    noise_free: Rollouts | None = None
 
-
-class Table(ABC):
-    """`rows(plant, known, loop, seed)`: one flat row per case, missing values None, same columns in every row."""
-
-    @abstractmethod
-    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]: ...
+    @property
+    def judged(self) -> Rollouts:
+        return self.noise_free or self.controlled
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
     """`initial_conditions` outputs uniform in the plant's `initial_range`, each simulated for `horizon_s` seconds.
 
-    `horizon_s` None is `SAMPLES` sampling periods of the plant. Measured outputs carry Gaussian noise of variance
+    `horizon_s` None is taken from the model's own response (`fitted`). Measured outputs carry Gaussian noise, variance
     `measurement_noise_variance` (unit of the output, squared; None is the plant's own) times `noise_factor`. A case
     whose output strays more than `bound_in_initial_ranges` times the initial range from the equilibrium, beyond what
     the reference asks, is stopped and counts as unstable. Input limits (unit of the input) are known to the controller.
@@ -63,92 +146,71 @@ class Loop:
     input_upper: float | None = None
     reference: Reference = field(default_factory=Rest)
     disturbance: Disturbance = field(default_factory=NoDisturbance)
-    comparison: Table | None = None
+    comparison: ComparisonTable | None = None
 
     def __post_init__(self) -> None:
-        count, noise, far = self.initial_conditions, self.measurement_noise_variance, self.bound_in_initial_ranges
-        require(count >= 1, "loop.initial_conditions", count, "at least one is needed", "use 10, as the paper does")
-        require(
-            self.horizon_s is None or 0 < self.horizon_s < np.inf,
-            "loop.horizon_s",
-            self.horizon_s,
-            "the horizon must be positive",
-            "give it in seconds",
-        )
-        require(
-            noise is None or 0 <= noise < np.inf,
-            "loop.measurement_noise_variance",
-            noise,
-            "a variance is not negative",
-            "use 0 for no noise",
-        )
-        factor = self.noise_factor
-        require(factor >= 0, "loop.noise_factor", factor, "a variance is not negative", "use 0 for no noise")
+        variance, far = self.measurement_noise_variance, self.bound_in_initial_ranges
+        at_least(1, "loop.initial_conditions", self.initial_conditions, "use 10, as the paper does")
+        positive("loop.horizon_s", 1.0 if self.horizon_s is None else self.horizon_s, "give it in seconds")
+        at_least(0, "loop.measurement_noise_variance", 0.0 if variance is None else variance, "use 0 for no noise")
+        at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
         require(far > 1, "loop.bound_in_initial_ranges", far, "cases would start outside the bound", "use more than 1")
-        low, high = self.input_lower, self.input_upper
-        require(
-            low is None or high is None or low < high,
-            "loop.input_lower, loop.input_upper",
-            (low, high),
-            "lower must be below upper",
-            "swap them",
-        )
+        (low, high), names = self.limits, "loop.input_lower, loop.input_upper"
+        require(low < high, names, (low, high), "lower must be below upper", "swap them")
 
-    def run(self, plant: Plant, model: SSM, design: Design, seed: int) -> ClosedLoop:
+    @property
+    def limits(self) -> tuple[float, float]:
+        low, high = self.input_lower, self.input_upper
+        return (UNLIMITED[0] if low is None else low), (UNLIMITED[1] if high is None else high)
+
+    def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
         """The certified design on the plant, beside the plant left alone and the noise-free model."""
         controller = ObserverFeedback.of(model, design)
-        result = self.compare(plant, {"design": controller}, seed)["design"]
-        outputs = result.controlled.y[:, 0]
-        return ClosedLoop(**{**vars(result), "on_model": self.on_model(plant, controller, outputs)})
+        runs = self.on_plant(plant, controller, seed)
+        return replace(runs, on_model=self._on_model(plant, controller, runs.controlled.y[:, 0]))
 
-    def compare(self, plant: Plant, controllers: dict[str, Controller], seed: int) -> dict[str, ClosedLoop]:
-        """Every controller on the same plant, initial states, noise, reference and disturbance."""
-        for controller in controllers.values():
-            matched(plant, controller)
-        rest = plant.equilibrium()
-        y0, noise = self.draw(plant, seed)
-        uncontrolled = self.uncontrolled(plant, y0, noise)
-        return {
-            name: ClosedLoop(
-                controlled=self.simulate(plant, controller, y0, noise),
-                uncontrolled=uncontrolled,
-                on_model=None,
-                settling_band=plant.settling_band,
-                input_equilibrium=rest.u,
-            )
-            for name, controller in controllers.items()
-        }
+    def on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
+        """Any controller: at one seed all meet the same initial states, noise, reference and disturbance."""
+        rest, band, (y0, noise) = plant.equilibrium(), plant.settling_band, self.draw(plant, seed)
+        controlled, noise_free = self.simulate(plant, controller, y0, noise), None
+        if noise.any() and None in settling_times_s(controlled, band):
+            still = replace(self, reference=Rest(), disturbance=NoDisturbance())
+            shaken = still.simulate(plant, controller, np.tile(rest.y, (len(y0), 1)), noise)
+            if (np.abs(shaken.y - shaken.reference) > band).any():
+                noise_free = self.simulate(plant, controller, y0, np.zeros_like(noise))
+        return LoopRuns(
+            controlled=controlled,
+            uncontrolled=self.simulate(plant, Uncontrolled.of(plant), y0, noise),
+            settling_band=band,
+            input_equilibrium=rest.u,
+            noise_free=noise_free,
+        )
 
-    def on_model(self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]) -> Rollouts:
+    def _on_model(self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]) -> Rollouts:
         """The certified situation: the controller on its own model, nothing else acting."""
-        twin = IdentifiedPlant(
-            model=controller.model,
-            input_channels=plant.inputs,
-            output_channels=plant.outputs,
-            initial_offset=max(abs(r) for r in plant.initial_range),
-            settled_within=plant.settling_band,
-        )
-        quiet = Loop(
-            initial_conditions=len(y0),
-            horizon_s=self.horizon_s,
-            measurement_noise_variance=0.0,
-            bound_in_initial_ranges=self.bound_in_initial_ranges,
-        )
+        twin = IdentifiedPlant.of(controller.model, plant.inputs, plant.outputs)
+        twin = replace(twin, initial_range=plant.initial_range)  # which the bound is a multiple of
+        quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)
         return quiet.simulate(twin, controller, y0, np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1])))
 
-    def uncontrolled(self, plant: Plant, y0: Float[np.ndarray, "N p"], noise: Float[np.ndarray, "N T p"]) -> Rollouts:
-        """The plant left alone from the same states, under the same disturbance."""
-        return self.simulate(plant, Uncontrolled(plant=plant), y0, noise)
+    def fitted(self, model: Model) -> "Loop":
+        """This experiment with a horizon: as given, else `RESPONSES` times as long as the model's own response."""
+        if self.horizon_s is not None:
+            return self
+        linear, most = at_rest(model), SAMPLES[1]
+        response = np.abs(linear.simulate(np.eye(most, 1)[:, :1] * np.ones((1, linear.b.shape[1])))[0]).sum(axis=1)
+        left = 1 - np.cumsum(response) / max(float(response.sum()), np.finfo(float).tiny)
+        samples = int(np.clip(RESPONSES * (np.argmax(left <= REMAINDER) + 1), *SAMPLES))
+        return replace(self, horizon_s=samples * model.step_s)
 
     def samples(self, step_s: float) -> int:
-        return SAMPLES if self.horizon_s is None else max(2, round(self.horizon_s / step_s))
+        return SAMPLES[0] if self.horizon_s is None else max(2, round(self.horizon_s / step_s))
 
     def draw(self, plant: Plant, seed: int) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
         """Initial outputs and measurement noise, the same for every controller at one seed."""
         shape = (self.initial_conditions, self.samples(plant.step_s), len(plant.outputs))
         initial, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
-        low, high = plant.initial_range
-        y0 = plant.equilibrium().y + initial.uniform(low, high, size=(shape[0], shape[2]))
+        y0 = plant.equilibrium().y + initial.uniform(*plant.initial_range, size=(shape[0], shape[2]))
         given = self.measurement_noise_variance
         variance = self.noise_factor * np.array(plant.noise_variance if given is None else (given,) * shape[2])
         return y0, np.sqrt(variance) * noise.standard_normal(shape)
@@ -159,21 +221,13 @@ class Loop:
         """One batched closed loop from the states that read `y0`."""
         cases, samples, outputs = noise.shape
         time_s = np.arange(samples) * plant.step_s
-        offset = self.reference.offset(time_s)
+        offset = self.reference.signal(time_s)
         disturbance = np.zeros((cases, samples, len(plant.disturbances)))
         if not isinstance(self.disturbance, NoDisturbance):
             remedy = "use disturbance@loop.disturbance=none"
             require(disturbance.shape[2] > 0, "loop.disturbance", self.disturbance, "the plant has none", remedy)
             disturbance[:, :, 0] = self.disturbance.signal(time_s)
         reach = self.bound_in_initial_ranges * max(abs(r) for r in plant.initial_range) + float(np.abs(offset).max())
-        return close_loop(
-            plant,
-            controller,
-            x0=plant.states_at(y0),
-            reference=plant.equilibrium().y + np.repeat(offset[:, None], outputs, axis=1),
-            noise=noise,
-            disturbance=disturbance,
-            bound=np.full(outputs, reach),
-            input_lower=None if self.input_lower is None else np.full(len(plant.inputs), self.input_lower),
-            input_upper=None if self.input_upper is None else np.full(len(plant.inputs), self.input_upper),
-        )
+        asked = {"reference": plant.equilibrium().y + np.repeat(offset[:, None], outputs, axis=1), "noise": noise}
+        asked |= {"x0": plant.states_at(y0), "disturbance": disturbance, "bound": np.full(outputs, reach)}
+        return close_loop(plant, controller, **asked, limits=self.limits)

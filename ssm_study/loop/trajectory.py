@@ -2,125 +2,119 @@
 
 A contracting loop converges to any trajectory of its own model, so `u = u* + K (xh - x*)` needs `(x*, u*)` with
 `x*+ = A x* + B S_u(u*)`. The recurrence is linear in `v = S_u(u*)`: `v` is found by linear-quadratic tracking, and
-`u* = S_u^{-1}(v)` undoes the input nonlinearity, dead-zone included. (THEORY section 4; [Z26] Theorem 3.)
+`u* = S_u^{-1}(v)` undoes the input nonlinearity, dead-zone included. Source: [Z26] Theorem 3 for the law; Anderson &
+Moore (1990), Optimal Control: Linear Quadratic Methods, chapter 4, for tracking with a known reference.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import null_space, solve_discrete_are
-from scipy.optimize import elementwise
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold import Scaffold
+from ssm_study.models.scaffolds.scaffold import Scaffold
+from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import require
 from ssm_study.systems import StateSpace
 
+Vector = Float[np.ndarray, "_"]
+Reference = Float[np.ndarray, "T p"]
+Plan = Float[np.ndarray, "T t"]  # what is followed at each sample
 SMOOTHNESS = 1.0
 """Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
 samples and not in one violent one."""
-IDLE_SHARE = 1e-9
-"""Of the largest static gain: a direction of inputs below this moves no output."""
-INVERSION_TOLERANCE = 1e-10
-"""Residual of `S(v) = w` in scaled units, where one unit is the spread of the signal."""
+IDLE_SHARE = 1e-9  # of the largest static gain: a direction of inputs below this moves no output
+NEWTON_STEPS = 100
+INVERSION_TOLERANCE = 1e-10  # residual of `S(v) = w` in scaled units, where one unit is the spread of the signal
+REST_TOLERANCE = 1e-8  # likewise of a rest point, which also has a linear system solved
 
 
-def equilibrium(model: SSM, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "m"]]:
-    """`x* = A x* + B S_u(u*),  y = S_y(C x* + D S_u(u*))`: where the model rests at output `y` (physical unit).
+def equilibrium(model: Model, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "m"]]:
+    """`x* = f(x*, S_u(u*)),  y = h(x*, S_u(u*))`: where the recurrence f rests at output `y` (physical unit).
 
     Returns `x*` and `u*`, both in scaled units. With more inputs than outputs the smallest `S_u(u*)` is taken.
     Raises `BadRequest` when no input holds that output.
     """
-    y_bar = inverse(model.scaffold_out, ((y - model.output_equilibrium) / model.output_scale)[None])[0]
-    lifted, x = _resting(model.linear, y_bar)
-    return x, inverse(model.scaffold_in, lifted[None])[0]
+    y_bar, n = inverse(model.scaffold_out, model.scale.scaled_output(y)[None])[0], model.order
+    size = max(1.0, float(np.abs(y_bar).max()))
+
+    def missing(point: Vector) -> Vector:
+        x, v = np.split(point, [n])
+        inner = model.h @ model.inner(x, v) if isinstance(model, StructuredSSM) else 0.0
+        return np.concatenate([model.advance(x, v) - x, model.linear.c @ x + model.linear.d @ v + inner - y_bar])
+
+    def slope(point: Vector) -> Float[np.ndarray, "_ _"]:
+        at = model.linearised(*np.split(point, [n])) if isinstance(model, StructuredSSM) else model.linear
+        return np.block([[at.a - np.eye(n), at.b], [at.c, at.d]])
+
+    if isinstance(model, StructuredSSM):
+        point = _newton(missing, slope, np.zeros(n + model.b.shape[1]), INVERSION_TOLERANCE * size)
+    else:
+        to_state, gain = held(model.linear)
+        v = np.linalg.lstsq(gain, y_bar, rcond=None)[0]
+        point = np.concatenate([to_state @ v, v])
+    problem = "no constant input of the model holds this scaled output"
+    _reached(np.abs(missing(point)).max() <= REST_TOLERANCE * size, y_bar, problem, "")
+    return point[:n], inverse(model.scaffold_in, point[None, n:])[0]
 
 
-def feasible_trajectory(model: SSM, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
+def held(system: StateSpace) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "p m"]]:
+    """`X = (I - A)^{-1} B` and `C X + D`: the states and outputs that constant inputs hold."""
+    to_state = np.linalg.solve(np.eye(system.order) - system.a, system.b)
+    return to_state, system.c @ to_state + system.d
+
+
+def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     """The model's own trajectory nearest the reference, one row `(x*[k], u*[k])` per sample, in scaled units.
 
     Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium, where every
     observer starts; the whole reference is known in advance, so the input moves before a step does. `reference` is in
     the output's unit. A reference at rest gives zeros.
+
+    Preview tracking on `z = (x, v[k-1])` driven by `w = v[k] - v[k-1]`: `P` solves the Riccati equation of that cost;
+    the reference enters through the backward sum `g[k] = (F - G K)^T g[k+1] - (H - D K)^T target[k]`, started where a
+    reference held for ever would keep it.
     """
-    y_bar = inverse(model.scaffold_out, (reference - model.output_equilibrium) / model.output_scale)
-    states, inputs = _track(model.linear, y_bar)
-    return np.concatenate([states, inverse(model.scaffold_in, inputs)], axis=1)
-
-
-def set_points(model: SSM, reference: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T t"]:
-    """The rest point `(x*, u*)` of each reference value: for references that are constant but for steps."""
-    values, index = np.unique(reference, axis=0, return_inverse=True)
-    points = np.stack([np.concatenate(equilibrium(model, value)) for value in values])
-    return points[index.reshape(-1)]
-
-
-def _resting(system: StateSpace, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "n"]]:
-    """`v` and `x` with `x = A x + B v,  y = C x + D v`."""
-    to_state = np.linalg.solve(np.eye(system.order) - system.a, system.b)
-    gain = system.c @ to_state + system.d
-    lifted = np.linalg.lstsq(gain, y, rcond=None)[0]
-    require(
-        bool(np.allclose(gain @ lifted, y, atol=1e-8 * max(1.0, float(np.abs(y).max())))),
-        "loop.reference",
-        np.round(y, 4).tolist(),
-        "no constant input of the model holds this scaled output",
-        "choose a reference within the reach of the inputs",
-    )
-    return lifted, to_state @ lifted
-
-
-def _track(
-    system: StateSpace, target: Float[np.ndarray, "T p"]
-) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T k"]]:
-    """Linear-quadratic preview tracking on `z = (x, v[k-1])` driven by `w = v[k] - v[k-1]`.
-
-    `P` solves the Riccati equation of the tracking cost; the reference enters through the backward sum
-    `g[k] = (F - G K)^T g[k+1] - (H - D K)^T target[k]`, started where a reference held for ever would keep it.
-    """
-    (n, m), d = system.b.shape, system.d
-    f = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]])
-    idle = _idle(system)
-    target = np.concatenate([target, np.zeros((len(target), len(idle)))], axis=1)
-    d = np.vstack([d, idle])
-    g, h = (
-        np.vstack([system.b, np.eye(m)]),
-        np.vstack([np.hstack([system.c, system.d]), np.hstack([np.zeros((len(idle), n)), idle])]),
-    )
+    system, (n, m) = model.linear, model.linear.b.shape
+    idle = scipy.linalg.null_space(held(system)[1], rcond=IDLE_SHARE).T  # without a cost of their own these would drift
+    target = inverse(model.scaffold_out, model.scale.scaled_output(reference))
+    target = np.pad(target, ((0, 0), (0, len(idle))))
+    f, g = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]]), np.vstack([system.b, np.eye(m)])
+    h, d = np.block([[system.c, system.d], [np.zeros((len(idle), n)), idle]]), np.vstack([system.d, idle])
     weight = SMOOTHNESS * np.eye(m) + d.T @ d
-    p = solve_discrete_are(f, g, h.T @ h, weight, s=h.T @ d)
+    p = scipy.linalg.solve_discrete_are(f, g, h.T @ h, weight, s=h.T @ d)  # with the cross term of a feedthrough
     curvature = weight + g.T @ p @ g
     k = np.linalg.solve(curvature, g.T @ p @ f + d.T @ h)
-    closed, seen = (f - g @ k).T, (h - d @ k).T
-    costate = -np.linalg.solve(np.eye(n + m) - closed, seen @ target[-1])
-    preview = np.empty((len(target), m))
-    for i in reversed(range(len(target))):
-        preview[i] = np.linalg.solve(curvature, d.T @ target[i] - g.T @ costate)
-        costate = closed @ costate - seen @ target[i]
-    return _roll(f, g, k, preview, n)
+    closed, seen = f - g @ k, h - d @ k
+    last = -np.linalg.solve(np.eye(n + m) - closed.T, seen.T @ target[-1])  # a reference held for ever
+    c, through = -np.linalg.solve(curvature, g.T), np.linalg.solve(curvature, d.T)
+    preview = StateSpace(a=closed.T, b=-seen.T, c=c, d=through).simulate(target[::-1], last)[0][::-1]
+    c, through = np.vstack([np.eye(n, n + m), closed[n:]]), np.vstack([np.zeros((n, m)), g[n:]])
+    plan = StateSpace(a=closed, b=g, c=c, d=through).simulate(preview)[0]
+    return np.concatenate([plan[:, :n], inverse(model.scaffold_in, plan[:, n:])], axis=1)
 
 
-def _idle(system: StateSpace) -> Float[np.ndarray, "q k"]:
-    """Directions of v that move no output at rest, as rows: without a cost of their own they would drift."""
-    gain = system.c @ np.linalg.solve(np.eye(system.order) - system.a, system.b) + system.d
-    return null_space(gain, rcond=IDLE_SHARE).T
+def guided_trajectory(model: StructuredSSM, k: Float[np.ndarray, "m n"], reference: Reference) -> Plan:
+    """A trajectory `(x*[k], u*[k])` of a model with neurons that its own feedback leads to each set point in turn.
+
+    `u* = us + K (x* - xs)` from the model's equilibrium, `(xs, us)` the rest point of the reference's value: it gets
+    there at the certified rate. A reference at rest gives zeros.
+    """
+    points, n = set_points(model, reference), model.order
+    x, plan = np.zeros(n), np.empty_like(points)
+    for i, point in enumerate(points):
+        u = point[n:] + k @ (x - point[:n])
+        plan[i] = np.concatenate([x, u])
+        x = model.advance(x, model.scaffold_in(u[None])[0])
+    return plan
 
 
-def _roll(
-    f: Float[np.ndarray, "z z"],
-    g: Float[np.ndarray, "z m"],
-    k: Float[np.ndarray, "m z"],
-    preview: Float[np.ndarray, "T m"],
-    n: int,
-) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T m"]]:
-    z = np.zeros(len(f))
-    states, inputs = np.empty((len(preview), n)), np.empty((len(preview), len(z) - n))
-    for i, extra in enumerate(preview):
-        states[i] = z[:n]
-        z = f @ z + g @ (extra - k @ z)
-        inputs[i] = z[n:]
-    return states, inputs
+def set_points(model: Model, reference: Reference) -> Plan:
+    """The rest point `(x*, u*)` of each reference value: for references that are constant but for steps."""
+    values, index = np.unique(reference, axis=0, return_inverse=True)
+    return np.stack([np.concatenate(equilibrium(model, value)) for value in values])[index.reshape(-1)]
 
 
 def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
@@ -128,44 +122,46 @@ def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray
 
     Raises `BadRequest` when the map does not reach `w`.
     """
-    solve: Callable[[Scaffold, np.ndarray], np.ndarray] = _scalar_root if w.shape[1] == 1 else _newton
-    v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, solve(scaffold, w))  # S(0) = 0 holds exactly
-    worst = int(np.abs(scaffold(v) - w).max(axis=1).argmax())
-    require(
-        bool(np.abs(scaffold(v) - w).max() <= INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))),
-        "loop.reference",
-        np.round(w[worst], 4).tolist(),
-        "the identified nonlinearity does not reach this scaled value",
-        "choose a reference within the reach of the inputs, or raise model.slope_lower",
-    )
+    from scipy.optimize import elementwise  # slow to load
+
+    def missing(v: Vector, w: Vector) -> Vector:
+        return scaffold(v[:, None])[:, 0] - w if scalar else scaffold(v[None])[0] - w
+
+    scalar = w.shape[1] == 1
+    if scalar:  # Chandrupatla's method for all rows at once; not a number without a bracket
+        with np.errstate(invalid="ignore"):  # SciPy takes a square root of rounding where it does not need it
+            around = elementwise.bracket_root(missing, -1.0, 1.0, args=(w[:, 0],), maxiter=60)
+            v = np.asarray(elementwise.find_root(missing, around.bracket, args=(w[:, 0],)).x)[:, None]
+    else:  # a reference at rest asks the same at every sample
+        values, index = np.unique(w, axis=0, return_inverse=True)
+        start, enough = np.zeros(scaffold.inputs), 1e-2 * INVERSION_TOLERANCE
+        rows = [_newton(partial(missing, w=row), scaffold.jacobian, start, enough) for row in values]
+        v = np.stack(rows)[index.reshape(-1)]
+    v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, v)  # S(0) = 0 holds exactly
+    missed = np.abs(scaffold(v) - w).max(axis=1)
+    enough = INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))
+    problem = "the identified nonlinearity does not reach this scaled value"
+    _reached(missed.max() <= enough, w[missed.argmax()], problem, ", or raise model.slope_lower")
     return v
 
 
-def _scalar_root(scaffold: Scaffold, w: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 1"]:
-    """Chandrupatla's method from a bracket grown around zero; not a number where none is found."""
-
-    def missing(v: Float[np.ndarray, "N"], w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        return scaffold(v[:, None])[:, 0] - w
-
-    around = elementwise.bracket_root(missing, -1.0, 1.0, args=(w[:, 0],), maxiter=60)
-    return np.asarray(elementwise.find_root(missing, around.bracket, args=(w[:, 0],)).x)[:, None]
+def _reached(reached: np.bool_, value: Vector, problem: str, more: str) -> None:
+    remedy = f"choose a reference within the reach of the inputs{more}"
+    require(bool(reached), "loop.reference", np.round(value, 4).tolist(), problem, remedy)
 
 
-def _newton(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
-    values, index = np.unique(w, axis=0, return_inverse=True)  # a reference at rest asks the same at every sample
-    return np.stack([_newton_row(scaffold, row) for row in values])[index.reshape(-1)]
-
-
-def _newton_row(scaffold: Scaffold, w: Float[np.ndarray, "k"]) -> Float[np.ndarray, "m"]:
-    v, enough = np.zeros(scaffold.jacobian(np.zeros_like(w)).shape[1]), 1e-2 * INVERSION_TOLERANCE
-    missing = w - scaffold(v[None])[0]
-    for _ in range(100):
-        if np.linalg.norm(missing) <= enough:
+def _newton(
+    missing: Callable[[Vector], Vector], slope: Callable[[Vector], np.ndarray], point: Vector, enough: float
+) -> Vector:
+    """Newton steps from `point`, halved until nearer, until `|missing| <= enough` or none comes nearer."""
+    left = missing(point)
+    for _ in range(NEWTON_STEPS):
+        if np.linalg.norm(left) <= enough:
             break
-        step = np.linalg.lstsq(scaffold.jacobian(v), missing, rcond=None)[0]
-        trials = ((v + s * step, w - scaffold((v + s * step)[None])[0]) for s in 0.5 ** np.arange(40))
-        nearer = next((t for t in trials if np.linalg.norm(t[1]) < np.linalg.norm(missing)), None)
+        step = np.linalg.lstsq(slope(point), -left, rcond=None)[0]
+        trials = ((point + share * step, missing(point + share * step)) for share in 0.5 ** np.arange(40))
+        nearer = next((trial for trial in trials if np.linalg.norm(trial[1]) < np.linalg.norm(left)), None)
         if nearer is None:
             break
-        v, missing = nearer
-    return v
+        point, left = nearer
+    return point

@@ -1,28 +1,165 @@
-"""What `conf/model/ssm.yaml` says, and how it becomes a trainable model."""
+"""What `conf/model/ssm.yaml` says, where training starts (on a ring, or fitted to data), and the trainable model."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+import scipy
+from jaxtyping import Complex, Float
 
-from ssm_study.models.scaffold_specs import Frame, ScaffoldSpec
-from ssm_study.models.start import from_data, on_ring
-from ssm_study.models.torch_lru import LRU, Start
-from ssm_study.models.torch_ssm import TorchModel, TorchSSM
-from ssm_study.refusal import require
+from ssm_study.models.scaffolds.scaffold import Frame, Trainable
+from ssm_study.refusal import one_of, positive, require
 from ssm_study.signals import DataSet
+from ssm_study.systems import StateSpace
+
+if TYPE_CHECKING:
+    from ssm_study.models.torch_ssm import TorchModel, TorchSSM
+
+ARX_LAGS = 24  # past samples in the least-squares model: enough for the order asked, few enough for short records
+RESPONSE = 256  # samples of impulse response given to the realisation
+NOISE_FLOOR = 1e-8  # relative: smaller singular values are rounding
+LEAST_SHARE = 0.5  # |y - ys| < |y| exactly where <y, ys> > <ys, ys> / 2
+SLOWEST = 0.9995  # starting modes are pulled inside this radius: a least-squares fit of noisy data may be unstable
+
+Range = Sequence[float]  # from, to
+Records = Sequence[tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]  # (T, m), (T, p), T may differ
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where training starts: `modes (n,)` with the real ones first and one of each pair, `b (n, m)`, `c (p, n)`, `d`.
+
+    `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
+    """
+
+    modes: Complex[np.ndarray, "n"]
+    b: Complex[np.ndarray, "n m"]
+    c: Complex[np.ndarray, "p n"]
+    d: Float[np.ndarray, "p m"]
+
+    def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
+        """The output to `u` from rest."""
+        x = np.stack(
+            [scipy.signal.lfilter([0.0, 1.0], [1.0, -z], u @ b) for z, b in zip(self.modes, self.b, strict=True)]
+        )
+        twice = np.where(self.modes.imag == 0, 1.0, 2.0)
+        made: np.ndarray = (twice * self.c @ x).real.T + u @ self.d.T
+        return made
+
+
+def on_ring(
+    order: int, real_modes: int, radius: Range, frequency: Range, channels: tuple[int, int], rng: np.random.Generator
+) -> Start:
+    """Radii uniform in area between the two, angles uniform in `frequency` (rad per sample); small random gains.
+
+    Source: Orvieto et al. (2023), lemma 3.2.
+    """
+    pairs = (order - real_modes) // 2  # each holds two states
+    count = real_modes + pairs
+    modes = np.sqrt(rng.uniform(radius[0] ** 2, radius[1] ** 2, size=count)).astype(complex)
+    modes[real_modes:] *= np.exp(1j * rng.uniform(frequency[0], frequency[1], size=pairs))
+    m, p = channels
+    b, c = (rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in ((count, m), (p, count)))
+    b, c = b * np.sqrt(1 - np.abs(modes[:, None]) ** 2), c / np.sqrt(2 * count)  # of like size at any radius and order
+    b[:real_modes].imag, c[:, :real_modes].imag = 0.0, 0.0
+    return Start(modes=modes, b=b, c=c, d=np.zeros((p, m)))
+
+
+def from_data(records: Records, order: int, rng: np.random.Generator, feedthrough: bool) -> Start:
+    """ARX by least squares over all records, its impulse response, a balanced realisation of it, its modes.
+
+    Where the input acts at once and no feedthrough is allowed, or of noise, long ARX models are unstable, and modes
+    pulled into the unit circle answer a thousandfold: a start whose free run is further from the records than no
+    model at all is made again with as many lags as states, then scaled to what it explains.
+    Source: Ho & Kalman (1966); Juang & Pappa (1985) for the realisation.
+    """
+    longest = min(ARX_LAGS, max(len(u) for u, _ in records) // 4)
+    for lags in (longest, min(order, longest)):
+        start = modal_start(realise(impulse_response(*arx(records, lags, feedthrough)), order, rng))
+        share = explained(start, records)
+        if share >= LEAST_SHARE:
+            return start
+    return replace(start, c=share * start.c, d=share * start.d)
+
+
+def explained(start: Start, records: Records) -> float:
+    """`<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than zero is."""
+    seen = np.concatenate([y for _, y in records])
+    made = np.concatenate([start.free_run(u) for u, _ in records])
+    return float((seen * made).sum() / max((made**2).sum(), np.finfo(float).tiny))
+
+
+def arx(
+    records: Records, lags: int, feedthrough: bool
+) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
+    """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
+    rows, targets = [], []
+    for u, y in records:
+        past = [y[lags - i : len(y) - i] for i in range(1, lags + 1)]
+        driven = [u[lags - j : len(u) - j] for j in range(0 if feedthrough else 1, lags + 1)]
+        rows.append(np.hstack([*past, *driven]))
+        targets.append(y[lags:])
+    theta = np.linalg.lstsq(np.vstack(rows), np.vstack(targets), rcond=None)[0].T
+    p, m = records[0][1].shape[1], records[0][0].shape[1]
+    a = theta[:, : lags * p].reshape(p, lags, p).transpose(1, 0, 2)
+    b = theta[:, lags * p :].reshape(p, -1, m).transpose(1, 0, 2)
+    return a, b if feedthrough else np.concatenate([np.zeros((1, p, m)), b])
+
+
+def impulse_response(a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lags1 p m"]) -> Float[np.ndarray, "K p m"]:
+    """`h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable fit grows beyond ten times its early peak."""
+    h = np.zeros((RESPONSE, *b.shape[1:]))
+    for k in range(RESPONSE):
+        recent = h[max(k - len(a), 0) : k][::-1]
+        h[k] = (a[: len(recent)] @ recent).cumsum(0)[-1] if k else 0.0
+        h[k] += b[k] if k < len(b) else 0.0
+        if k > len(b) and np.abs(h[k]).max() > 10 * np.abs(h[: len(b)]).max():
+            h[k:] = 0.0
+            break
+    return h
+
+
+def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator) -> StateSpace:
+    """The balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`; fast modes fill what it lacks."""
+    half = len(h) // 2
+    p, m = h.shape[1:]
+    lags = 1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]  # h[1 + i + j]: the direct term h[0] is D
+    hankel = h[lags].transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
+    left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
+    kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
+    root = np.sqrt(values[:kept])
+    observe, reach = left[:, :kept] * root, root[:, None] * right[:kept]
+    a = np.linalg.lstsq(observe[:-p], observe[p:], rcond=None)[0]
+    a = a + 1e-6 * rng.normal(size=a.shape)  # separates repeated modes, which no diagonal form can hold
+    spare = rng.uniform(0.1, 0.4, size=order - kept)  # forgotten within a few samples
+    b = np.vstack([reach[:, :m], 0.1 * rng.normal(size=(order - kept, m))])
+    c = np.hstack([observe[:p], 0.1 * rng.normal(size=(p, order - kept))])
+    return StateSpace(a=scipy.linalg.block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
+
+
+def modal_start(system: StateSpace) -> Start:
+    """Eigenvalues inside the unit circle, real ones first, one of each pair; `b`, `c` in eigenvector coordinates."""
+    values, vectors = np.linalg.eig(system.a)
+    b, c = np.linalg.solve(vectors, system.b.astype(complex)), system.c @ vectors
+    radius = np.abs(values)
+    values = np.where(radius > 1.0, values / np.maximum(radius, 1.0) ** 2, values)  # mirrored into the unit circle
+    values = np.where(np.abs(values) > SLOWEST, values * SLOWEST / np.maximum(np.abs(values), SLOWEST), values)
+    real = np.flatnonzero(np.isreal(values))
+    kept = np.concatenate([real, np.flatnonzero(values.imag > 0)])
+    modes, b, c = (part.astype(complex) for part in (values[kept], b[kept], c[:, kept]))
+    return Start(modes=modes, b=b, c=c, d=system.d)
 
 
 class ModelSpec(ABC):
     """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
 
+    # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only.
     gives_ssm: ClassVar[bool] = False
-    """Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only."""
 
     @abstractmethod
-    def build(self, data: DataSet, seed: int) -> TorchModel: ...
+    def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,73 +178,61 @@ class SSMSpec(ModelSpec):
     slope_lower: float
     slope_upper: float
     feedthrough: bool
-    scaffold_in: ScaffoldSpec
-    scaffold_out: ScaffoldSpec
+    scaffold_in: Trainable
+    scaffold_out: Trainable
     start: str = "data"
     real_modes: int = 2
-    ring_radius: tuple[float, float] | list[float] = (0.5, 0.98)
-    ring_frequency: tuple[float, float] | list[float] = (0.05, 1.5)
+    ring_radius: Sequence[float] = (0.5, 0.98)
+    ring_frequency: Sequence[float] = (0.05, 1.5)
 
     def __post_init__(self) -> None:
-        order, real = self.order, self.real_modes
-        require(_whole(order) and order >= 1, "model.order", order, "a model has at least one state", "use 8 or so")
-        width = self.hidden_width
-        require(_whole(width) and width >= 1, "model.hidden_width", width, "needs at least one neuron", "use 32 or so")
-        lower, upper = self.slope_lower, self.slope_upper
-        require(lower > 0, "model.slope_lower", lower, "certificates need slopes above zero", "use 0.01 or so")
-        require(
-            lower < upper < np.inf,
-            "model.slope_lower, model.slope_upper",
-            (lower, upper),
-            "the lower slope must lie below the upper one",
-            "swap or separate them",
-        )
-        require(self.start in ("data", "ring"), "model.start", self.start, "unknown starting point", "use data or ring")
+        whole(1, "order", self.order, "a model has at least one state, use 8 or so")
+        whole(1, "hidden_width", self.hidden_width, "use 32 or so")
+        check_slopes(self.slope_lower, self.slope_upper)
+        one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
-            fits = _whole(real) and 0 <= real <= order and (order - real) % 2 == 0
-            remedy = "leave an even number of states for the pairs"
-            require(fits, "model.real_modes", real, f"{order} states minus these must be pairs", remedy)
-            _check_range("model.ring_radius", self.ring_radius, 0.0, 1.0)
-            _check_range("model.ring_frequency", self.ring_frequency, 0.0, np.pi)
+            whole(0, "real_modes", self.real_modes, "use 2")
+            pairs, remedy = self.order - self.real_modes, "leave an even number of states for the pairs"
+            fits = pairs >= 0 and pairs % 2 == 0
+            problem = f"{self.order} states minus these must be pairs"
+            require(fits, "model.real_modes", self.real_modes, problem, remedy)
+            for name, most in (("ring_radius", 1.0), ("ring_frequency", np.pi)):
+                ends = getattr(self, name)
+                fits = len(ends) == 2 and 0 <= ends[0] < ends[1] <= most
+                problem = f"needs two increasing numbers in [0, {most:g}]"
+                require(fits, f"model.{name}", ends, problem, "correct the range")
 
-    def build(self, data: DataSet, seed: int) -> TorchSSM:
-        rng = np.random.default_rng(seed)
-        records = scaled(data)
-        slopes = (self.slope_lower, self.slope_upper)
-        seen = np.concatenate([u for u, _ in records]), np.concatenate([y for _, y in records])
+    def build(self, data: DataSet, seed: int) -> "TorchSSM":
+        from ssm_study.models.torch_ssm import LRU, TorchSSM
+
+        rng, records = np.random.default_rng(seed), scaled(data)
+        slopes, seen = (
+            (self.slope_lower, self.slope_upper),
+            [np.concatenate(parts) for parts in zip(*records, strict=True)],
+        )
         frames = [Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen]
         scaffold_in, scaffold_out = self.scaffold_in.build(frames[0], rng), self.scaffold_out.build(frames[1], rng)
-        lru = LRU(self._start(records, rng), self.feedthrough)
-        return TorchSSM(scaffold_in, lru, scaffold_out)
-
-    def draw_start(self) -> "SSMSpec":
-        """The same model started from random modes: what a further start of a multistart begins with."""
-        return replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
-
-    def _start(self, records: list[tuple[np.ndarray, np.ndarray]], rng: np.random.Generator) -> Start:
         if self.start == "data":
-            return from_data(records, self.order, rng, self.feedthrough)
-        channels = (records[0][0].shape[1], records[0][1].shape[1])
-        radius, frequency = self.ring_radius, self.ring_frequency
-        ranges = (radius[0], radius[1]), (frequency[0], frequency[1])
-        return on_ring(self.order, self.real_modes, *ranges, channels, rng)
+            start = from_data(records, self.order, rng, self.feedthrough)
+        else:
+            channels = (seen[0].shape[1], seen[1].shape[1])
+            start = on_ring(self.order, self.real_modes, self.ring_radius, self.ring_frequency, channels, rng)
+        return TorchSSM(scaffold_in, LRU(start, self.feedthrough), scaffold_out)
 
 
 def scaled(data: DataSet) -> list[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]:
     """Training records in scaled units: `(u - u_eq) / input_scale`, `(y - y_eq) / output_scale`."""
-    return [
-        (
-            (record.u - data.input_equilibrium) / data.input_scale,
-            (record.y - data.output_equilibrium) / data.output_scale,
-        )
-        for record in data.training
-    ]
+    return [(data.scale.scaled_input(record.u), data.scale.scaled_output(record.y)) for record in data.training]
 
 
-def _whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+def whole(least: int, name: str, value: object, remedy: str) -> None:
+    """Refuse what is no whole number, or one below `least`."""
+    fits = isinstance(value, int) and not isinstance(value, bool) and value >= least
+    require(fits, f"model.{name}", value, f"must be a whole number, at least {least}", remedy)
 
 
-def _check_range(field: str, values: tuple[float, float] | list[float], least: float, most: float) -> None:
-    fits = len(values) == 2 and least <= values[0] < values[1] <= most
-    require(fits, field, values, f"needs two increasing numbers in [{least:g}, {most:g}]", "correct the range")
+def check_slopes(lower: float, upper: float) -> None:
+    """Refuse a sector of slopes that is empty, or reaches zero."""
+    positive("model.slope_lower", lower, "use 0.01 or so")
+    fits, problem = lower < upper < np.inf, "the lower slope must lie below the upper one"
+    require(fits, "model.slope_lower, model.slope_upper", (lower, upper), problem, "swap or separate them")

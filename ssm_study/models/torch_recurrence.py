@@ -1,41 +1,156 @@
-"""One simulation law of the linear recurrence, four evaluations of it: convolution, chunks, scan, steps.
+"""One simulation law of the linear recurrence, two evaluations of it: as one convolution, and in chunks.
 
     x[k+1] = lambda x[k] + B u[k],    y[k] = Re(C x[k]) + D u[k],    x[0] given      (all modes are decoupled)
 
-Modes are complex numbers; a real mode is one with zero imaginary part, and the factor two of a conjugate pair is
+ModalForm are complex numbers; a real mode is one with zero imaginary part, and the factor two of a conjugate pair is
 already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]` with `g[0] = D` and
 `g[k] = Re(C lambda^(k-1) B)`.
 Shapes: `decay (n,)` complex, the logarithm of lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)` real; `u (e, T, m)`;
-`x0 (e, n)` complex. Convolution takes a leading axis of models on all of them at once.
+`x0 (e, n)` complex.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import cache
+from itertools import pairwise
+from typing import Any
 
 import torch
 from jaxtyping import Complex, Float
+from scipy.fft import next_fast_len
 from torch import Tensor
 
-from ssm_study.models.torch_chunks import Chunks
-from ssm_study.models.torch_convolution import Convolution, impulse_response, mixed, power_sums, powers, tables
+CHUNK = 64  # samples per block: products of this size keep one core's caches warm
+Real2 = Float[Tensor, "*r n2"]
+Complex2 = Complex[Tensor, "*r n"]  # n2 = 2 n: real and imaginary parts
+_AGES = torch.arange(CHUNK + 1, dtype=torch.float64)[:, None]
+
+
+class Chunks(torch.autograd.Function):
+    """Blocks of 64 samples, their products and a scan of the states between; shapes as above, `x0 (e, n)` or None.
+
+        y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q counts blocks)
+
+    `T[(j, input), (k, output)] = g[k-j]` is the response within a block, `G` the inputs' way to the state after it and
+    `W` the state's way to the outputs. Complex tables are stored as real ones, real and imaginary parts side by side.
+    Differentiates backward, once: autograd's own way through the blocks takes three times as many calls.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None) -> Tensor:
+        power = torch.exp(_AGES.to(u.device) * decay.to(torch.complex128)).to(decay.dtype)  # lambda^k, k = 0 ... 64
+        lift = _real((power[:-1].flip(0)[:, None] * b.mT).flatten(0, 1))
+        read = _real((power[:-1, None] * c).flatten(0, 1).conj_physical())
+        within = _toeplitz(d, read, _real(b.mT.contiguous()))
+        blocks = _blocks(u)
+        members = math.isqrt(len(blocks) - 1) + 1  # as many powers of lambda^64 as a group of the scan has
+        turns = torch.exp(torch.arange(1, members + 1, device=u.device)[:, None, None] * (decay * CHUNK))
+        x = _scan(turns, _complex(blocks @ lift), x0)  # the state at the start of each block
+        y = (blocks @ within).view(-1, within.shape[1]).addmm_(_real(x).flatten(0, 1), read.mT)
+        ctx.save_for_backward(turns, power, b, c, lift, read, within, blocks, x)
+        ctx.samples, ctx.starts_moving = u.shape[1], x0 is not None
+        return _signal(y.view(*blocks.shape[:2], -1), ctx.samples, len(d))
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
+        m, p = b.shape[1], len(c)
+        errors, inputs, states = _blocks(upstream[0]), blocks.flatten(0, 1), _real(x).flatten(0, 1)
+        reached = _complex(errors @ read)
+        later = _scan(turns.conj_physical(), reached.flip(0), None).flip(0)  # the loss by the inputs to the states
+        pushed, errors = _real(later).flatten(0, 1), errors.flatten(0, 1)  # adjoint of the states, rows by block
+        d_u = (errors @ within.mT).addmm_(pushed, lift.mT).view(blocks.shape) if ctx.needs_input_grad[4] else None
+        d_g = _diagonal_sums(inputs.mT @ errors, p, m)  # by the impulse response g
+        tail = d_g[1:].reshape(-1, m)  # g[0] = D alone, g[k] = Re(C lambda^(k-1) B)
+        d_lift = _complex((inputs.mT @ pushed).view(CHUNK, m, -1)).flip(0)
+        d_read = errors.mT @ states
+        d_read[:-p].addmm_(tail, _real(b.mT.contiguous()))
+        d_read = _complex(d_read.view(CHUNK, p, -1)).conj_physical()
+        power_conj, d_turn = power.conj_physical(), (x.conj() * later).sum((0, 1))
+        d_b = (power_conj[:-1, None] * d_lift).sum(0) + _complex(tail.mT @ read[:-p])
+        d_c = (power_conj[:-1, None] * d_read).sum(0)
+        d_power = torch.cat([(d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1), d_turn[None]])
+        d_decay = (_AGES.to(d_read.real) * (power_conj * d_power)).sum(0)  # d lambda^k = k lambda^k d decay
+        d_x0 = torch.addcmul(reached[0], power_conj[-1], later[0]) if ctx.starts_moving else None
+        return d_decay, d_b.mT, d_c, d_g[0], None if d_u is None else _signal(d_u, ctx.samples, m), d_x0
+
+
+def _real(table: Complex2) -> Real2:  # Real and imaginary parts side by side, without a copy
+    return torch.view_as_real(table).flatten(-2)
+
+
+def _complex(table: Real2) -> Complex2:
+    return torch.view_as_complex(table.view(*table.shape[:-1], -1, 2))
+
+
+def _toeplitz(d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]) -> Tensor:
+    """`T[(j, input), (k, output)] = g[output, input, k - j]`, zero above the diagonal of time."""
+    p, m = d.shape
+    g = torch.cat([d.new_zeros(CHUNK - 1, p, m), d[None], (read[:-p] @ b.mT).view(-1, p, m)])
+    return g.unfold(0, CHUNK, 1).flip(0).permute(0, 2, 3, 1).reshape(CHUNK * m, CHUNK * p)
+
+
+def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
+    """What `_toeplitz` spread, gathered: rows of length 2 s - 1 instead of 2 s put a diagonal into a column."""
+    flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
+    skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
+    return skewed.unflatten(2, (CHUNK, -1)).sum(2)[..., CHUNK - 1 :].permute(2, 1, 0)
+
+
+def _blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"]:  # Blocks of samples first, filled up with zeros
+    experiments, samples, channels = signal.shape
+    whole, rest = divmod(samples, CHUNK)
+    out = signal.new_empty(whole + bool(rest), experiments, CHUNK, channels)
+    out[:whole] = signal[:, : whole * CHUNK].unflatten(1, (whole, CHUNK)).transpose(0, 1)
+    if rest:
+        out[whole, :, :rest] = signal[:, whole * CHUNK :]
+        out[whole, :, rest:] = 0.0
+    return out.flatten(2)
+
+
+def _signal(blocks: Float[Tensor, "q e sp"], samples: int, channels: int) -> Float[Tensor, "e T p"]:
+    """The inverse of `_blocks`."""
+    return blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)[:, :samples]
+
+
+def _scan(turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None) -> Tensor:
+    """`x[0] = x0`, `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from group to group."""
+    groups = -(-len(rise) // len(turns))
+    x = rise.new_zeros(groups * len(turns), *rise.shape[1:])
+    x[1 : len(rise)] = rise[:-1]
+    if x0 is not None:
+        x[0] = x0
+    table = x.view(groups, len(turns), *rise.shape[1:])
+    for before, now in pairwise(table.unbind(1)):
+        now.addcmul_(before, turns[0])  # within all groups at once
+    for before, now in pairwise(table.unbind(0)):
+        now.addcmul_(before[-1:], turns)  # what the group before ends with, turned k times
+    return x[: len(rise)]
+
+
+FEW_POWERS = 4096  # below this the many small operations of doubling cost more than the exponentials
+CHUNKS_UP_TO_MODES = 16
+# Measured in benchmarks/models_recurrence.py: chunks win where their products are small against the transforms.
+CHUNKS_FROM_SAMPLES = 500
+Input = Float[Tensor, "e T m"]
+Output = Float[Tensor, "e T p"]
+Modal = Complex[Tensor, "e n"]
+Tables = tuple[Complex[Tensor, "s n"], Complex[Tensor, "q n"]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Modes:
+class ModalForm:
     """The recurrence in explicit modal parameters; `decay = log(lambda)` with negative real part."""
 
-    decay: Complex[Tensor, "*models n"]
-    b: Complex[Tensor, "*models n m"]
-    c: Complex[Tensor, "*models p n"]
-    d: Float[Tensor, "*models p m"]
+    decay: Complex[Tensor, "n"]
+    b: Complex[Tensor, "n m"]
+    c: Complex[Tensor, "p n"]
+    d: Float[Tensor, "p m"]
 
 
-def end_state(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Complex[Tensor, "e n"]:
+def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
     """`x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the recurrence stands after the last sample."""
     samples, rate = u.shape[1], modes.decay.to(torch.complex128)
     ages = powers(rate, samples).flip(0).to(modes.b.dtype)
@@ -44,87 +159,52 @@ def end_state(
     return x if x0 is None else x + torch.exp(rate * samples).to(x.dtype) * x0
 
 
-def by_convolution(
-    modes: Modes, u: Float[Tensor, "*models e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "*models e T p"]:
-    """Product of spectra with zero padding; O(T log T), the cost nearly independent of n."""
-    length = fast_length(2 * u.shape[-2] - 1)
-    return Convolution.apply(modes.decay, modes.b, modes.c, modes.d, u, x0, length)
-
-
-def by_plain_convolution(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "e T p"]:
-    """The same in torch's own operations: slower, but differentiable forward, vectorised and any number of times."""
-    samples = u.shape[-2]
-    both, length = tables(modes.decay, samples), fast_length(2 * samples - 1)
-    weights = (modes.c[:, None] * modes.b.mT).flatten(0, 1)
-    g = impulse_response(modes.d, power_sums(weights, both), samples)
-    y = torch.fft.irfft(mixed(torch.fft.rfft(g, n=length), torch.fft.rfft(u.mT, n=length)), n=length)[..., :samples]
+def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
+    """`y = g * u` by real transforms of a fast length; differentiable forward, vectorised and any number of times."""
+    (p, m), samples = modes.d.shape, u.shape[1]
+    both, length = tables(modes.decay, samples), next_fast_len(2 * samples - 1, real=True)
+    weights = (modes.c[:, None] * modes.b.mT).flatten(0, 1)  # C_i B_i, one row per pair of output and input
+    tail = power_sums(weights, both)[:, : samples - 1]
+    g = torch.cat([modes.d.flatten()[:, None], tail], 1).view(p, m, -1)
+    spectrum, lifted = torch.fft.rfft(g, n=length), torch.fft.rfft(u.mT, n=length)
+    y = torch.fft.irfft(torch.einsum("pmf,emf->epf", spectrum, lifted), n=length)[..., :samples]
     if x0 is not None:
         free = power_sums((x0[:, None] * modes.c).flatten(0, 1), both)[:, :samples]
         y = y + free.unflatten(0, (len(x0), -1))
     return y.mT
 
 
-@cache
-def fast_length(samples: int) -> int:
-    """The next length of the form 2^a 3^b 5^c: transforms of other lengths are several times slower."""
-    best = 1 << max(samples - 1, 1).bit_length()
-    five = 1
-    while five < best:
-        three = five
-        while three < best:
-            rest = -(-samples // three)
-            best = min(best, three << max(rest - 1, 0).bit_length())
-            three *= 3
-        five *= 5
-    return best
-
-
-def by_chunks(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "e T p"]:
+def by_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Blocks of 64 samples as matrix products; the states between blocks follow the same law, 64 times slower."""
     return Chunks.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
 
 
-def _states(
-    decay: Complex[Tensor, "n"], rise: Complex[Tensor, "e q n"], x0: Complex[Tensor, "e n"] | None
-) -> Complex[Tensor, "e q n"]:
-    """`x[k]` for k = 0 ... q - 1 of `x[k+1] = lambda x[k] + rise[k]` by doubling: log2(q) passes over the table."""
-    first = torch.zeros_like(rise[:, :1]) if x0 is None else x0[:, None]
-    x, shift = torch.cat([first, rise[:, :-1]], 1), 1
-    while shift < x.shape[1]:
-        x = torch.cat([x[:, :shift], x[:, shift:] + torch.exp(decay * shift) * x[:, :-shift]], 1)
-        shift *= 2
-    return x
+def tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
+    """`F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
+
+    About sqrt(samples) rows each; the powers are taken in complex128.
+    """
+    short = math.isqrt(samples - 1) + 1
+    rate = decay.to(torch.complex128)
+    return powers(rate, short).to(decay.dtype), powers(rate * short, -(-samples // short)).to(decay.dtype)
 
 
-def by_scan(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "e T p"]:
-    """All states by doubling, then read: the parallel scan, with its T x n table."""
-    x = _states(modes.decay, u.to(modes.b.dtype) @ modes.b.T, x0)
-    return (x @ modes.c.T).real + u @ modes.d.T
+def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
+    """Rows `exp(rate)^k`, k = 0 ... count - 1; large tables by doubling, nine times cheaper than the exponentials."""
+    if count * len(rate) <= FEW_POWERS:
+        return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
+    step = torch.exp(rate)[None]
+    table = torch.ones_like(step)
+    while len(table) < count:
+        table, step = torch.cat([table, table * step]), step * step  # twice as many rows each time
+    return table[:count]
 
 
-def by_steps(
-    modes: Modes, u: Float[Tensor, "e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "e T p"]:
-    """One sample after the other, as deployed; the reference the other evaluations are tested against."""
-    turn = torch.exp(modes.decay)
-    x = torch.zeros(u.shape[0], len(turn), dtype=modes.b.dtype, device=u.device) if x0 is None else x0
-    y = []
-    for sample in u.unbind(1):
-        y.append((x @ modes.c.T).real + sample @ modes.d.T)
-        x = turn * x + sample.to(modes.b.dtype) @ modes.b.T
-    return torch.stack(y, 1)
-
-
-CHUNKS_UP_TO_MODES = 16
-CHUNKS_FROM_SAMPLES = 3000
-"""Measured in benchmarks/models_recurrence.py: chunks win where their products are small and the transforms long."""
+def power_sums(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
+    """`Re sum_i weights_i lambda_i^k` without a table of samples x n: one real product of the two tables."""
+    fine, coarse = both
+    left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
+    return (left @ torch.view_as_real(fine.conj().resolve_conj()).flatten(-2).mT).flatten(-2)
 
 
 _FORWARD = ContextVar("derivatives are taken forward", default=False)
@@ -132,7 +212,7 @@ _FORWARD = ContextVar("derivatives are taken forward", default=False)
 
 @contextmanager
 def forward_derivatives() -> Iterator[None]:
-    """Within it `respond` and `LRU` keep to operations that differentiate forward and vectorised."""
+    """Within it `respond` keeps to operations that differentiate forward and vectorised."""
     token = _FORWARD.set(True)
     try:
         yield
@@ -140,20 +220,30 @@ def forward_derivatives() -> Iterator[None]:
         _FORWARD.reset(token)
 
 
-def one_convolution(modes: int, samples: int) -> bool:
-    """Whether `respond` takes the convolution with its derivative written out."""
-    return not _FORWARD.get() and not _chunked(modes, samples)
-
-
-def _chunked(modes: int, samples: int) -> bool:
-    return modes <= CHUNKS_UP_TO_MODES and samples >= CHUNKS_FROM_SAMPLES
-
-
-def respond(
-    modes: Modes, u: Float[Tensor, "*models e T m"], x0: Complex[Tensor, "e n"] | None = None
-) -> Float[Tensor, "*models e T p"]:
+def respond(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """The faster of convolution and chunks for this length and order; both are the same law."""
-    if _FORWARD.get():
-        return by_plain_convolution(modes, u, x0)
-    chunked = _chunked(modes.decay.shape[-1], u.shape[-2])
-    return (by_chunks if chunked else by_convolution)(modes, u, x0)
+    few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
+    return (by_chunks if few and not _FORWARD.get() else by_convolution)(modes, u, x0)
+
+
+def gramians(modes: ModalForm, reals: int) -> tuple[Complex[Tensor, "n n"], Complex[Tensor, "n n"]]:
+    """`P_ij = b_i b_j^H / (1 - l_i conj(l_j))`, `Q_ij = conj(c_i)^T c_j / (1 - conj(l_i) l_j)` over all n modes.
+
+    Conjugate partners are written out, so the modes are those of the real system. The conjugates matter: without them
+    the formula is that of another system, and its values need not even be real.
+    """
+    turn, half = torch.exp(modes.decay), modes.c[:, reals:] / 2  # a pair's factor two is shared between the partners
+    turn, b = (torch.cat([part, part[reals:].conj()]) for part in (turn, modes.b))
+    c = torch.cat([modes.c[:, :reals], half, half.conj()], 1)
+    reach = 1.0 - turn[:, None] * turn[None, :].conj()
+    return (b @ b.mH) / reach, (c.mH @ c) / reach.conj()
+
+
+def hankel_singular_values(modes: ModalForm, reals: int) -> Float[Tensor, "n"]:
+    """`sigma_i = sqrt(eig_i(P Q))`, largest first, by the Cholesky-like root of P; zeros are rounded off at 1e-12."""
+    p, q = gramians(modes, reals)
+    values, vectors = torch.linalg.eigh(p)
+    root = vectors * torch.sqrt(values.clamp(min=1e-14 * values.detach().max()))  # P = root root^H
+    inner = root.mH @ q @ root
+    squares = torch.linalg.eigvalsh((inner + inner.mH) / 2)
+    return torch.sqrt(squares.clamp(min=1e-24 * squares.detach().max())).flip(0)

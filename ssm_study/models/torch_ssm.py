@@ -1,17 +1,213 @@
-"""The trainable model: scaffolding, recurrent unit, scaffolding, in scaled units."""
+"""The trainable model: scaffolding, linear recurrent unit, scaffolding, in scaled units."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+import torch
+from jaxtyping import Complex, Float, Int
+from scipy.linalg import block_diag
 from torch import Tensor, nn
 
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.torch_lru import LRU
-from ssm_study.models.torch_recurrence import end_state, respond
-from ssm_study.models.torch_scaffold import TorchScaffold
-from ssm_study.signals import DataSet
+from ssm_study.models.scaffolds.scaffold import Pieces, Scaffold, Trainable
+from ssm_study.models.torch_recurrence import ModalForm, end_state, respond
+from ssm_study.signals import DataSet, Scale
+from ssm_study.systems import StateSpace
+
+if TYPE_CHECKING:
+    from ssm_study.models.spec import Start
+
+FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorted evaluation
+
+
+class TorchScaffold(nn.Module):
+    """Holds the free parameters of a `Trainable` in float64; `freeze()` returns the explicit ones."""
+
+    def __init__(self, spec: Trainable, start: dict[str, np.ndarray], slopes: tuple[float, float]) -> None:
+        super().__init__()
+        self.spec, self.slopes = spec, slopes
+        for name, values in start.items():
+            at = torch.tensor(np.ascontiguousarray(values))
+            self.register_parameter(name, nn.Parameter(at, requires_grad=not name.startswith(spec.fixed)))
+
+    def explicit(self) -> Any:
+        return self.spec.explicit(dict(self.named_parameters()), self.slopes)
+
+    def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
+        return self.spec.evaluate(self.explicit(), v)
+
+    def freeze(self) -> Scaffold:
+        return self.spec.frozen(self.explicit(), self.slopes)
+
+    def pieces(self) -> Pieces | None:
+        return self.spec.pieces(self.explicit())
+
+    def roughness(self) -> Float[Tensor, ""]:
+        return self.spec.roughness(self.explicit())
+
+
+class Lift(nn.Module):
+    """`S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact ways; what they need is prepared once.
+
+    Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a piecewise-linear
+    map with h kinks: the sorted samples fall into h + 1 runs, each an affine map, so the cost does not grow with h.
+    Else directly. `sorts=False` leaves out the second, which has no forward-mode derivative.
+    """
+
+    values: Tensor
+    where: Tensor
+    order: Tensor
+    back: Tensor
+
+    def __init__(self, u: Float[Tensor, "e T m"], sorts: bool = True) -> None:
+        super().__init__()
+        values, where = torch.unique(u.flatten(0, 1), dim=0, return_inverse=True)
+        self.levels = FEW_LEVELS * len(values) <= where.numel()  # as with multilevel signals
+        self.sorts = sorts and not self.levels and u.shape[2] == 1
+        kept = {"u": u}
+        if self.levels:
+            kept |= {"values": values, "where": where.view(u.shape[:2])}
+        if self.sorts:
+            ranked, order = u.flatten().sort()
+            kept |= {"values": ranked, "order": order, "back": order.argsort()}
+        for name, tensor in kept.items():
+            self.register_buffer(name, tensor, persistent=False)
+
+    def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:
+        if self.levels:
+            return scaffold(self.values)[self.where]
+        pieces = scaffold.pieces() if self.sorts else None
+        if pieces is None:
+            return scaffold(self.u)
+        points, slopes, offsets = pieces
+        inner = torch.searchsorted(self.values, points.detach())  # where the runs of one slope begin
+        cuts = torch.nn.functional.pad(torch.nn.functional.pad(inner, (1, 0)), (0, 1), value=len(self.values))
+        return _AffineRuns.apply(slopes, offsets, cuts.diff(), self.values, self.order, self.back).view(self.u.shape)
+
+
+Run = Float[Tensor, "h1"]
+Sample = Float[Tensor, "N"]
+Place = Int[Tensor, "N"]
+
+
+class _AffineRuns(torch.autograd.Function):
+    """`y = slope_j u + offset_j` for sorted `u` in run j, put back into the order of time."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, slopes: Run, offsets: Run, counts: Int[Tensor, "h1"], ranked: Sample, order: Place, back: Place
+    ) -> Sample:
+        ctx.save_for_backward(counts, ranked, order)
+        slope, offset = (torch.repeat_interleave(part, counts, output_size=len(ranked)) for part in (slopes, offsets))
+        return torch.addcmul(offset, slope, ranked).index_select(0, back)
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        counts, ranked, order = ctx.saved_tensors
+        sorted_upstream = upstream[0].index_select(0, order)
+        parts = (sorted_upstream * ranked, sorted_upstream)  # by the slopes, by the offsets
+        sums = (torch.segment_reduce(part, "sum", lengths=counts, initial=0.0) for part in parts)
+        return (*sums, None, None, None, None)
+
+
+Signals = Float[Tensor, "e T _"]
+States = Float[Tensor, "e n"]
+Modal = Complex[Tensor, "e modes"]
+LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
+
+
+class LRU(nn.Module):
+    """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
+
+    `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves. With one input
+    `B` is all ones and only `C` is trained: the modal form has exactly that much freedom.
+    Source: Orvieto et al. (2023), section 3.
+    """
+
+    flip: Tensor
+    pairs: Tensor
+
+    def __init__(self, start: "Start", feedthrough: bool) -> None:
+        super().__init__()
+        modes = torch.from_numpy(start.modes)
+        radius = modes.abs().clamp(1e-3, 1 - 1e-6)
+        self.reals = int((modes.imag == 0).sum())
+        self.nu = nn.Parameter(torch.log(-torch.log(radius)))  # inverse of |lambda| = exp(-exp(nu))
+        self.theta = nn.Parameter(modes[self.reals :].angle())  # one of each pair
+        self.register_buffer("flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64))
+        self.register_buffer("pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False)
+        self.single = single = start.b.shape[1] == 1
+        b, c = torch.from_numpy(start.b), torch.from_numpy(start.c)
+        gain = torch.sqrt(1 - radius**2)[:, None]
+        if single:  # y = C diag(b) x: the input column moves into C
+            c, b = c * (b / gain)[:, 0], torch.ones_like(b)
+        else:
+            b = b / gain
+        self.b_real, self.b_imag = _parts(b, self.reals, trained=not single)
+        self.c_real, self.c_imag = _parts(c.mT, self.reals, trained=True)
+        d = torch.from_numpy(start.d)
+        self.d = nn.Parameter(d if feedthrough else torch.zeros_like(d), requires_grad=feedthrough)
+
+    @property
+    def order(self) -> int:
+        """Real states: one per real mode, two per pair."""
+        return 2 * len(self.nu) - self.reals
+
+    def forward(self, u: Signals, x0: States | None = None) -> Signals:
+        """`y` of the recurrence, from rest or from `x0`, which is ordered as in `to_state_space`."""
+        return respond(self.modes(), u, None if x0 is None else self.initial_state(x0))
+
+    def modes(self) -> ModalForm:
+        """Free to explicit parameters."""
+        damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
+        angle = torch.cat([self.flip, self.theta])  # 0 or pi for real modes
+        gain = torch.sqrt(-torch.expm1(-2 * damping))[:, None]  # sqrt(1 - |lambda|^2), without cancellation near one
+        if self.single:
+            b = torch.complex(gain, torch.zeros_like(gain))
+        else:
+            b = _join(gain * self.b_real, gain[self.reals :] * self.b_imag)
+        c = _join(self.pairs[:, None] * self.c_real, 2.0 * self.c_imag).mT  # y = Re(c_r x_r) + 2 Re(c_c x_c)
+        return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=self.d)
+
+    def to_state_space(self) -> StateSpace:
+        """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per pair.
+
+        `x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`.
+        """
+        with torch.no_grad():
+            modes = self.modes()
+        parts = (modes.decay, modes.b, modes.c.mT)
+        decay, b, c = (part.cpu().numpy().astype(np.complex128) for part in parts)
+        turn, reals, pairs = np.exp(decay), self.reals, slice(self.reals, None)
+        blocks = [np.array([[z.real, -z.imag], [z.imag, z.real]]) for z in turn[pairs]]
+        b2, c2 = (np.stack([part[pairs].real, sign * part[pairs].imag], 1) for part, sign in ((b, 1), (c, -1)))
+        return StateSpace(
+            a=block_diag(np.diag(turn[:reals].real), *blocks),
+            b=np.vstack([b[:reals].real, b2.reshape(-1, b.shape[1])]),
+            c=np.vstack([c[:reals].real, c2.reshape(-1, c.shape[1])]).T.copy(),
+            d=modes.d.detach().cpu().numpy().astype(np.float64),
+        )
+
+    def initial_state(self, free: States) -> Modal:
+        """Real states, ordered as in `to_state_space`, to modal ones."""
+        real, pairs = free[:, : self.reals], free[:, self.reals :].unflatten(1, (-1, 2))
+        return torch.complex(torch.cat([real, pairs[..., 0]], 1), torch.cat([torch.zeros_like(real), pairs[..., 1]], 1))
+
+    def real_state(self, modal: Modal) -> States:
+        """The inverse of `initial_state`."""
+        return torch.cat([modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1)
+
+
+def _parts(values: Complex[Tensor, "n k"], reals: int, trained: bool) -> tuple[nn.Parameter, nn.Parameter]:
+    """Real parts of all modes and imaginary parts of the pairs, as separate parameters."""
+    real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
+    return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
+
+
+def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex[Tensor, "n k"]:
+    reals = len(real) - len(imag)
+    return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, reals, 0)) if reals else imag)
 
 
 class TorchModel(nn.Module, ABC):
@@ -26,12 +222,10 @@ class TorchModel(nn.Module, ABC):
     differentiates_forward: ClassVar[bool] = True
 
     @abstractmethod
-    def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]: ...
+    def forward(self, u: Signals, x0: States | None = None) -> Signals: ...
 
     @abstractmethod
-    def advance(
-        self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
-    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
+    def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
         """The output, and the state after the last sample: what the next window of a record starts from."""
 
     @abstractmethod
@@ -40,7 +234,10 @@ class TorchModel(nn.Module, ABC):
 
 
 class TorchSSM(TorchModel):
-    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`."""
+    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`.
+
+    `lifted` is `S_u(u)` where it is known already; `x0` is ordered as in `to_state_space`.
+    """
 
     estimates_start = True
 
@@ -49,36 +246,19 @@ class TorchSSM(TorchModel):
         self.scaffold_in, self.lru, self.scaffold_out = scaffold_in, lru, scaffold_out
         self.states = lru.order
 
-    def forward(self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"] | None = None) -> Float[Tensor, "e T p"]:
-        return self.respond(self.scaffold_in(u), x0)
+    def forward(self, u: Signals, x0: States | None = None, lifted: Signals | None = None) -> Signals:
+        return self.scaffold_out(self.lru(self.scaffold_in(u) if lifted is None else lifted, x0))
 
-    def respond(
-        self, ubar: Float[Tensor, "*models e T m"], x0: Float[Tensor, "e n"] | None = None
-    ) -> Float[Tensor, "*models e T p"]:
-        """The output for an input that has passed `S_u` already; `x0` ordered as in `to_state_space`."""
-        return self.scaffold_out(self.lru(ubar, x0))
-
-    def advance(
-        self, u: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
-    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
-        return self.advance_lifted(self.scaffold_in(u), x0)
-
-    def advance_lifted(
-        self, ubar: Float[Tensor, "e T m"], x0: Float[Tensor, "e n"]
-    ) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "e n"]]:
-        """`advance` for an input that has passed `S_u` already."""
+    def advance(self, u: Signals, x0: States, lifted: Signals | None = None) -> tuple[Signals, States]:
+        lifted = self.scaffold_in(u) if lifted is None else lifted
         modes, modal = self.lru.modes(), self.lru.initial_state(x0)
-        end = self.lru.real_state(end_state(modes, ubar, modal))
-        return self.scaffold_out(respond(modes, ubar, modal)), end
+        end = self.lru.real_state(end_state(modes, lifted, modal))
+        return self.scaffold_out(respond(modes, lifted, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
-        return SSM(
-            linear=self.lru.to_state_space(),
-            scaffold_in=self.scaffold_in.freeze(),
-            scaffold_out=self.scaffold_out.freeze(),
-            input_scale=data.input_scale.astype(np.float64),
-            output_scale=data.output_scale.astype(np.float64),
-            input_equilibrium=data.input_equilibrium.astype(np.float64),
-            output_equilibrium=data.output_equilibrium.astype(np.float64),
-            step_s=data.step_s,
-        )
+        return self.frozen(data.scale, data.step_s)
+
+    def frozen(self, scale: Scale, step_s: float) -> SSM:
+        """The explicit numbers between signals of this scale."""
+        linear, inward, outward = self.lru.to_state_space(), self.scaffold_in.freeze(), self.scaffold_out.freeze()
+        return SSM(linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -20,14 +20,15 @@ class CascadedTanks(Plant):
 
     State the levels (V of the level sensors), input pump voltage (V, negative ones pump nothing), output the lower
     level, disturbance an inflow to the lower tank (V/s). `outflow_upper, inflow_lower, outflow_lower` are k1, k2, k3
-    (sqrt(V)/s), `pump_gain` k4 (1/s), `spill_share` k5 (pure); `settling_band` in V. Source: Schoukens
-    et al. 2016.
+    (sqrt(V)/s), `pump_gain` k4 (1/s), `spill_share` k5 (pure); `settling_band` in V. Source: Schoukens et al. 2016.
     """
 
     inputs = (Channel(name="pump_voltage", unit="V"),)
     outputs = (Channel(name="lower_level", unit="V"),)
     states = (Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V"))
     disturbances = (Channel(name="lower_inflow", unit="V/s"),)
+    initial_range, input_clock_s = stated("initial_level_v", (-1, 1)), stated("clock_s")
+    input_amplitude, noise_variance = stated("amplitude_v", (1,)), stated("level_noise_variance", (1,))
 
     outflow_upper: float
     inflow_lower: float
@@ -45,42 +46,15 @@ class CascadedTanks(Plant):
     level_noise_variance: float
 
     def __post_init__(self) -> None:
-        positive = ("outflow_upper", "inflow_lower", "outflow_lower", "pump_gain", "brim_v", "rest_pump_v", "step_s",
-                    "initial_level_v", "settling_band", "amplitude_v", "clock_s")  # fmt: skip
-        check_signs(self, positive, not_negative=("level_noise_variance",))
-        share = self.spill_share
-        require(
-            0 <= share <= 1, "spill_share", share, "a share lies in [0, 1]", "use 0 if nothing falls into the lower"
-        )
-        require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 4")
-        levels = self.equilibrium().x
-        require(
-            bool((levels < self.brim_v).all()),
-            "rest_pump_v",
-            self.rest_pump_v,
-            "the tanks overflow at rest",
-            "lower it",
-        )
-
-    @property
-    def initial_range(self) -> tuple[float, float]:
-        return -self.initial_level_v, self.initial_level_v
-
-    @property
-    def input_amplitude(self) -> tuple[float, ...]:
-        return (self.amplitude_v,)
-
-    @property
-    def input_clock_s(self) -> float:
-        return self.clock_s
-
-    @property
-    def noise_variance(self) -> tuple[float, ...]:
-        return (self.level_noise_variance,)
+        check_signs(self, not_negative=("level_noise_variance", "spill_share"))
+        share, remedy = self.spill_share, "use 0 if nothing falls into the lower"
+        require(share <= 1, "spill_share", share, "a share lies in [0, 1]", remedy)
+        stays = (self.equilibrium().x < self.brim_v).all()
+        require(stays, "rest_pump_v", self.rest_pump_v, "the tanks overflow at rest", "lower it")
 
     def equilibrium(self) -> Equilibrium:
         upper = (self.pump_gain * self.rest_pump_v / self.outflow_upper) ** 2
-        lower = upper * (self.inflow_lower / self.outflow_lower) ** 2
+        lower = upper * (self.inflow_lower / self.outflow_lower) ** 2  # Torricelli at both outlets
         return Equilibrium(u=np.array([self.rest_pump_v]), x=np.array([upper, lower]), y=np.array([lower]))
 
     def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
@@ -90,7 +64,7 @@ class CascadedTanks(Plant):
     def advance(
         self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
     ) -> Float[np.ndarray, "N 2"]:
-        pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)
+        pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)  # a pump does not suck
         for _ in range(self.substeps):  # the brim is enforced after each substep
             x = runge_kutta(lambda z: self._rate(z, pumped, d[:, 0]), x, self.step_s / self.substeps, 1)
             x = np.clip(x, 0.0, self.brim_v)
@@ -101,7 +75,7 @@ class CascadedTanks(Plant):
     ) -> Float[np.ndarray, "N 2"]:
         root = np.sqrt(np.clip(x, 0.0, self.brim_v))
         surplus = pumped - self.outflow_upper * root[:, 0]
-        full = x[:, 0] >= self.brim_v
+        full = x[:, 0] >= self.brim_v  # the upper tank spills
         spill = np.where(full, np.maximum(surplus, 0.0), 0.0)
         upper = np.where(full, np.minimum(surplus, 0.0), surplus)
         lower = self.inflow_lower * root[:, 0] - self.outflow_lower * root[:, 1] + self.spill_share * spill + d

@@ -18,8 +18,7 @@ BISECTIONS = 60  # below the spacing of doubles for any substep
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _torques(p, i, wm, wl, th, load):
-    """Torques on motor shaft and load without Coulomb friction, N m."""
+def _torques(p, i, wm, wl, th, load):  # Torques on motor shaft and load without Coulomb friction, N m
     shaft = p.stiffness * th + p.damping * (wm - wl)
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
@@ -35,7 +34,7 @@ def _series(p, c, v, load, motor_mode, load_mode):
         if q == 0:
             tm -= motor_mode * p.coulomb
             tl -= load_mode * p.coulomb
-        part = 1.0 / (q + 1)
+        part = 1.0 / (q + 1)  # c[q + 1] = (A c[q] + b) / (q + 1)
         c[q + 1, 0] = (held_v - p.resistance * i - p.k * wm) * (p.per_inductance * part)
         c[q + 1, 1] = 0.0 if motor_mode == 0 else tm * (p.per_motor_inertia * part)
         c[q + 1, 2] = 0.0 if load_mode == 0 else tl * (p.per_load_inertia * part)
@@ -47,7 +46,7 @@ def _series(p, c, v, load, motor_mode, load_mode):
 def _at(c, j, t):
     value = c[ORDER, j]
     for q in range(ORDER - 1, -1, -1):
-        value = value * t + c[q, j]
+        value = value * t + c[q, j]  # Horner
     return value
 
 
@@ -63,8 +62,7 @@ def _keeps(p, c, t, load, body, mode):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _leaves(p, c, h, load, body, mode):
-    """The time in `[0, h]` at which `body` leaves its mode; above h if it does not."""
+def _leaves(p, c, h, load, body, mode):  # The time in [0, h] at which body leaves its mode; above h if it does not
     if _keeps(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low, high = 0.0, h
@@ -79,8 +77,7 @@ def _leaves(p, c, h, load, body, mode):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _mode(speed, torque, coulomb):
-    """0 stuck, else the sign of the motion (or of the motion about to begin)."""
+def _mode(speed, torque, coulomb):  # 0 stuck, else the sign of the motion (or of the motion about to begin)
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:
@@ -90,22 +87,21 @@ def _mode(speed, torque, coulomb):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _substep(p, c, h, v, load):
-    """Advance row 0 of `c` by `h`, mode by mode."""
+def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
     tm, tl = _torques(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
     motor_mode, load_mode = _mode(c[0, 1], tm, p.coulomb), _mode(c[0, 2], tl, p.coulomb)
     for _ in range(SWITCHES_PER_SUBSTEP):
         _series(p, c, v, load, motor_mode, load_mode)
-        motor_leaves = _leaves(p, c, h, load, 0, motor_mode)
+        motor_leaves = _leaves(p, c, h, load, 0, motor_mode)  # which body switches first
         load_leaves = _leaves(p, c, h, load, 1, load_mode)
         t = min(h, motor_leaves, load_leaves)
         for j in range(4):
             c[0, j] = _at(c, j, t)
         if motor_leaves > h and load_leaves > h:
             return
-        h -= t
+        h -= t  # go on from the switch
         if motor_leaves <= load_leaves:
-            c[0, 1] = 0.0
+            c[0, 1] = 0.0  # exactly: what is stuck has speed zero
             tm, _tl = _torques(p, c[0, 0], 0.0, c[0, 2], c[0, 3], load)
             motor_mode = _mode(0.0, tm, p.coulomb if motor_mode != 0 else 0.0)
         else:

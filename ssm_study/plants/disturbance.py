@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require
+from ssm_study.refusal import at_least, positive
 
 
 class Disturbance(ABC):
@@ -48,7 +48,7 @@ class PeriodicDisturbance(Disturbance):
     frequency_hz: float
 
     def __post_init__(self) -> None:
-        require(self.frequency_hz > 0, "frequency_hz", self.frequency_hz, "must be positive", "use a step instead")
+        positive("frequency_hz", self.frequency_hz, "use a step instead")
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         return self.amplitude * np.sin(2 * np.pi * self.frequency_hz * time_s)
@@ -63,8 +63,8 @@ class RandomDisturbance(Disturbance):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        require(0 < self.hold_s < np.inf, "hold_s", self.hold_s, "must be positive", "give seconds")
-        require(self.seed >= 0, "seed", self.seed, "must not be negative", "use 0")
+        positive("hold_s", self.hold_s, "give seconds")
+        at_least(0, "seed", self.seed, "use 0")
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         holds, which = np.unique(np.floor(time_s / self.hold_s + 1e-9).astype(np.int64), return_inverse=True)

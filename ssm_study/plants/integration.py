@@ -16,5 +16,5 @@ def runge_kutta(rate: Rate, x: Float[np.ndarray, "N n"], step_s: float, substeps
         b = rate(x + 0.5 * h * a)
         c = rate(x + 0.5 * h * b)
         d = rate(x + h * c)
-        x = x + (h / 6.0) * (a + 2.0 * b + 2.0 * c + d)
+        x = x + (h / 6.0) * (a + 2.0 * b + 2.0 * c + d)  # Simpson weights
     return x

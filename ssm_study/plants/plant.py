@@ -2,11 +2,12 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require
+from ssm_study import refusal
 from ssm_study.signals import Channel
 
 
@@ -97,16 +98,27 @@ class Plant(ABC):
         x = np.empty((cases, samples, state.shape[1]))
         y = np.empty((cases, samples, len(self.outputs)))
         for k in range(samples):
-            x[:, k], y[:, k] = state, self.output(state)
+            x[:, k], y[:, k] = state, self.output(state)  # y[k] is read before u[k] acts
             state = self.advance(state, u[:, k], still if d is None else d[:, k])
         return x, y
 
 
-def check_signs(plant: Plant, positive: tuple[str, ...], not_negative: tuple[str, ...]) -> None:
-    """Raise `BadRequest` for a setting, by its name, that has the wrong sign or is not finite."""
-    for name in positive:
-        value = getattr(plant, name)
-        require(0 < value < np.inf, name, value, "must be positive and finite", "give it in the unit of its name")
+def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
+    """A property that answers with the plant's field of that name, or with that times each of the factors."""
+
+    def read(plant: Plant) -> Any:
+        value = getattr(plant, field)
+        return tuple(factor * value for factor in factors) if factors else value
+
+    return property(read)
+
+
+def check_signs(plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()) -> None:
+    """Raise `BadRequest` for a setting, by its name, that has the wrong sign or is not finite.
+
+    `positive` None: every one that is not among `not_negative`.
+    """
+    for name in (name for name in vars(plant) if name not in not_negative) if positive is None else positive:
+        refusal.positive(name, getattr(plant, name), "give it in the unit of its name")
     for name in not_negative:
-        value = getattr(plant, name)
-        require(0 <= value < np.inf, name, value, "must not be negative", "use 0 to leave the effect out")
+        refusal.at_least(0, name, getattr(plant, name), "use 0 to leave the effect out")

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -29,6 +29,8 @@ class QuadrupleTank(Plant):
     outputs = (Channel(name="level_1_voltage", unit="V"), Channel(name="level_2_voltage", unit="V"))
     states = tuple(Channel(name=f"level_{i}", unit="cm") for i in (1, 2, 3, 4))
     disturbances = (Channel(name="inflow_1", unit="cm^3/s"), Channel(name="inflow_2", unit="cm^3/s"))
+    initial_range, input_clock_s = stated("initial_level_v", (-1, 1)), stated("clock_s")
+    input_amplitude, noise_variance = stated("amplitude_v", (1, 1)), stated("level_noise_variance", (1, 1))
 
     area_cm2: Four
     outlet_cm2: Four
@@ -47,35 +49,16 @@ class QuadrupleTank(Plant):
     def __post_init__(self) -> None:
         for name, count in (("area_cm2", 4), ("outlet_cm2", 4), ("pump_cm3_per_vs", 2), ("rest_pump_v", 2)):
             values = getattr(self, name)
-            good = len(values) == count and all(0 < value < np.inf for value in values)
-            require(good, name, values, f"{count} positive numbers are needed", "give one per tank or pump")
+            require(len(values) == count, name, values, f"{count} numbers are needed", "give one per tank or pump")
         shares = self.share_below
-        require(len(shares) == 2 and all(0 < s < 1 for s in shares), "share_below", shares, "not in (0, 1)", "use 0.6")
-        positive = ("sensor_v_per_cm", "step_s", "initial_level_v", "settling_band", "amplitude_v", "clock_s")
-        check_signs(self, positive, not_negative=("level_noise_variance",))
-        require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 4")
-
-    @property
-    def initial_range(self) -> tuple[float, float]:
-        return -self.initial_level_v, self.initial_level_v
-
-    @property
-    def input_amplitude(self) -> tuple[float, ...]:
-        return self.amplitude_v, self.amplitude_v
-
-    @property
-    def input_clock_s(self) -> float:
-        return self.clock_s
-
-    @property
-    def noise_variance(self) -> tuple[float, ...]:
-        return self.level_noise_variance, self.level_noise_variance
+        require(len(shares) == 2 and max(shares) < 1, "share_below", shares, "not in (0, 1)", "use 0.6")
+        check_signs(self, not_negative=("level_noise_variance",))
 
     def equilibrium(self) -> Equilibrium:
         """Each outlet passes what flows in: `a_i sqrt(2 g h_i) = inflow_i`."""
         u = np.array(self.rest_pump_v, dtype=np.float64)
         into = self._pumped(u[None])[0]
-        flow = into + np.array([into[2], into[3], 0.0, 0.0])
+        flow = into + np.array([into[2], into[3], 0.0, 0.0])  # the upper tanks drain into the lower ones
         x = (flow / np.array(self.outlet_cm2)) ** 2 / (2 * GRAVITY_CM_PER_S2)
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
@@ -89,14 +72,12 @@ class QuadrupleTank(Plant):
     ) -> Float[np.ndarray, "N 4"]:
         into = self._pumped(u)
         into[:, :2] += d
-        area, outlet = np.array(self.area_cm2), np.array(self.outlet_cm2)
+        return np.maximum(runge_kutta(lambda h: self._rate(h, into), x, self.step_s, self.substeps), 0.0)
 
-        def rate(h: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 4"]:
-            out = outlet * np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))
-            fallen = np.concatenate([out[:, 2:], np.zeros_like(out[:, 2:])], axis=1)
-            return (into + fallen - out) / area
-
-        return np.maximum(runge_kutta(rate, x, self.step_s, self.substeps), 0.0)
+    def _rate(self, h: Float[np.ndarray, "N 4"], into: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 4"]:
+        out = np.array(self.outlet_cm2) * np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))  # Torricelli
+        fallen = np.concatenate([out[:, 2:], np.zeros_like(out[:, 2:])], axis=1)
+        return (into + fallen - out) / np.array(self.area_cm2)
 
     def _pumped(self, u: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 4"]:
         """What the pumps put into each tank, cm^3/s; a negative voltage pumps nothing."""

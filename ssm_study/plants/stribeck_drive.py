@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -19,14 +19,16 @@ class StribeckDrive(Plant):
 
     State `(i, w)`, input current command (A), output speed (rad/s), disturbance load torque (N m). Each substep solves
     the current exactly and thresholds the speed by what friction can take away: first order, and rest is exactly 0.0.
-    `settling_band` in rad/s.
-    Source: Armstrong-Helouvry, Dupont, Canudas de Wit 1994 (friction); the values are this project's.
+    `settling_band` in rad/s. Source of the friction: Armstrong-Helouvry, Dupont, Canudas de Wit 1994; its
+    values are this project's.
     """
 
     inputs = (Channel(name="current_command", unit="A"),)
     outputs = (Channel(name="speed", unit="rad/s"),)
     states = (Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s"))
     disturbances = (Channel(name="load_torque", unit="N m"),)
+    initial_range, input_clock_s = stated("initial_speed_rad_per_s", (-1, 1)), stated("clock_s")
+    input_amplitude, noise_variance = stated("amplitude_a", (1,)), stated("speed_noise_variance", (1,))
 
     current_lag_s: float
     current_limit_a: float
@@ -45,29 +47,10 @@ class StribeckDrive(Plant):
     speed_noise_variance: float
 
     def __post_init__(self) -> None:
-        positive = ("current_lag_s", "current_limit_a", "torque_constant_nm_per_a", "inertia_kgm2",
-                    "stribeck_speed_rad_per_s", "step_s", "initial_speed_rad_per_s", "settling_band", "amplitude_a",
-                    "clock_s")  # fmt: skip
-        check_signs(self, positive, ("viscous_nms_per_rad", "coulomb_torque_nm", "speed_noise_variance"))
+        signs = ("viscous_nms_per_rad", "coulomb_torque_nm", "static_torque_nm", "speed_noise_variance")
+        check_signs(self, not_negative=signs)
         static = self.static_torque_nm
         require(static >= self.coulomb_torque_nm, "static_torque_nm", static, "below the Coulomb torque", "raise it")
-        require(self.substeps >= 1, "substeps", self.substeps, "must be at least one", "use 20")
-
-    @property
-    def initial_range(self) -> tuple[float, float]:
-        return -self.initial_speed_rad_per_s, self.initial_speed_rad_per_s
-
-    @property
-    def input_amplitude(self) -> tuple[float, ...]:
-        return (self.amplitude_a,)
-
-    @property
-    def input_clock_s(self) -> float:
-        return self.clock_s
-
-    @property
-    def noise_variance(self) -> tuple[float, ...]:
-        return (self.speed_noise_variance,)
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(2), y=np.zeros(1))
@@ -85,7 +68,7 @@ class StribeckDrive(Plant):
             torque = self.torque_constant_nm_per_a * i - self.viscous_nms_per_rad * w - d[:, 0]
             free = w + (h / self.inertia_kgm2) * torque
             w = np.sign(free) * np.maximum(np.abs(free) - (h / self.inertia_kgm2) * self.friction_nm(w), 0.0)
-            i = drive + (i - drive) * keep
+            i = drive + (i - drive) * keep  # exact over the substep
         return np.stack([i, w], axis=1)
 
     def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:

@@ -1,68 +1,48 @@
-"""A plant around a plant: everything is the inner plant's unless a wrapper says otherwise."""
+"""A plant around a plant: limits and dead time at its input, noise and rounding at its output, disturbances."""
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt64
+from scipy.special import ndtri
 
+from ssm_study.plants.disturbance import Disturbance
 from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.refusal import at_least, positive, require
 from ssm_study.signals import Channel
+
+STREAM_BITS = 52  # whole numbers below 2^52 are exact in a float64 state
+Limit = float | tuple[float, ...] | list[float]
+
+
+def _inner(name: str) -> Any:  # A property that answers as the inner plant does
+
+    def read(wrapper: "Wrapper") -> Any:
+        return getattr(wrapper.plant, name)
+
+    return property(read)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Plant):
-    """Forwards to `plant`. A wrapper with memory appends its own states behind the inner plant's (`memory`)."""
+    """Everything is the inner plant's unless a wrapper says otherwise; one with `memory` appends states of its own."""
 
+    memory: ClassVar[tuple[Channel, ...]] = ()
     plant: Plant
 
-    @property
-    def step_s(self) -> float:  # type: ignore[override]  # a plain field elsewhere; here the inner plant's
-        return self.plant.step_s
-
-    @property
-    def settling_band(self) -> float:  # type: ignore[override]  # as step_s
-        return self.plant.settling_band
-
-    @property
-    def inputs(self) -> tuple[Channel, ...]:
-        return self.plant.inputs
-
-    @property
-    def outputs(self) -> tuple[Channel, ...]:
-        return self.plant.outputs
-
-    @property
-    def memory(self) -> tuple[Channel, ...]:
-        """The states this wrapper appends."""
-        return ()
+    step_s, settling_band, initial_range = map(_inner, ("step_s", "settling_band", "initial_range"))
+    inputs, outputs, disturbances = map(_inner, ("inputs", "outputs", "disturbances"))
+    input_amplitude, input_clock_s = map(_inner, ("input_amplitude", "input_clock_s"))
+    noise_variance = _inner("noise_variance")
 
     @property
     def states(self) -> tuple[Channel, ...]:
         return (*self.plant.states, *self.memory)
 
-    @property
-    def disturbances(self) -> tuple[Channel, ...]:
-        return self.plant.disturbances
-
-    @property
-    def initial_range(self) -> tuple[float, float]:
-        return self.plant.initial_range
-
-    @property
-    def input_amplitude(self) -> tuple[float, ...]:
-        return self.plant.input_amplitude
-
-    @property
-    def input_clock_s(self) -> float:
-        return self.plant.input_clock_s
-
-    @property
-    def noise_variance(self) -> tuple[float, ...]:
-        return self.plant.noise_variance
-
     def fresh_memory(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N q"]:
         """What the appended states are when the plant starts from outputs `y0`."""
-        return np.zeros((len(y0), 0))
+        return np.zeros((len(y0), len(self.memory)))
 
     def equilibrium(self) -> Equilibrium:
         rest = self.plant.equilibrium()
@@ -92,3 +72,132 @@ class Wrapper(Plant):
 
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
         return self.plant.output(self.split(x)[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaturatedInput(Wrapper):
+    """`x+ = f(x, clip(u, lower, upper), d)`: limits in the input's unit, one number or one per input."""
+
+    lower: Limit
+    upper: Limit
+
+    def __post_init__(self) -> None:
+        rest, limits = self.plant.equilibrium().u, (self.lower, self.upper)
+        for name, limit in zip(("lower", "upper"), limits, strict=True):
+            require(np.size(limit) in (1, len(rest)), name, limit, f"there are {len(rest)} inputs", "give as many")
+        inside = np.all(np.asarray(self.lower) <= rest) and np.all(rest <= np.asarray(self.upper))
+        require(inside, "lower, upper", limits, f"do not enclose rest at {rest}", "widen them")
+
+    def applied(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N m"]:  # noqa: ARG002
+        return np.clip(u, self.lower, self.upper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DelayedInput(Wrapper):
+    """`x+ = f(x, u[k - samples], d)`: a dead time of whole samples; what is under way are the appended states."""
+
+    samples: int
+
+    def __post_init__(self) -> None:
+        at_least(1, "samples", self.samples, "leave the wrapper out for none")
+
+    @property
+    def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
+        ages = range(self.samples)
+        return tuple(Channel(name=f"{c.name}_due_in_{age}", unit=c.unit) for age in ages for c in self.inputs)
+
+    def fresh_memory(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N q"]:
+        return np.tile(self.plant.equilibrium().u, (len(y0), self.samples))
+
+    def applied(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N m"]:
+        return memory[:, : u.shape[1]]
+
+    def renewed(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N r"]:
+        return np.concatenate([memory[:, u.shape[1] :], u], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuantisedOutput(Wrapper):
+    """`y = resolution round(h(x) / resolution)`: an encoder or converter; resolution in the output's unit."""
+
+    resolution: float
+
+    def __post_init__(self) -> None:
+        positive("resolution", self.resolution, "give the output's unit")
+
+    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+        return self.resolution * np.round(self.plant.output(x) / self.resolution)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoisyOutput(Wrapper):
+    """`y = h(x) + e`, `e ~ N(0, variance)`, independent from sample to sample and between trajectories.
+
+    A plant is a function of its state, so the randomness is one too: an appended state is a stream of whole numbers,
+    scrambled at each step together with the input that acted, and read through the normal quantile function. The same
+    seed, start and inputs give the same noise. `variance` None takes the plant's own, per output.
+    """
+
+    seed: int
+    variance: float | None = None
+    memory = (Channel(name="noise_stream", unit="1"),)
+
+    def __post_init__(self) -> None:
+        variance = self.variance
+        good = variance is None or 0 <= variance < np.inf
+        require(good, "variance", variance, "a variance is never negative", "use 0 for no noise, or null")
+        at_least(0, "seed", self.seed, "use 0")
+
+    @property
+    def noise_variance(self) -> tuple[float, ...]:
+        own: tuple[float, ...] = self.plant.noise_variance
+        return own if self.variance is None else (self.variance,) * len(own)
+
+    def fresh_memory(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N 1"]:
+        return _stream(np.full((len(y0), 1), float(self.seed)), y0)
+
+    def renewed(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N r"]:
+        return _stream(memory, u)
+
+    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+        inner, stream = self.split(x)
+        y = self.plant.output(inner)
+        draws = [(_stream(stream + 1.0 + j, stream) + 0.5) / 2.0**STREAM_BITS for j in range(y.shape[1])]
+        return y + np.sqrt(np.array(self.noise_variance)) * ndtri(np.concatenate(draws, axis=1))
+
+
+def _stream(stream: Float[np.ndarray, "N 1"], signal: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N 1"]:
+    """The next whole number of each stream, depending on every bit of the signal."""
+    mixed = _scrambled(stream.astype(np.uint64))
+    for column in np.ascontiguousarray(signal.T):  # one round per channel, by its bits
+        mixed = _scrambled(mixed ^ column.copy().view(np.uint64)[:, None])
+    return (mixed >> np.uint64(64 - STREAM_BITS)).astype(np.float64)
+
+
+def _scrambled(z: UInt64[np.ndarray, "N 1"]) -> UInt64[np.ndarray, "N 1"]:
+    """SplitMix64 (Steele, Lea, Flood 2014); multiplication wraps, as it must."""
+    z = z + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbed(Wrapper):
+    """`x+ = f(x, u, d + disturbance(t))` on one disturbance channel; the time since the start is an appended state."""
+
+    disturbance: Disturbance
+    channel: int = 0
+    memory = (Channel(name="elapsed_time", unit="s"),)
+
+    def __post_init__(self) -> None:
+        count = len(self.plant.disturbances)
+        require(0 <= self.channel < count, "channel", self.channel, f"the plant has {count} disturbances", "use 0")
+
+    def advance(
+        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
+    ) -> Float[np.ndarray, "N n"]:
+        inner, elapsed = self.split(x)
+        d = d.copy()
+        d[:, self.channel] += self.disturbance.signal(elapsed[:, 0])
+        return np.concatenate([self.plant.advance(inner, u, d), elapsed + self.plant.step_s], axis=1)

@@ -5,26 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ssm_study.report import verdict
-from ssm_study.report.columns import column, flag, spoken, text, words
-
-PARAMETERS = (
-    "order",
-    "hidden_width",
-    "slope_lower",
-    "slope_upper",
-    "scaffold_in",
-    "scaffold_out",
-    "plant",
-    "excitation",
-    "synthesis_method",
-    "rate_controller",
-    "rate_observer",
-    "seed",
-)
+from ssm_study.report.words import FAILED, INFEASIBLE, LOST, SETTLED, spoken, verdicts, words
+from ssm_study.table.columns import column, flag, requested, swept, text
+from ssm_study.table.rank import best_first, predicted
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Answer:
     """A question and its answer in plain sentences."""
 
@@ -34,19 +20,27 @@ class Answer:
 
 def answers(table: pd.DataFrame) -> list[Answer]:
     """The headline questions of a study, in the order a reader asks them."""
+    best = [begun * (k == 0) + said for begun, runs in by_plant(table) for k, said in enumerate(_best(runs))]
+    feasibility = [sentence for side in ("controller", "observer") for sentence in _feasibility(table, side)]
+    fit = [begun + _fit(runs) for begun, runs in by_plant(table)]
     return [
-        Answer(question="Which run is best, and why?", sentences=_best(table)),
-        Answer(question="Where does feasibility end, and why?", sentences=_feasibility(table)),
-        Answer(question="Does a better fit mean a better loop?", sentences=_fit(table)),
-        Answer(question="Does the mismatch margin foretell the plant?", sentences=_margin(table)),
-        Answer(question="What failed?", sentences=_failed(table)),
+        Answer("Which run is best, and why?", tuple(best)),
+        Answer("Where does feasibility end, and why?", tuple(feasibility) or ("No run got as far as a rate limit.",)),
+        Answer("Does a better fit mean a better loop?", tuple(fit)),
+        Answer("Does the mismatch margin predict what the plant does?", _margin(table)),
+        Answer("What failed?", _failed(table)),
     ]
 
 
-def swept(table: pd.DataFrame) -> list[str]:
-    """The parameters that differ between runs, most values first."""
-    counts = {name: table[name].nunique() for name in PARAMETERS if name in table}
-    return sorted((name for name, count in counts.items() if count > 1), key=lambda name: -counts[name])
+def parameters_line(table: pd.DataFrame) -> str:
+    """`Swept: model order (4, 8, 12); ...`, or that there was no sweep."""
+    told = []
+    for name in swept(table):
+        unique = sorted(requested(table, name).dropna().unique().tolist(), key=lambda value: (value == "auto", value))
+        shown = [f"{value:g}" if isinstance(value, float) else str(value) for value in unique]
+        many = f"{len(shown)} values, {shown[0]} to {shown[-1]}"
+        told.append(f"{words(name).split(' (')[0].lower()} ({', '.join(shown) if len(shown) <= 8 else many})")
+    return f"Swept: {'; '.join(told)}." if told else "One setting, no sweep."
 
 
 def by_plant(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
@@ -57,120 +51,79 @@ def by_plant(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     plants = text(table, "plant")
     if plants.nunique() < 2:
         return [("", table)]
-    return [(f"{_capital(spoken(name))}: ", table[plants == name]) for name in plants.unique() if name]
+    titles = {name: spoken(name) for name in plants.unique() if name}
+    return [(f"{title[:1].upper()}{title[1:]}: ", table[plants == name]) for name, title in titles.items()]
 
 
-def _capital(sentence: str) -> str:
-    return sentence[:1].upper() + sentence[1:]
+def _number(runs: pd.DataFrame, name: str) -> float:
+    """Of the first run."""
+    return float(column(runs, name).iloc[0])
 
 
-def _best(table: pd.DataFrame) -> tuple[str, ...]:
+def _best(table: pd.DataFrame) -> list[str]:
     if table.empty:
-        return ("No run has been made yet.",)
-    return tuple(
-        begun * (k == 0) + sentence for begun, runs in by_plant(table) for k, sentence in enumerate(_best_of(runs))
-    )
-
-
-def _best_of(table: pd.DataFrame) -> list[str]:
-    ordered = verdict.best_first(table)
-    run, word = ordered.iloc[[0]], verdict.verdicts(ordered)
-    name = text(run, "run").iloc[0]
-    if word.iloc[0] != verdict.SETTLED.word:
+        return ["No run has been made yet."]
+    ordered = best_first(table)
+    name, word = text(ordered, "run").iloc[0], verdicts(ordered)
+    if word.iloc[0] != SETTLED.word:
         return [f"No run is certified and brings every start to rest; the nearest, {name}, is {word.iloc[0]}."]
-    rivals = ordered[word == verdict.SETTLED.word]
-    number = {key: float(column(run, key).iloc[0]) for key in _NUMBERS}
-    return [
-        f"{name}. {_why(rivals)} {_settles(number)}.",
-        f"Its model fits the test record to {number['fit_test_percent']:.1f} %; its controller contracts at rate "
-        f"{number['rate_controller']:.3g} per sample where at most {number['controller_rate_limit']:.3g} can be "
-        "certified.",
-        *_faster_but_not_foretold(rivals),
-    ]
-
-
-def _settles(number: dict[str, float]) -> str:
-    ratio = number["settling_time_mean_s"] / number["settling_time_open_loop_s"]
-    alone = f", {ratio:.2f} of the plant left alone ({number['settling_time_open_loop_s']:.3f} s)"
-    return f"in {number['settling_time_mean_s']:.3f} s on average{alone if np.isfinite(ratio) else ''}"
-
-
-def _why(rivals: pd.DataFrame) -> str:
-    """What sets the first of the certified runs that settle apart: the prediction, where there was one, and speed."""
-    foretold = verdict.foretold(rivals)
-    predicted = f", as was predicted without the plant ({_prediction(rivals)})" if foretold.iloc[0] else ""
-    such = int(foretold.sum()) if foretold.iloc[0] else len(rivals)
+    rivals = ordered[word == SETTLED.word]
+    said, time_s = predicted(rivals), _number(rivals, "settling_time_mean_s")
+    told = f", as was predicted without the plant ({_prediction(rivals)})" if said.iloc[0] else ""
+    such = int(said.sum()) if said.iloc[0] else len(rivals)
     soonest = f"Of the {such} such runs it settles soonest," if such > 1 else "It settles"
-    return f"Both certificates hold and every start settles{predicted}. {soonest}"
+    alone_s = _number(rivals, "settling_time_open_loop_s")
+    share = f", {time_s / alone_s:.2f} of the uncontrolled time ({alone_s:.3f} s)" if np.isfinite(alone_s) else ""
+    fit, rate = _number(rivals, "fit_test_percent"), _number(rivals, "rate_controller")
+    return [
+        f"{name}. Both certificates hold and every start settles{told}. {soonest} in {time_s:.3f} s on average{share}.",
+        f"Its model fits the test record to {fit:.1f} %; its controller contracts at rate {rate:.3g} per sample where "
+        f"at most {_number(rivals, 'controller_rate_limit'):.3g} can be certified.",
+        *_faster_but_not_predicted(rivals),
+    ]
 
 
 def _prediction(runs: pd.DataFrame) -> str:
     """The numbers behind the prediction for the first run."""
-    resolved, radius, margin = (
-        float(column(runs, name).iloc[0]) for name in ("resolved_margin", "controller_radius", "mismatch_margin")
-    )
+    resolved, margin = _number(runs, "resolved_margin"), _number(runs, "mismatch_margin")
     if np.isfinite(resolved):
-        return f"margin {resolved:.4g} by frequency, controller's own radius {radius:.3g}"
-    return f"mismatch margin {margin:.4g}, above one" if margin > 1 else f"mismatch margin {margin:.4g}"
+        return f"margin {resolved:.4g} by frequency, controller's own radius {_number(runs, 'controller_radius'):.3g}"
+    return f"mismatch margin {margin:.4g}{', above one' if margin > 1 else ''}"
 
 
-def _faster_but_not_foretold(rivals: pd.DataFrame) -> list[str]:
+def _faster_but_not_predicted(rivals: pd.DataFrame) -> list[str]:
     quickest = rivals.loc[[column(rivals, "settling_time_mean_s").idxmin()]]
-    if verdict.foretold(quickest).iloc[0] or not verdict.foretold(rivals).any():
+    if predicted(quickest).iloc[0] or not predicted(rivals).any():
         return []
-    time = float(column(quickest, "settling_time_mean_s").iloc[0])
-    return [
-        f"{text(quickest, 'run').iloc[0]} was faster ({time:.3f} s), yet only the plant itself could tell "
-        f"({_prediction(quickest)})."
-    ]
+    name, time_s = text(quickest, "run").iloc[0], _number(quickest, "settling_time_mean_s")
+    return [f"{name} was faster ({time_s:.3f} s), yet only the plant itself could tell ({_prediction(quickest)})."]
 
 
-_NUMBERS = (
-    "settling_time_mean_s",
-    "settling_time_open_loop_s",
-    "fit_test_percent",
-    "rate_controller",
-    "controller_rate_limit",
-)
-
-
-def _feasibility(table: pd.DataFrame) -> tuple[str, ...]:
-    sentences = [sentence for side in ("controller", "observer") for sentence in _side(table, side)]
-    return tuple(sentences) or ("No run got as far as a rate limit.",)
-
-
-def _side(table: pd.DataFrame, side: str) -> list[str]:
+def _feasibility(table: pd.DataFrame, side: str) -> list[str]:
     """The frontier of the controllers, or of the observers where some request went beyond it."""
     rate, limit = column(table, f"rate_{side}"), column(table, f"{side}_rate_limit")
-    known = rate.notna() & limit.notna()
-    beyond, certified = known & (rate >= limit), flag(table, f"{side}_certified")
-    missed = known & ~beyond & ~certified
+    known, certified = rate.notna() & limit.notna(), flag(table, f"{side}_certified")
+    beyond, missed = known & (rate >= limit), known & (rate < limit) & ~certified  # at the limit itself none exists
     if not known.any() or (side == "observer" and not (beyond | missed).any()):
         return []
     reach = f"from {limit.min():.3g} to {limit.max():.3g}" if limit.nunique() > 1 else f"{limit.max():.3g}"
-    scaffold = "S_u" if side == "controller" else "S_y"
     sentences = [
         f"The largest rate any {side} can be certified for is {reach} per sample over the models of this study; it "
-        f"follows exactly from the eigenvalues of A and the ratio of the smallest to the largest slope of {scaffold}.",
-        _beyond(int(known.sum()), int(beyond.sum()), int((beyond & certified).sum())),
+        "follows exactly from the eigenvalues of A and the ratio of the smallest to the largest slope of "
+        f"{'S_u' if side == 'controller' else 'S_y'}."
     ]
+    held = int((beyond & certified).sum())
+    if beyond.any():
+        none = f"{held} of those were certified" if held else "none of those was certified"
+        sentences.append(f"{int(beyond.sum())} of {int(known.sum())} requests lie beyond it, and {none}.")
+    else:
+        sentences.append("Every rate lies inside it." if known.sum() > 1 else "The rate lies inside it.")
     if missed.any():
         sentences.append(f"Inside it, {int(missed.sum())} got no certificate: there the method fell short.")
     return sentences
 
 
-def _beyond(known: int, beyond: int, certified: int) -> str:
-    if not beyond:
-        return "Every rate asked lies inside it." if known > 1 else "The rate asked lies inside it."
-    none = "none of those was certified" if not certified else f"{certified} of those were certified"
-    return f"{beyond} of {known} requests lie beyond it, and {none}."
-
-
-def _fit(table: pd.DataFrame) -> tuple[str, ...]:
-    return tuple(begun + _fit_of(runs) for begun, runs in by_plant(table))
-
-
-def _fit_of(table: pd.DataFrame) -> str:
+def _fit(table: pd.DataFrame) -> str:
     """Against the share of starts settled; against settling time where all settle."""
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
     fit = column(table, "fit_test_percent")
@@ -180,62 +133,41 @@ def _fit_of(table: pd.DataFrame) -> str:
     ):
         other = column(table, name)
         known = certified & fit.notna() & other.notna()
-        if known.sum() >= 3 and fit[known].nunique() > 2 and other[known].nunique() > 1:
-            rank = float(np.corrcoef(fit[known].rank(), other[known].rank())[0, 1])
+        if known.sum() >= 3 and fit[known].nunique() > 2 and other[known].nunique() > 1:  # else a rank says nothing
+            rank = float(np.corrcoef(fit[known].rank(), other[known].rank())[0, 1])  # Spearman's
             return (
                 f"Over {int(known.sum())} certified runs, fit and {said} have a rank correlation of {rank:.2f} "
                 f"({meaning}; 0: unrelated)."
             )
-    fits, runs = fit[certified].nunique(), int(certified.sum())
-    had = f"certified runs: {runs}, different fits among them: {fits}"
-    return f"This study cannot tell ({had}); it takes three different fits, and loops that differ."
+    had = f"it has {int(certified.sum())} certified, with different fits: {fit[certified].nunique()}"
+    return f"This study cannot tell: that takes certified runs with three different fits and unequal loops ({had})."
 
 
 def _margin(table: pd.DataFrame) -> tuple[str, ...]:
-    share, foretold = column(table, "stable_fraction"), verdict.foretold(table)
+    share, said_so = column(table, "stable_fraction"), predicted(table)
     by_frequency = column(table, "predicted_stable").notna()
     known = (by_frequency | column(table, "mismatch_margin").notna()) & share.notna()
     if not known.any():
         return ("No run has both a margin and a closed loop.",)
     yes, no = "With a margin above one", "With a margin at or below one"
     if by_frequency[known].any():
-        yes = "With a margin above one at every frequency and a controller that is stable by itself"
-        no = "Without that"
-    return tuple(f"{said}, {_at_rest(share[known & side])}." for said, side in ((yes, foretold), (no, ~foretold)))
-
-
-def _at_rest(share: pd.Series) -> str:
-    return (
-        f"{int((share >= 1).sum())} of {len(share)} runs bring every start to rest" if len(share) else "there is no run"
+        yes, no = f"{yes} at every frequency and a controller that is stable by itself", "Without that"
+    sides = ((yes, share[known & said_so]), (no, share[known & ~said_so]))
+    return tuple(
+        f"{said}, every start settles in {int((own >= 1).sum())} of {len(own)} runs." for said, own in sides if len(own)
     )
 
 
 def _failed(table: pd.DataFrame) -> tuple[str, ...]:
-    word = verdict.verdicts(table)
-    failed, lost, infeasible = (int((word == v.word).sum()) for v in (verdict.FAILED, verdict.LOST, verdict.INFEASIBLE))
-    sentences = [_errors(table[word == verdict.FAILED.word], len(table)) if failed else "No run ended with an error."]
+    word = verdicts(table)
+    failed, lost, infeasible = (int((word == verdict.word).sum()) for verdict in (FAILED, LOST, INFEASIBLE))
+    sentences = ["No run ended with an error."]
+    if failed:
+        reasons = text(table[word == FAILED.word], "error_message").value_counts()
+        most = f"{int(reasons.iloc[0])} of them with: {reasons.index[0] or 'no message was left'}"
+        sentences = [f"{failed} of {len(table)} runs ended with an error, {most}"]
     if lost:
-        sentences.append(f"Certified, plant lost: {lost}; both certificates hold, yet some start does not settle.")
+        sentences.append(f"Certified, does not settle: {lost}; both certificates hold, yet some start does not settle.")
     if infeasible:
         sentences.append(f"Infeasible, which is a result: {infeasible}; each record says how much was possible.")
     return tuple(sentences)
-
-
-def _errors(failed: pd.DataFrame, runs: int) -> str:
-    reasons = text(failed, "error_message").value_counts()
-    most = reasons.index[0] or "no message was left"
-    return f"{len(failed)} of {runs} runs ended with an error, {int(reasons.iloc[0])} of them with: {most}"
-
-
-def parameters_line(table: pd.DataFrame) -> str:
-    """`Swept: model order (4, 8, 12); ...` and what stayed the same."""
-    names = swept(table)
-    if not names:
-        return "One setting, no sweep."
-    return "Swept: " + "; ".join(f"{words(name).split(' (')[0].lower()} {_values(table[name])}" for name in names) + "."
-
-
-def _values(values: pd.Series) -> str:
-    unique = sorted(values.dropna().unique().tolist())
-    shown = [f"{value:g}" if isinstance(value, float) else str(value) for value in unique]
-    return f"({', '.join(shown)})" if len(shown) <= 8 else f"({len(shown)} values, {shown[0]} to {shown[-1]})"

@@ -1,5 +1,6 @@
 """What a run came to, on one screen: the claim, the numbers that bear it, and where the figures lie."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,17 +10,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ssm_study.report import verdict
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
+from ssm_study.report.words import SETTLED, VERDICTS
+from ssm_study.table.rank import standing
 
 WIDTH = 80
-STYLES = {
-    verdict.SETTLED.word: "bold green",
-    verdict.LOST.word: "bold yellow",
-    verdict.UNCERTIFIED.word: "bold yellow",
-    verdict.IDENTIFIED.word: "bold cyan",
-    verdict.INFEASIBLE.word: "bold magenta",
-    verdict.FAILED.word: "bold red",
-}
 MISSING = "–"
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
 
@@ -32,32 +27,42 @@ def print_outcome(
     The figures show the run `drawn`; where that is another one of the study, a line says so.
     """
     console = console or Console()
-    console = (
-        console
-        if console.is_terminal
-        else Console(file=console.file, width=WIDTH, color_system=None, force_jupyter=False)
-    )
+    if not console.is_terminal:
+        console = Console(file=console.file, width=WIDTH, color_system=None, force_jupyter=False)
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
     if figures and drawn not in (None, record.get("run")):
         console.print(Text(f"The study's best run, which its figures show, is {drawn}:"), soft_wrap=True)
     for path in figures:
-        console.print(Text(f"  {_nearest(path)}"), soft_wrap=True, highlight=False)  # a path is never broken
+        near = path.is_absolute() and path.is_relative_to(Path.cwd())  # below where the user stands
+        shown = path.relative_to(Path.cwd()) if near else path
+        console.print(Text(f"  {shown}"), soft_wrap=True, highlight=False)  # a path is never broken
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
     """The numbers of `record.json` in the order of the argument: model, certificate, plant."""
-    word = str(verdict.verdicts(pd.DataFrame([dict(record)])).iloc[0])
+    verdict = VERDICTS[standing(pd.DataFrame([dict(record)])).iloc[0]]
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
     table.add_column(overflow="fold")
     table.add_row("Run", Text(f"{record.get('study', MISSING)}/{record.get('run', MISSING)}"))
-    table.add_row("Outcome", Text(f"{word}: {verdict.BY_WORD[word].sentence}", style=STYLES[word]))
+    on = "" if _on_plant(record) or verdict != SETTLED else ", on the identified model"
+    style = "bold yellow" if record.get("evidence") == CANNOT_JUDGE else verdict.style
+    table.add_row("Outcome", Text(f"{verdict.word}: {verdict.sentence}{on}", style=style))
     for column, label, value in _rows(record):
         if record.get(column) is not None:
             table.add_row(label, Text(value))
     return table
+
+
+def _on_plant(record: Mapping[str, Any]) -> bool:
+    return record.get("loop_on") in (None, "plant")
+
+
+def _where(record: Mapping[str, Any]) -> str:
+    """A loop on the identified model shows what the certificate promises, not what the plant does."""
+    return "the true plant" if _on_plant(record) else f"the {record['loop_on']}, which it was designed for"
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -74,26 +79,39 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     interval = f"[{number('input_slope_lower')}, {number('input_slope_upper')}]"
     yield "input_slope_lower", "Slopes of S_u", f"{interval} ({number('bound_method')})"
     for side in ("controller", "observer"):
-        shown = f"{number(f'rate_{side}')} asked, at most {number(f'{side}_rate_limit')}: {_certified(record, side)}"
+        chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
+        shown = f"{number(f'rate_{side}')} {chosen}, at most {number(f'{side}_rate_limit')}: {_certified(record, side)}"
         yield f"rate_{side}", f"{side.capitalize()} rate", shown
+    rates = f"controller {number('controller_certified_rate')}, observer {number('observer_certified_rate')}"
+    alone = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
+    told = "" if record.get("neurons") else f"; the model alone {alone:.3g}"  # with neurons A says it not
+    yield "controller_certified_rate", "Rate proved of the gains", f"{rates}{told}"
+    seen = f"the records show {number('mismatch_seen')}"
+    yield "certified_tolerance", "Mismatch tolerated", f"{number('certified_tolerance')} is proved, {seen}"
+    yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
     yield "loop_on", "Closed loop on", _where(record)
     settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')}"
     yield "stable_count", "Initial conditions settled", settled
-    controlled, alone = number("settling_time_mean_s", ".3f", " s"), number("settling_time_open_loop_s", ".3f", " s")
-    yield "settling_time_open_loop_s", "Mean settling time", f"{controlled}, uncontrolled {alone}{_ratio(record)}"
+    time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")
+    ratio = f" (ratio {time_s / alone_s:.2f})" if time_s is not None and alone_s else ""
+    shown = f"{number('settling_time_mean_s', '.3f', ' s')}, uncontrolled {alone_s or 0:.3f} s{ratio}"
+    yield "settling_time_open_loop_s", "Mean settling time", shown
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
-    """What model and validation record say of the plant; of an older record the margin alone."""
+    """What model and validation record say of the plant; where no prediction was made, the margin alone."""
+    if record.get("evidence") == CANNOT_JUDGE:
+        return "evidence", "Prediction", "none: the evidence allows no judgement"
     if record.get("predicted_stable") is None:
         said = f"{record.get('mismatch_margin') or 0:.3g} (above 1 predicts a stable plant)"
         return "mismatch_margin", "Mismatch margin", said
     margin, radius = record.get("resolved_margin"), record.get("controller_radius")
-    said = "stays stable" if record["predicted_stable"] else "not sure to stay stable"
+    said = "stays stable" if record["predicted_stable"] else "not predicted to be stable"
+    said += ", with the doubts below" if record.get("evidence") == DOUBT else ""
     told = f"margin {margin:.3g} by frequency, " if margin is not None else ""
     told += f"controller's own radius {radius:.3g}" if radius is not None else ""
-    return "predicted_stable", "Prediction for the plant", f"{said} ({told})"
+    return "predicted_stable", f"Prediction{' for the plant' if _on_plant(record) else ''}", f"{said} ({told})"
 
 
 def _certified(record: Mapping[str, Any], side: str) -> str:
@@ -103,25 +121,10 @@ def _certified(record: Mapping[str, Any], side: str) -> str:
     return "not reached" if feasible is None else "not certified" if feasible else "infeasible"
 
 
-def _where(record: Mapping[str, Any]) -> str:
-    """A loop on the identified model shows what the certificate promises, not what the plant does."""
-    where = str(record.get("loop_on"))
-    return "the true plant" if where == "plant" else f"the {where}; no plant was there to try it on"
-
-
-def _ratio(record: Mapping[str, Any]) -> str:
-    controlled, alone = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")
-    return f" (ratio {controlled / alone:.2f})" if controlled is not None and alone else ""
-
-
 def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
     """Whatever the record says about why a run is infeasible, not certified or failed."""
+    told = re.split(r" (?=(?:note|doubt|cannot judge): )", str(record.get("evidence_reasons") or ""))
+    yield from (sentence for sentence in told if sentence.startswith(("doubt: ", "cannot judge: ")))
     for name in ("infeasible_reason", "uncertified_reason", "error_message"):
         if record.get(name):
             yield f"{name.replace('_', ' ')}: {record[name]}"
-
-
-def _nearest(path: Path) -> Path:
-    """Relative to where the user stands, if it lies below."""
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_absolute() and path.is_relative_to(here) else path

@@ -1,27 +1,75 @@
 """What a figure is drawn from: the study's gathered table and the files of its runs."""
 
+import io
 import json
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
+from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import model_from_json
-from ssm_study.refusal import BadRequest
-from ssm_study.report.columns import text
-from ssm_study.report.trajectories import (
-    ClosedLoop,
-    Excitation,
-    Validation,
-    read_closed_loop,
-    read_excitation,
-    read_validation,
-)
-from ssm_study.report.verdict import best_first
+from ssm_study.models.structured import model_from_json
+from ssm_study.refusal import BadRequest, require
+from ssm_study.study.recordings import Case, read_cases, signal, stacked
+from ssm_study.table.columns import text
+from ssm_study.table.rank import best_first
+
+
+class NothingToDraw(Exception):
+    """Why a figure would be empty, in a sentence; that sentence is drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedCases:
+    """A recording by signal, `loop["output"] (N, T, c)` over its N cases; `about` is its metadata.
+
+    `closed_loop` has reference, input, output, uncontrolled (where the plant was left alone, too); `validation` has
+    input, measured, simulated. Raises `BadRequest` for a signal that it lacks.
+    """
+
+    path: Path
+    cases: list[Case]
+    about: dict[str, str]
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
+        return stacked(self.cases, name, self.path)
+
+    def __contains__(self, name: str) -> bool:
+        return all(name in case for case in self.cases)
+
+    def time_s(self, name: str) -> Float[np.ndarray, "T"]:
+        return signal(self.cases[0], name, self.path).time_s
+
+    def step_s(self, name: str) -> float:
+        return float(self.time_s(name)[1] - self.time_s(name)[0])
+
+    def label(self, name: str) -> str:
+        """The first channel with its unit: `load_speed`, `rad/s` -> `Load speed (rad/s)`."""
+        channel = signal(self.cases[0], name, self.path).channels[0]
+        return f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
+
+    @property
+    def settling_band(self) -> float | None:
+        """What counts as settled, in the output's unit; of a closed loop."""
+        return float(self.about["settling_band"]) if "settling_band" in self.about else None
+
+    @property
+    def rest_s(self) -> float:
+        """A little after the last response of a closed loop has come to rest in the band, else the whole horizon."""
+        time_s, names = self.time_s("output"), [name for name in ("output", "uncontrolled") if name in self]
+        responses = np.concatenate([self[name][:, :, 0] for name in names])
+        if self.settling_band is None:
+            return float(time_s[-1])
+        outside = (np.abs(responses - self["reference"][0, :, 0]) > self.settling_band).any(axis=0)
+        last = int(np.flatnonzero(outside).max(initial=0))  # the last sample at which any of them is outside
+        return float(min(1.4 * time_s[last] + 5 * self.step_s("output"), time_s[-1]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,88 +78,93 @@ class RunFolder:
 
     path: Path
 
-    def _json(self, name: str) -> dict[str, Any] | None:
+    def _parsed(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
+        """The content of a file, None where there is none. Raises `BadRequest` that names a damaged one."""
         path = self.path / name
-        return json.loads(path.read_text()) if path.is_file() else None
+        try:
+            return parse(path.read_text(encoding="utf-8")) if path.is_file() else None
+        except (ValueError, RecursionError, yaml.YAMLError) as error:
+            cause = " ".join(str(error).split())[:200]
+            raise BadRequest("report", path, f"the file is damaged ({cause})", "run the study again") from error
+
+    def _recording(self, name: str, most: int | None = None) -> RecordedCases | None:
+        path = self.path / f"{name}.mcap"
+        if not path.is_file():
+            return None
+        cases, about = read_cases(path)
+        return RecordedCases(path=path, cases=list(cases.values())[:most], about=about)
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        return self._json("record.json") or {}
+        return self._parsed("record.json") or {}
 
     @cached_property
     def certificate(self) -> dict[str, Any] | None:
-        return self._json("certificate.json")
+        return self._parsed("certificate.json")
 
     @cached_property
     def model(self) -> SSM | None:
         """None for a baseline too: it is identified and scored, but nothing can be certified of it."""
-        data = self._json("model.json")
+        data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM) else None
 
+    @property
+    def comparison(self) -> pd.DataFrame | None:
+        return self._parsed("comparison.csv", lambda content: pd.read_csv(io.StringIO(content)))
+
     @cached_property
     def config(self) -> dict[str, Any]:
-        path = self.path / ".hydra" / "config.yaml"
-        return (yaml.safe_load(path.read_text()) or {}) if path.is_file() else {}
-
-    @property
-    def settling_band(self) -> float | None:
-        """What counts as settled, in the output's unit; None where there was no plant."""
-        return (self.config.get("plant") or {}).get("settling_band")
+        return self._parsed(".hydra/config.yaml", yaml.safe_load) or {}
 
     @cached_property
-    def curve(self) -> list[dict[str, Any]]:
-        path = self.path / "training_curve.json"
-        return json.loads(path.read_text()) if path.is_file() else []
+    def curve(self) -> pd.DataFrame | None:
+        """The training curve, a row per epoch."""
+        rows = self._parsed("training_curve.json")
+        return pd.DataFrame(rows) if rows else None
 
     @cached_property
-    def validation(self) -> Validation | None:
-        path = self.path / "validation.mcap"
-        return read_validation(path) if path.is_file() else None
+    def validation(self) -> RecordedCases | None:
+        """Of several records the first; they may differ in length."""
+        return self._recording("validation", most=1)
 
     @cached_property
-    def excitation(self) -> Excitation | None:
+    def excitation(self) -> RecordedCases | None:
         """The training records' input; the validation record's where those were not kept."""
-        path = self.path / "excitation.mcap"
-        if path.is_file():
-            return read_excitation(path)
-        seen = self.validation
-        if seen is None:
-            return None
-        u, label = (seen.u[:, 0],), seen.input_label
-        return Excitation(u=u, step_s=seen.step_s, input_label=label, records="validation record")
+        return self._recording("excitation") or self.validation
 
     @cached_property
-    def closed_loop(self) -> ClosedLoop | None:
-        path = self.path / "closed_loop.mcap"
-        return read_closed_loop(path) if path.is_file() else None
+    def closed_loop(self) -> RecordedCases | None:
+        return self._recording("closed_loop")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
-    """A study folder: `runs.parquet` as `table`, and its run folders by name.
+class StudyFolder:
+    """A study folder: `runs.parquet` as `table`, and its run folders by name; `others` are shown beside it.
 
-    Raises `BadRequest` when the folder or its table is missing.
+    A run of another study is named by its path from `folder`. Raises `BadRequest` where a table is missing.
     """
 
     folder: Path
+    others: tuple[Path, ...] = ()
 
     @property
     def name(self) -> str:
-        return self.folder.resolve().name
+        return " and ".join(folder.resolve().name for folder in (self.folder, *self.others))
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        path = self.folder / "runs.parquet"
-        if not path.is_file():
-            raise BadRequest("study", self.folder, "it has no runs.parquet", "run `ssm-study gather` on it first")
-        return pd.read_parquet(path)
+        tables = [gathered(self.folder)]
+        for other in self.others:
+            place, table = Path(os.path.relpath(other, self.folder)), gathered(other)
+            tables.append(table.assign(run=[str(place / run) for run in table["run"]]))
+        return tables[0] if len(tables) == 1 else pd.concat(tables, ignore_index=True)
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
         """The tables of controllers and situations that runs left beside their records, one below the other."""
-        names = [name for name in text(self.table, "run") if name and (self.folder / name / "comparison.csv").is_file()]
-        tables = [pd.read_csv(self.folder / name / "comparison.csv").assign(run=name) for name in names]
+        found = {name: self.run(name).comparison for name in text(self.table, "run") if name}
+        tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     def run(self, name: str) -> RunFolder:
@@ -120,8 +173,22 @@ class Study:
     @cached_property
     def best(self) -> RunFolder | None:
         """The best run that left a model (see `best_first`), or None."""
-        for name in text(best_first(self.table), "run"):
-            folder = self.run(name)
-            if name and (folder.path / "model.json").is_file():
-                return folder
-        return None
+        names = [name for name in text(best_first(self.table), "run") if name]
+        return next((self.run(name) for name in names if (self.folder / name / "model.json").is_file()), None)
+
+    def of_best(self, *parts: str, otherwise: str) -> list[Any]:
+        """These parts of the best run, `model` or `closed_loop` say; raises `NothingToDraw` where it lacks one."""
+        found = [getattr(self.best, part, None) for part in parts]
+        if any(part is None for part in found):
+            raise NothingToDraw(otherwise)
+        return found
+
+
+def gathered(folder: Path) -> pd.DataFrame:
+    """The table of one study. Raises `BadRequest` where nobody gathered it, and for a damaged one."""
+    path = folder / "runs.parquet"
+    require(path.is_file(), "study", folder, "it has no runs.parquet", "run `ssm-study gather` on it first")
+    try:
+        return pd.read_parquet(path)
+    except ValueError as error:  # what Arrow raises
+        raise BadRequest("study", path, "the table is damaged", "run `ssm-study gather` on the study") from error

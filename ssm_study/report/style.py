@@ -3,13 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
-import seaborn as sns
-from cycler import cycler
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+if TYPE_CHECKING:  # a colour is asked for more often than a figure is drawn
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLUMN_IN = 3.5
 PAGE_IN = 7.16
@@ -20,85 +18,56 @@ INK, GREY, PALE = "#1A1A1A", "#6B6B6B", "#D9D9D9"
 CYCLE = [BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE]
 SEQUENCE = "viridis"  # monotone in lightness
 
-_PAPER: dict[Any, Any] = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "axes.titlelocation": "left",
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#E6E6E6",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 4,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "axes.prop_cycle": cycler(color=CYCLE),
-    "pdf.fonttype": 42,  # editable text; type 3 fonts are refused by many publishers
-    "savefig.dpi": 300,
-}
+_PAPER: dict[str, dict[str, Any]] = {  # by group, as `matplotlib.rc` takes them
+    "font": {"family": "STIXGeneral", "size": 8},
+    "mathtext": {"fontset": "stix"},
+    "text": {"color": INK},
+    "axes": {"labelsize": 8, "titlesize": 8, "titlelocation": "left", "linewidth": 0.6, "edgecolor": INK,
+             "labelcolor": INK, "grid": True, "axisbelow": True},
+    "axes.spines": {"top": False, "right": False},
+    "legend": {"fontsize": 7, "frameon": False, "handlelength": 1.6},
+    "xtick": {"labelsize": 7, "color": INK, "major.width": 0.6, "major.size": 2.5},
+    "ytick": {"labelsize": 7, "color": INK, "major.width": 0.6, "major.size": 2.5},
+    "grid": {"color": "#E6E6E6", "linewidth": 0.5},
+    "lines": {"linewidth": 1.1, "markersize": 4},
+    "pdf": {"fonttype": 42},  # editable text; type 3 fonts are refused by many publishers
+    "savefig": {"dpi": 300},
+}  # fmt: skip
 
 
 @contextmanager
 def paper() -> Iterator[None]:
     """Everything drawn and saved inside has the look of this project; the caller's own settings come back after."""
-    with sns.axes_style("ticks"), mpl.rc_context(_PAPER):
+    import matplotlib as mpl
+    import seaborn as sns
+    from cycler import cycler
+
+    look: dict[Any, Any] = {f"{group}.{name}": v for group, values in _PAPER.items() for name, v in values.items()}
+    with sns.axes_style("ticks"), mpl.rc_context(look | {"axes.prop_cycle": cycler(color=CYCLE)}):
         yield
 
 
-def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> Figure:
+def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
     """An empty figure without pyplot's global state, so that figures can be drawn anywhere and are freed."""
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def message(text: str, width_in: float = COLUMN_IN, height_in: float = 1.2) -> Figure:
-    """A figure that says why there is nothing to draw; a missing figure would leave the reader guessing."""
-    figure = canvas(width_in, height_in)
-    axes = figure.add_subplot()
-    axes.set_axis_off()
-    axes.text(0.5, 0.5, text, ha="center", va="center", wrap=True, color=GREY)
-    return figure
-
-
-def above(axes: Axes, columns: int = 3, others: tuple[Axes, ...] = ()) -> None:
+def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
     """The legend in one row over the axes, with what only the `others` show: never on top of the data."""
-    shown = {
-        label: handle
-        for part in (axes, *others)
-        for handle, label in zip(*part.get_legend_handles_labels(), strict=True)
-    }
-    axes.legend(
-        shown.values(),
-        shown.keys(),
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncols=columns,
-        borderaxespad=0.2,
-        columnspacing=1.2,
-    )
+    shown: dict[str, Any] = {}
+    for part in (axes, *others):
+        handles, labels = part.get_legend_handles_labels()
+        shown |= dict(zip(labels, handles, strict=True))
+    look = {"bbox_to_anchor": (0, 1.0), "borderaxespad": 0.2, "columnspacing": 1.2}
+    axes.legend(shown.values(), shown.keys(), loc="lower left", ncols=columns, **look)
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+def save(figure: "Figure", folder: Path, name: str) -> list[Path]:
     """`folder/name.png` and `folder/name.pdf`; the same data give the same bytes (no creation date)."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{name}.png", folder / f"{name}.pdf"]
-    figure.savefig(paths[0], metadata={"Software": None})
-    figure.savefig(paths[1], metadata={"CreationDate": None})
-    return paths
+    paths = {folder / f"{name}.png": "Software", folder / f"{name}.pdf": "CreationDate"}
+    for path, left_out in paths.items():
+        figure.savefig(path, metadata={left_out: None})
+    return list(paths)

@@ -3,111 +3,92 @@
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in docs/theory.md.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
-from ssm_study.signals import Trajectory
+from ssm_study.models.structured import Model
+from ssm_study.signals import Trajectories
+from ssm_study.systems import Pair, StateSpace
 
-CASES = 12
-"""States the model is released from, evenly spaced along the validation record."""
-LEVELS = (-0.5, -0.25, 0.25, 0.5)
-"""Constant loads, in those that hold one output scale."""
-TIME_CONSTANTS = 4.0
-"""Horizon, in time constants of the model's slowest mode."""
-SAMPLES = (50, 150)
-"""Shortest and longest horizon: a mode slower than that is not what a loop is judged by."""
-FAINT = 0.1
-"""States whose uncontrolled response is below this share of the largest are not counted: they rest already."""
+CASES = 12  # states the model is released from, evenly spaced along the validation record
+LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
+TIME_CONSTANTS = 4.0  # horizon, in time constants of the model's slowest mode
+SAMPLES = (50, 150)  # shortest and longest horizon: a mode slower than that is not what a loop is judged by
+FAINT = 0.1  # states whose uncontrolled response is below this share of the largest are not counted: they rest already
+# Scaled signals are cut here, so that a design that diverges on the model gets a huge area and not an overflow.
 LARGEST = 1e6
-"""Scaled signals are cut here, so that a design that diverges on the model gets a huge area and not an overflow."""
+AT_ONCE = 256  # designs simulated together: as many as stay in the processor's cache
 
 
-@dataclass(frozen=True, kw_only=True)
-class Release:
-    """States `x0 (N, n)` let go at sample 0, with `load (N, k)` added to `S_u(u)` ever after; `horizon` in samples."""
+def release(
+    model: Model, validation: Trajectories, loaded: bool
+) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
+    """States `x0` let go at sample 0, the load added to `S_u(u)` ever after, and the horizon in samples.
 
-    x0: Float[np.ndarray, "N n"]
-    load: Float[np.ndarray, "N k"]
-    horizon: int
-
-
-def release(model: SSM, validation: tuple[Trajectory, ...], loaded: bool) -> Release:
-    """`CASES` states that the model passes through in the validation record; if `loaded`, also rest under loads.
-
-    Not states in which a constant input would hold the model: a model may have a mode so slow that no record ever
-    filled it, and a design that looks fast from there leaves the estimate of that mode behind on the plant.
+    `CASES` states that the model passes through in the validation record; if `loaded`, also rest under loads. Not
+    states in which a constant input would hold the model: a model may have a mode so slow that no record ever filled
+    it, and a design that looks fast from there leaves the estimate of that mode behind on the plant.
     """
-    linear, n = model.linear, model.order
-    visited = np.concatenate([_states(model, record) for record in validation])
-    x0 = visited[np.linspace(0, len(visited) - 1, CASES + 2).astype(int)[1:-1]]
-    slowest = -np.log(min(max(linear.spectral_radius, 1e-6), 1 - 1e-6))
+    linear, visited = at_rest(model), []
+    for record in validation:
+        x = np.zeros(model.order)
+        for ubar in model.lift(record.u):
+            visited.append(x)
+            x = model.advance(x, ubar)
+    x0 = np.array(visited)[np.linspace(0, len(visited) - 1, CASES + 2).astype(int)[1:-1]]
+    slowest = -np.log(min(max(linear.spectral_radius, 1e-6), 1 - 1e-6))  # decay per sample of the slowest mode
     horizon = int(np.clip(np.ceil(TIME_CONSTANTS / slowest), *SAMPLES))
-    load = _loads(model) if loaded else np.zeros((0, linear.b.shape[1]))
-    return Release(
-        x0=np.concatenate([x0, np.zeros((len(load), n))]),
-        load=np.concatenate([np.zeros((len(x0), linear.b.shape[1])), load]),
-        horizon=horizon,
-    )
+    load = _loads(model, linear) if loaded else np.zeros((0, linear.b.shape[1]))
+    still, none = np.zeros((len(load), model.order)), np.zeros((len(x0), linear.b.shape[1]))
+    return np.concatenate([x0, still]), np.concatenate([none, load]), horizon
 
 
-def _states(model: SSM, record: Trajectory) -> Float[np.ndarray, "T n"]:
-    x, visited, lifted = np.zeros(model.order), np.empty((len(record), model.order)), model.lift(record.u)
-    for k, ubar in enumerate(lifted):
-        visited[k] = x
-        x = model.advance(x, ubar)
-    return visited
-
-
-def _loads(model: SSM) -> Float[np.ndarray, "L k"]:
+def _loads(model: Model, linear: StateSpace) -> Float[np.ndarray, "L k"]:
     """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale; idle ones left out."""
-    linear = model.linear
-    held = np.linalg.solve(np.eye(model.order) - linear.a, linear.b).T
+    held = np.linalg.solve(np.eye(model.order) - linear.a, linear.b).T  # states that a unit of each channel holds
     reach = np.linalg.norm(model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1)
     counts = reach > 1e-6 * reach.max()
     return np.concatenate([level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS])
 
 
-def relative_areas(
-    model: SSM,
-    ks: Float[np.ndarray, "C m s"],
-    ls: Float[np.ndarray, "O n p"],
-    pairs: Int[np.ndarray, "P 2"],
-    validation: tuple[Trajectory, ...],
-) -> Float[np.ndarray, "P"]:
-    """`sum_k ||y[k]|| / sum_k ||y_uncontrolled[k]||`, mean over the released states; observers start from zero.
+def at_rest(model: Model) -> StateSpace:
+    """The recurrence as it is, or of neurons their slopes at the equilibrium."""
+    if isinstance(model, SSM):
+        return model.linear
+    return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
 
-    `pairs` names controller and observer of each design. Gains of width `s = n + p` act on integrators too, and are
-    also judged by how soon they remove constant loads. No noise, scaled units. Below one is faster than no control.
+
+def relative_areas(model: Model, gains: Pair, validation: Trajectories) -> Float[np.ndarray, "P"]:
+    """`sum_k ||y[k]|| / sum_k ||y_uncontrolled[k]||`, mean over the released states, of each of the pairs of gains.
+
+    Observers start from zero. Gains of width `s = n + p` act on integrators too, and are also judged by how soon they
+    remove constant loads. No noise, scaled units. Below one is faster than no control.
     """
-    start = release(model, validation, loaded=ks.shape[2] > model.order)
-    none = np.zeros((1, *ks.shape[1:])), np.zeros((1, *ls.shape[1:])), np.zeros((1, 2), dtype=int)
-    alone = _areas(model, *none, start)[0]
-    counts = alone > FAINT * alone.max()
-    return (_areas(model, ks, ls, pairs, start)[:, counts] / alone[counts]).mean(axis=1)
+    start = release(model, validation, loaded=gains.k.shape[-1] > model.order)
+    alone = _areas(model, Pair(k=0 * gains.k[:1], l=0 * gains.l[:1]), *start)[0]
+    counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
+    split = [[None] * parts if g is None else np.array_split(g, parts) for g in (gains.k, gains.l, gains.l_z)]
+    found = [_areas(model, Pair(k=k, l=l, l_z=l_z), *start) for k, l, l_z in zip(*split, strict=True)]  # noqa: E741
+    return (np.concatenate(found)[:, counts] / alone[counts]).mean(axis=1)
 
 
 def _areas(
-    model: SSM,
-    ks: Float[np.ndarray, "C m s"],
-    ls: Float[np.ndarray, "O n p"],
-    pairs: Int[np.ndarray, "P 2"],
-    start: Release,
+    model: Model, gains: Pair, x0: Float[np.ndarray, "N n"], load: Float[np.ndarray, "N k"], horizon: int
 ) -> Float[np.ndarray, "P N"]:
-    linear, n = model.linear, model.order
-    k, l_ = ks[pairs[:, 0]].transpose(0, 2, 1), ls[pairs[:, 1]].transpose(0, 2, 1)
-    x = np.broadcast_to(start.x0, (len(pairs), *start.x0.shape)).copy()
+    n, k, l_ = model.order, gains.k.transpose(0, 2, 1), gains.l.transpose(0, 2, 1)
+    l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
+    x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
     x_hat, area = np.zeros_like(x), np.zeros(x.shape[:2])
     z = np.zeros((*x.shape[:2], k.shape[1] - n))
-    for _ in range(start.horizon):
+    for _ in range(horizon):
         u = x_hat @ k[:, :n] + z @ k[:, n:]
         lifted = model.scaffold_in(np.clip(u, -LARGEST, LARGEST))
-        y = model.read_scaled(x, lifted + start.load)
+        y = model.read_scaled(x, lifted + load)
         innovation = model.read_scaled(x_hat, lifted) - y
         area += np.linalg.norm(y, axis=2)
         z = np.clip(z + y[..., : z.shape[2]], -LARGEST, LARGEST)
-        x = x @ linear.a.T + (lifted + start.load) @ linear.b.T
-        x_hat = np.clip(x_hat @ linear.a.T + lifted @ linear.b.T + innovation @ l_, -LARGEST, LARGEST)
+        x = model.advance(x, lifted + load)
+        injected = () if l_z is None else (innovation @ l_z,)
+        x_hat = np.clip(model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST)
     return area

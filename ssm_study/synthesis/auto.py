@@ -1,38 +1,46 @@
-"""Rates and weights chosen from the model and its validation record alone: the fastest certified design that holds.
+"""Rates and weights chosen from the model and the records alone: the certified design of the best expected response.
 
-Among guaranteed-cost designs on a grid of rates and weights, take the one with the smallest response area on the model
-(`synthesis.area`) that is predicted to keep the plant (`synthesis.mismatch`): its resolved mismatch margin exceeds one
-and its controller is stable by itself. Nothing of the closed-loop test enters. Source: THEORY sections 4 and 5.
+Among guaranteed-cost designs on a grid of rates and weights that are predicted to be stable on the plant
+(`synthesis.prediction`), take the one with the smallest expected area
+
+    P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
+
+`area` the response's on the model (`synthesis.area`), `spread` that of ln g among blocks of the record: the mismatch is
+not a number but a sample, and the fastest design that just passes is the one that any optimism of g lets through.
+Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.models.identified import SSM
+from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Trajectories
 from ssm_study.synthesis.area import relative_areas
-from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import controller_frontier, observer_frontier
-from ssm_study.synthesis.integral import IntegralSynthesis, with_integrators
-from ssm_study.synthesis.mismatch import Mismatch, mismatch, predict
-from ssm_study.synthesis.problem import NoSolution, Problem
-from ssm_study.synthesis.riccati import RiccatiSynthesis, guaranteed_cost
-from ssm_study.synthesis.sensitivity import controller_radius, peaks_on_grid
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.design import Synthesis, contraction_rate
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.mismatch import Mismatch, mismatch
+from ssm_study.synthesis.prediction import predict, worst
+from ssm_study.synthesis.problem import NoSolution, Solution, dual
+from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, with_integrators
+from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
 
+# Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
-"""Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid."""
-ATTEMPTS = 20
-"""How many candidates are verified exactly before the search gives up: each costs two exact certificates."""
+ATTEMPTS = 20  # how many candidates are verified exactly before the search gives up: each costs two exact certificates
+LOOKED_AT = 200  # how many candidates, the fastest first, are compared with all that the records show
+LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
+LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is what Welch's estimate alone scatters by
 
-
-Found = tuple[RiccatiSynthesis, Float[np.ndarray, "m s"]]
+Found = tuple[RiccatiSynthesis, Solution]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +52,13 @@ class Candidates:
     ks: Float[np.ndarray, "C m s"]
     observing: tuple[RiccatiSynthesis, ...]
     ls: Float[np.ndarray, "O n p"]
+    l_zs: Float[np.ndarray, "O q p"] | None = None
+    unsolved: int = 0
+
+    def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Pair:
+        """The gains of one pair, or of many."""
+        l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
+        return Pair(k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs)
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis | IntegralSynthesis:
         feedback, observing, weight = self.feedback[pair[0]], self.observing[pair[1]], self.integral[pair[0]]
@@ -54,15 +69,13 @@ class Candidates:
 
 @dataclass(frozen=True, kw_only=True)
 class Auto:
-    """The fastest certified design with a stable controller whose resolved mismatch margin exceeds `margin`.
+    """The best expected response of a certified design whose resolved mismatch margin exceeds `margin`.
 
     The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
-    model always leaves a cautious choice) and of the stretch from there to the exact rate limit; for the observer,
-    whose limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. A rate
-    given as a number instead of "auto" is kept; `rate` stands for each side that is left at "auto". When no candidate
-    passes, the one with the largest margin is returned and `solver_status` says so. With `integral_weights`, the
-    controller also acts on integrators of the tracking error (`synthesis.integral`), and their weight is one more axis
-    of the grid.
+    model always leaves a cautious choice) and of the stretch from there to the exact limit; for the observer, whose
+    limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. `rate` stands
+    for each side that is left at "auto"; a number is kept. When no candidate passes, the one with the largest margin is
+    returned and `solver_status` says so. `integral_weights` (of integrators of the tracking error) are one more axis.
     """
 
     rate: float | str = "auto"
@@ -83,9 +96,8 @@ class Auto:
     def __post_init__(self) -> None:
         for name in ("rate", "rate_controller", "rate_observer"):
             rate = getattr(self, name)
-            given = isinstance(rate, int | float) and 0 < rate < 1
-            remedy = 'use "auto" or a number such as 0.1'
-            require(rate == "auto" or given, f"synthesis.{name}", rate, "a contraction rate lies in (0, 1)", remedy)
+            if rate != "auto":
+                contraction_rate(f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1')
         require(self.margin > 0, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
         for name in ("own_rate_shares", "stretch_shares", "observer_rates"):
             grid = getattr(self, name)
@@ -93,80 +105,82 @@ class Auto:
             require(inside, f"synthesis.{name}", grid, "must hold numbers in (0, 1)", "keep the default grid")
         for name in ("input_weights", "output_noises", "integral_weights"):
             grid = getattr(self, name)
-            positive = (len(grid) > 0 or name == "integral_weights") and all(0 < value < np.inf for value in grid)
-            require(positive, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
+            above = (len(grid) > 0 or name == "integral_weights") and all(0 < value < np.inf for value in grid)
+            require(above, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
 
     def design(
-        self,
-        model: SSM,
-        input_ball: JacobianBall,
-        output_ball: JacobianBall,
-        validation: tuple[Trajectory, ...],
-        start_up_samples: int = 0,
+        self, model: Model, balls: Balls, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()
     ) -> Design:
         """The chosen controller and observer, exactly verified; infeasible as the Riccati route reports it."""
-        candidates = self.candidates(model, input_ball, output_ball)
+        candidates = self.candidates(model, balls)
         if candidates is None:
-            return self._reported(self._slowest(model, input_ball, output_ball), "nothing on the grid is feasible")
-        balls, shown = (input_ball, output_ball), mismatch(model, validation, start_up_samples)
-        known = candidates.ks, candidates.ls
-        peaks = peaks_on_grid(model.linear, *known, *balls, GRID_ANGLES, shown.at(GRID_ANGLES))
-        for pair in self._in_order(model, candidates, balls, peaks, validation):
-            design = candidates.specification(pair).design(model, *balls)
-            if design.certified and self._passes(model, design, balls, shown):
-                return self._reported(design, "fastest that is predicted to keep the plant")
+            return self._reported(self._slowest(model, balls), "nothing on the grid is feasible")
+        left_out = f" ({candidates.unsolved} of the grid have no solution)" if candidates.unsolved else ""
+        shown = mismatch(model, validation, start_up_samples, trials)
+        weights, ks, ls = shown.at(GRID_ANGLES), candidates.ks, candidates.ls
+        peaks = peaks_on_grid(model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs)
+        for pair in self._in_order(model, candidates, balls, peaks, validation, shown):
+            design = candidates.specification(pair).design(model, balls)
+            if design.certified and predict(model, design.pair, balls, shown).keeps_the_plant(self.margin):
+                return self._reported(design, f"best expected response of those predicted to be stable{left_out}")
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
-        design = candidates.specification(best).design(model, *balls)
+        design = candidates.specification(best).design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
-        return self._reported(design, status)
+        if np.isinf(self.margin):
+            status = "the evidence allows no judgement of the plant; largest margin taken"
+        return self._reported(design, status + left_out)
 
-    def candidates(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Candidates | None:
+    def cautious(self) -> "Auto":
+        """The same grids, from which the largest margin is taken."""
+        return replace(self, margin=float("inf"))
+
+    def candidates(self, model: Model, balls: Balls) -> Candidates | None:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
-        if abs(input_ball.alpha) <= input_ball.beta or abs(output_ball.alpha) <= output_ball.beta:
+        if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
-        feedback = [
-            (specification, weight, gain)
-            for weight in self.integral_weights or (0.0,)
-            for specification, gain in self._controllers(_controlled(model, weight), input_ball)
-        ]
-        observing = self._observers(model.linear, output_ball)
+        grids = {}
+        for weight in self.integral_weights or (0.0,):
+            controlled = with_integrators(model, weight) if weight else model.system
+            grids[weight] = self._solved(controlled, balls.input, observes=False)
+        feedback = [(made, weight, found) for weight, (solved, _) in grids.items() for made, found in solved]
+        observing, unsolved = self._solved(model.system, balls.output, observes=True)
         if not feedback or not observing:
             return None
+        injected = [found.k_w for _, found in observing]
         return Candidates(
             feedback=tuple(specification for specification, _, _ in feedback),
             integral=tuple(weight for _, weight, _ in feedback),
-            ks=np.stack([gain for _, _, gain in feedback]),
+            ks=np.stack([found.k for _, _, found in feedback]),
+            unsolved=unsolved + sum(count for _, count in grids.values()),
             observing=tuple(specification for specification, _ in observing),
-            ls=np.stack([gain.T for _, gain in observing]),
+            ls=np.stack([found.k.T for _, found in observing]),
+            l_zs=None if injected[0] is None else np.stack([k_w.T for k_w in injected if k_w is not None]),
         )
 
-    def _controllers(self, system: StateSpace, ball: JacobianBall) -> list[Found]:
-        limit, own = controller_frontier(system, ball).rate_limit, _own_rate(system)
-        bold = [own + share * (limit - own) for share in self.stretch_shares]
-        rates = self._rates(self.rate_controller, self._cautious(system) + bold, limit)
-        asked = [
-            self._specification(rate_controller=rate, input_weight=weight)
-            for rate in rates
-            for weight in self.input_weights
-        ]
-        return _solved((specification, specification.controller_problem(system, ball)) for specification in asked)
+    def _solved(self, system: System, ball: JacobianBall, observes: bool) -> tuple[list[Found], int]:
+        """What the grid of one side gives, and how many of its requests have no solution (or none that floats hold)."""
+        side, linear = "observer" if observes else "controller", isinstance(system, StateSpace)
+        # what the system does by itself; its radius proves nothing where there are neurons
+        own = max(1 - system.spectral_radius**2, 0.0) if isinstance(system, StateSpace) else 0.0
+        if linear:
+            limit = controller_frontier(dual(system) if observes else system, ball).rate_limit
+        else:  # the best that the inequality reaches
+            from ssm_study.synthesis.structured_lmi import largest_rate  # CVXPY: only where there are neurons
 
-    def _observers(self, system: StateSpace, ball: JacobianBall) -> list[Found]:
-        limit = observer_frontier(system, ball).rate_limit
-        rates = self._rates(self.rate_observer, self._cautious(system) + list(self.observer_rates), limit)
-        asked = [
-            self._specification(rate_observer=rate, output_noise=noise)
-            for rate in rates
-            for noise in self.output_noises
-        ]
-        return _solved((specification, specification.observer_problem(system, ball)) for specification in asked)
-
-    def _cautious(self, system: StateSpace) -> list[float]:
-        return [share * _own_rate(system) for share in self.own_rate_shares]
-
-    def _rates(self, rate: float | str, grid: list[float], limit: float) -> list[float]:
-        asked = self._asked(rate)
-        return [value for value in (grid if asked == "auto" else [float(asked)]) if 0 < value < limit]
+            limit = largest_rate(self._specification().problem(system, ball, observes))
+        rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
+        rates += [] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares]
+        asked = self._asked(getattr(self, f"rate_{side}"))
+        rates = rates if asked == "auto" else [float(asked)]
+        weight, weights = ("output_noise", self.output_noises) if observes else ("input_weight", self.input_weights)
+        found, unsolved = [], 0
+        for rate, value in product((rate for rate in rates if 0 < rate < limit), weights):
+            specification = self._specification(**{f"rate_{side}": rate, weight: value})
+            try:
+                found.append((specification, specification.solve(specification.problem(system, ball, observes))))
+            except NoSolution:
+                unsolved += 1
+        return found, unsolved
 
     def _asked(self, own: float | str) -> float | str:
         return self.rate if own == "auto" else own
@@ -177,36 +191,48 @@ class Auto:
 
     def _in_order(
         self,
-        model: SSM,
+        model: Model,
         candidates: Candidates,
-        balls: tuple[JacobianBall, JacobianBall],
+        balls: Balls,
         peaks: Float[np.ndarray, "C O"],
-        validation: tuple[Trajectory, ...],
-    ) -> Iterator[Int[np.ndarray, "2"]]:
-        """Pairs with a stable controller whose margin on the grid exceeds the bound, fastest on the model first."""
+        validation: Trajectories,
+        shown: Mismatch,
+    ) -> list[Int[np.ndarray, "2"]]:
+        """Pairs that pass, the best expected response first.
+
+        An expected area is never below the area, so the search ends where the areas exceed the expected ones found.
+        """
         pairs = np.argwhere(self.margin * peaks < 1)
-        gains = candidates.ks[pairs[:, 0]], candidates.ls[pairs[:, 1]]
-        pairs = pairs[controller_radius(model.linear, *gains, *balls) < 1]
-        if not len(pairs):
-            return
-        areas = relative_areas(model, candidates.ks, candidates.ls, pairs, validation)
-        yield from pairs[np.argsort(areas, kind="stable")[:ATTEMPTS]]
+        gains = candidates.gains(pairs)
+        pairs = pairs[controller_radius(model.system, gains, balls) < 1]
+        if not len(pairs) or not shown.rests:
+            return []
+        areas = relative_areas(model, candidates.gains(pairs), validation)
+        coarse, fine = Responses(angles=FINE_ANGLES[::2]), Responses(angles=FINE_ANGLES)
+        scored: list[tuple[float, int]] = []
 
-    def _passes(self, model: SSM, design: Design, balls: tuple[JacobianBall, JacobianBall], shown: Mismatch) -> bool:
-        feedback, observer = design.state_feedback, design.observer
-        if isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
-            return False
-        return predict(model, feedback.k, observer.l, *balls, shown).keeps_the_plant(self.margin)
+        def expected(index: int, shared: Responses) -> tuple[float, float]:
+            number = worst(model, candidates.gains(pairs[index]), balls, shown, shared)
+            return expected_area(float(areas[index]), number, shown.spread), number
 
-    def _slowest(self, model: SSM, input_ball: JacobianBall, output_ball: JacobianBall) -> Design:
+        for index in np.argsort(areas, kind="stable")[:LOOKED_AT].tolist():
+            if scored and areas[index] >= min(scored)[0]:
+                break
+            score, number = expected(index, coarse)
+            if self.margin * number < 1:
+                scored.append((score, index))
+        # between two frequencies of the coarser grid a loop may come nearer to its limit
+        return [pairs[i] for _, i in sorted((expected(i, fine)[0], i) for _, i in sorted(scored)[:ATTEMPTS])]
+
+    def _slowest(self, model: Model, balls: Balls) -> Design:
         """What the Riccati route says at the least demanding request, as the reason to report."""
         rates = (self._asked(self.rate_controller), self._asked(self.rate_observer))
         asked = [1e-3 if rate == "auto" else float(rate) for rate in rates]
         specification = self._specification(rate_controller=asked[0], rate_observer=asked[1])
         if not self.integral_weights:
-            return specification.design(model, input_ball, output_ball)
+            return specification.design(model, balls)
         integral = IntegralSynthesis(synthesis=specification, integral_weight=self.integral_weights[0])
-        return integral.design(model, input_ball, output_ball)
+        return integral.design(model, balls)
 
     def _reported(self, design: Design, status: str) -> Design:
         """The parts under this method's name, with what the search found."""
@@ -217,23 +243,12 @@ class Auto:
         )
 
 
-def _controlled(model: SSM, integral_weight: float) -> StateSpace:
-    return with_integrators(model, integral_weight) if integral_weight else model.linear
+def expected_area(area: float, number: float, spread: float) -> float:
+    """`P area + (1 - P) LOSS`, `P = Phi(-ln(number) / spread)`: `number` is the inverse of the margin."""
+    from scipy.special import ndtr  # here: what only reads a study does without
 
-
-def _own_rate(system: StateSpace) -> float:
-    """The rate at which the system contracts by itself, 0 if it does not."""
-    return max(1 - system.spectral_radius**2, 0.0)
-
-
-def _solved(problems: Iterator[tuple[RiccatiSynthesis, Problem]]) -> list[Found]:
-    found = []
-    for specification, problem in problems:
-        try:
-            found.append((specification, guaranteed_cost(problem).k))
-        except NoSolution:
-            continue
-    return found
+    kept = float(ndtr(-np.log(max(number, np.finfo(float).tiny)) / max(spread, LEAST_SPREAD)))
+    return kept * area + (1 - kept) * LOSS
 
 
 Synthesis.register(Auto)  # same `design`; but it has grids where a Synthesis has one rate and one weight each

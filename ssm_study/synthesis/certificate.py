@@ -1,113 +1,178 @@
-"""What synthesis hands on: a gain with the matrices of the theorem that certifies it, or why there is none."""
+"""What synthesis hands on: the certificates of a design, or why there are none, and the file they are kept in.
+
+Which fields a certificate has is its theorem's matter (`synthesis.theorem`); source of the theorems: [Z26], THEORY.
+"""
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.problem import DUAL, Neurons, Problem, Solution, dual
+from ssm_study.synthesis.theorem import AGAIN, Blocks, Known, Theorem, theorem_named, value_of
+from ssm_study.systems import JacobianBall, Pair
+
+# The letter of each matrix in a state feedback's problem, and an observer's for the same matrix, transposed.
+LETTERS = {"a": "a", "b": "c", "e": "f", "f": "e", "g": "h", "p": "q", "y": "u", "k": "l", "k_w": "l_z"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class StateFeedback:
-    """`u = K x` contracts `x+ = A x + B S_u(u)` by `r = sqrt(1 - rate)` a step in the metric `P^{-1}`.
+class Side(Theorem, abstract=True):
+    """A gain with which differences contract by `r = sqrt(1 - rate)` a step, whatever the Jacobians in the ball.
 
-    The matrices of [Z26] Theorem 1 (THEORY section 4), all as stored: `p, y (n, n)`, `k (m, n)`, `sigma > 0`, and
-    `x (m, n)`, the rational product `k y` rounded to the nearest floats. `certified` is the verdict of exact arithmetic
-    on `p, y, k y, sigma`; the rest is information: `margin` (smallest eigenvalue of the LMI scaled to a unit diagonal),
-    `condition` (of p, scaled likewise), `rate_limit` (the exact frontier at this ball), `solver_status`, `seconds`.
+    `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from a state feedback.
     """
 
     a: Float[np.ndarray, "n n"]
-    b: Float[np.ndarray, "n m"]
-    alpha: float
-    beta: float
     rate: float
-    p: Float[np.ndarray, "n n"]
-    y: Float[np.ndarray, "n n"]
-    x: Float[np.ndarray, "m n"]
-    sigma: float
-    k: Float[np.ndarray, "m n"]
-    certified: bool
-    margin: float
-    condition: float
     rate_limit: float
-    method: str
-    solver_status: str
-    seconds: float
+
+    observes: ClassVar[bool]
 
     @property
     def contraction(self) -> float:
-        """`r`: the factor by which distances shrink each step."""
+        """`r`: the factor by which distances (the estimation error) shrink each step."""
         return float(np.sqrt(1 - self.rate))
+
+    @classmethod
+    def ball(cls, known: Known) -> JacobianBall:
+        """That of `S_u`, of an observer that of `S_y`."""
+        return known.balls.output if cls.observes else known.balls.input
+
+    def at_largest_rate(self) -> "Side | None":
+        """The same gain, certified at the largest rate that is proved for it; None where that is no more."""
+        return None
+
+    @staticmethod
+    @abstractmethod
+    def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
+        """What is stored of a method's answer `found` to `problem`: every number that `conditions` uses."""
+
+
+class OfProblem(Side, abstract=True):
+    """Beside `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of `LETTERS`."""
+
+    @staticmethod
+    @abstractmethod
+    def inequality(of: Any) -> Blocks:
+        """The theorem's one inequality."""
+
+    @classmethod
+    def conditions(cls, of: Any) -> dict[str, Blocks]:
+        """The inequality, at a rate in (0, 1)."""
+        return {"inequality": cls.inequality(of), "rate above 0": [[of.rate]], "rate below 1": [[1 - of.rate]]}
+
+    @classmethod
+    def _system(cls, known: Known) -> Any:
+        return known.system if cls.observes else known.controlled
+
+    def given(self, known: Known) -> dict[str, Any]:
+        """Every field that is a matrix of the system."""
+        system = self._system(known)
+        return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
+
+    @classmethod
+    def rate_limit_of(cls, known: Known) -> float:
+        """The exact frontier; with neurons the worst over frozen slopes, beyond which no certificate goes."""
+        system = cls._system(known)
+        return controller_frontier(dual(system) if cls.observes else system, cls.ball(known)).rate_limit
+
+    @classmethod
+    def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
+        """Every field that problem and solution have under its letter; an observer's turned back."""
+        of: dict[str, Any] = {**vars(problem), **vars(found), **(vars(problem.neurons) if problem.neurons else {})}
+        turned = {other: of[letter].T.copy() for letter, other in LETTERS.items() if of.get(letter) is not None}
+        ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
+        of |= ball | {"eta": found.sigma, "lambda_": found.multipliers} | (turned if cls.observes else {})
+        return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
+
+    def posed(self) -> tuple[Problem, Solution]:
+        """The stored numbers as a method of design has them, an observer's transposed; no weights."""
+        of: dict[str, Any] = dict(vars(self))
+        if self.observes:
+            of |= {letter: np.ascontiguousarray(of[other].T) for letter, other in LETTERS.items() if other in of}
+        neurons = Neurons(e=of["e"], f=of["f"], g=of["g"], observes=self.observes) if "e" in of else None
+        ball, one = JacobianBall(alpha=self.alpha, beta=self.beta), np.eye(len(self.a))
+        data = {"a": of["a"], "b": of["b"], "ball": ball, "rate": self.rate, "neurons": neurons}
+        found = {"p": of["p"], "y": of["y"], "k": of["k"], "k_w": of.get("k_w"), "status": ""}
+        sigma = of["eta" if self.observes else "sigma"]
+        return Problem(**data, state_weight=one, input_weight=1.0), Solution(**found, sigma=sigma)
+
+    def at_largest_rate(self) -> Side | None:
+        name = "structured_lmi" if hasattr(self, "lambda_") else "theorems.deployed_rate"  # CVXPY only with neurons
+        found: Side | None = import_module(f"ssm_study.synthesis.{name}").at_largest_rate(self)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateFeedback(Side, abstract=True):
+    """`u = K x` contracts what is controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear in `p (n, n)`."""
+
+    b: Float[np.ndarray, "n m"]
+    p: Float[np.ndarray, "n n"]
+    k: Float[np.ndarray, "m n"]
+
+    part: ClassVar[str] = "state_feedback"
+    metric_matrix: ClassVar[str] = "p"
+    observes: ClassVar[bool] = False
+
+    @property
+    def gain(self) -> Float[np.ndarray, "m n"]:
+        return self.k
 
     @property
     def metric(self) -> Float[np.ndarray, "n n"]:
-        """`M = P^{-1}`, in which `delta^T M delta` shrinks by `1 - rate`: the printed LMI is in dual form."""
+        """`M = P^{-1}`: the printed proof says P, the inequality is the dual form."""
         inverse = np.linalg.inv(self.p)
         return (inverse + inverse.T) / 2
 
     @property
-    def gain_norm(self) -> float:
-        """`||K||_2`, in scaled input per state unit."""
-        return float(np.linalg.norm(self.k, 2))
+    def claim(self) -> str:
+        return f"state feedback contracts the model by {self.contraction:.6g} a sample"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Observer:
-    """`xh+ = A xh + B S_u(u) + L (yh - y)` contracts by `r = sqrt(1 - rate)` a step in the metric `Q`.
+class Observer(Side, abstract=True):
+    """The estimate's error contracts in `M = Q`."""
 
-    The matrices of [Z26] Theorem 2 as stored: `q, u (n, n)`, `l (n, p)`, `eta > 0`, and `v (n, p)`, the rational
-    product `u l` rounded to the nearest floats. `certified` and the information beside it as in `StateFeedback`.
-    """
-
-    a: Float[np.ndarray, "n n"]
     c: Float[np.ndarray, "p n"]
-    alpha: float
-    beta: float
-    rate: float
     q: Float[np.ndarray, "n n"]
-    u: Float[np.ndarray, "n n"]
-    v: Float[np.ndarray, "n p"]
-    eta: float
     l: Float[np.ndarray, "n p"]  # noqa: E741  the paper's letter, and the public file's
-    certified: bool
-    margin: float
-    condition: float
-    rate_limit: float
-    method: str
-    solver_status: str
-    seconds: float
+
+    part: ClassVar[str] = "observer"
+    metric_matrix: ClassVar[str] = "q"
+    observes: ClassVar[bool] = True
 
     @property
-    def contraction(self) -> float:
-        """`r`: the factor by which the estimation error shrinks each step."""
-        return float(np.sqrt(1 - self.rate))
+    def gain(self) -> Float[np.ndarray, "n p"]:
+        return self.l
 
     @property
     def metric(self) -> Float[np.ndarray, "n n"]:
-        """`M = Q`."""
         return self.q
 
     @property
-    def gain_norm(self) -> float:
-        """`||L||_2`, in state unit per scaled output."""
-        return float(np.linalg.norm(self.l, 2))
+    def claim(self) -> str:
+        return f"the observer's error contracts by {self.contraction:.6g} a sample"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """No certificate at these settings: a result, not an error.
+    """No certificate at these settings: a result, not an error. `rate_limit` says how much was possible.
 
-    `proved` is True when the exact frontier (or a hypothesis of the theorem) excludes the request, so that no method
-    can succeed; False when this method merely found nothing. `rate_limit` says how much was possible.
+    `proved`: the exact frontier (or a hypothesis) excludes the request for every method; else this one found nothing.
     """
 
-    side: str
+    theorem: str
     alpha: float
     beta: float
     rate: float
@@ -120,30 +185,81 @@ class Infeasible:
     certified: ClassVar[bool] = False
 
 
+SIDES = ("state_feedback", "observer")
+# Parts of the file that are another part's theorem once more: the same gain at the largest rate that is proved for it,
+# and the tolerance under a weight that follows what the records show.
+BESIDE = {f"{side}_deployed": side for side in SIDES} | {"tolerance_by_frequency": "tolerance"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Controller and observer of one model; either may be missing, with its reason."""
+    """Controller and observer of one model; either may be missing, with its reason.
+
+    `beside` holds what is proved of the pair as it is deployed (`synthesis.deployed`).
+    """
 
     state_feedback: StateFeedback | Infeasible
     observer: Observer | Infeasible
+    beside: Mapping[str, Theorem] = field(default_factory=dict)
 
     @property
     def certified(self) -> bool:
         return self.state_feedback.certified and self.observer.certified
 
+    @property
+    def feasible(self) -> bool:
+        return not any(isinstance(part, Infeasible) for part in (self.state_feedback, self.observer))
+
+    def parts(self) -> tuple[StateFeedback, Observer]:
+        """Both sides; raises `BadRequest` with the reason where one is infeasible."""
+        for name in SIDES:
+            part = self.content[name]
+            if isinstance(part, Infeasible):
+                raise BadRequest(f"design.{name}", "infeasible", part.reason.rstrip("."), "close no loop with it")
+        return self.state_feedback, self.observer  # type: ignore[return-value]  # Infeasible has just been refused
+
+    @property
+    def pair(self) -> Pair:
+        """The gains of both sides; `BadRequest` as of `parts`."""
+        feedback, observer = self.parts()
+        return Pair(k=feedback.k, l=observer.l, l_z=getattr(observer, "l_z", None))
+
+    @property
+    def content(self) -> dict[str, Theorem | Infeasible]:
+        """Every part, as the file names it."""
+        return {"state_feedback": self.state_feedback, "observer": self.observer, **self.beside}
+
+    @property
+    def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
+        """`k` and `l`, those that there are."""
+        found = {"k": self.state_feedback, "l": self.observer}
+        return {letter: part.gain for letter, part in found.items() if not isinstance(part, Infeasible)}
+
+    def certified_rate(self, side: str) -> float | None:
+        """The largest rate that is proved for the gain of this side; None without any."""
+        parts = self.content[side], self.beside.get(f"{side}_deployed")
+        return max((part.rate for part in parts if isinstance(part, Side) and part.certified), default=None)
+
     def to_json(self) -> dict[str, Any]:
         """The public file `certificate.json`: nested lists whose numbers read back to the same floats."""
-        return {"state_feedback": _plain(self.state_feedback), "observer": _plain(self.observer)}
+        content = {}
+        for label, part in self.content.items():
+            plain: dict[str, Any] = {"certified_rate": self.certified_rate(label)} if label in SIDES else {}
+            plain |= {"theorem": part.name()} if isinstance(part, Theorem) else {}
+            for name, value in vars(part).items():
+                plain[name.rstrip("_")] = value.tolist() if isinstance(value, np.ndarray) else value
+            plain |= {"certified": part.certified, "feasible": isinstance(part, Theorem)}
+            content[label] = plain | {"digest": digest(plain)}
+        return content
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "Design":
         """Raises `BadRequest` for a missing part, an unknown or missing field, or a matrix that is no matrix."""
-        for part in ("state_feedback", "observer"):
-            require(part in content, f"certificate.{part}", None, "is missing", "synthesise again")
-        return cls(
-            state_feedback=_read(StateFeedback, "state_feedback", content["state_feedback"]),
-            observer=_read(Observer, "observer", content["observer"]),
-        )
+        for part in SIDES:
+            require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
+        parts = {name: _read(name, stored) for name, stored in content.items()}
+        sides = {name: parts.pop(name) for name in SIDES}
+        return cls(**sides, beside=parts)
 
     def save(self, path: Path) -> None:
         path.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -153,48 +269,23 @@ class Design:
         return cls.from_json(json.loads(path.read_text(encoding="utf-8")))
 
 
-def _plain(part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
-    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(part).items()}
-    plain |= {"certified": part.certified, "feasible": not isinstance(part, Infeasible)}
-    return plain | {"digest": digest(plain)}
-
-
 def digest(content: dict[str, Any]) -> str:
     """SHA-256 of a part's other fields as canonical JSON: whether the file still says what was written."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def _read(kind: Any, label: str, content: dict[str, Any]) -> Any:
-    values = {name: value for name, value in content.items() if name != "digest"}
-    if not values.pop("feasible", True):
-        values.pop("certified", None)
-        kind = Infeasible
-    known = {part.name for part in fields(kind)}
-    for name in known ^ set(values):
-        problem = "is missing" if name in known else "is not part of a certificate"
-        require(False, f"certificate.{label}.{name}", values.get(name), problem, "synthesise again")
-    types = {part.name: part.type for part in fields(kind)}
-    return kind(**{name: _value(label, name, types[name], value) for name, value in values.items()})
-
-
-def _value(label: str, name: str, kind: Any, value: Any) -> Any:
-    where = f"certificate.{label}.{name}"
-    if kind is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-        require(number, where, value, "is not a finite number", "synthesise again")
-        return float(value)
-    if kind in (bool, str):
-        require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", "synthesise again")
-        return value
-    return _matrix(where, value)
-
-
-def _matrix(where: str, value: Any) -> Float[np.ndarray, "r c"]:
-    try:
-        matrix = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    finite = matrix.ndim == 2 and bool(np.isfinite(matrix).all())
-    require(finite, where, value, "is not a finite matrix", "synthesise again")
-    return matrix
+def _read(label: str, content: dict[str, Any]) -> Any:
+    """A part by its own theorem; one that names none is of the theorem that bears the part's name."""
+    values = {name: value for name, value in content.items() if name not in ("digest", "certified_rate")}
+    part = BESIDE.get(label, label)
+    theorem = theorem_named(str(values.setdefault("theorem", part)))
+    require(theorem.part == part, f"certificate.{label}.theorem", theorem.name(), "is of another part", AGAIN)
+    feasible = values.pop("feasible", True)
+    kind: Any = theorem if feasible else Infeasible
+    values.pop("theorem" if feasible else "certified", None)
+    types = {part.name.rstrip("_"): part for part in fields(kind)}
+    for name in types.keys() ^ values.keys():
+        problem = "is missing" if name in types else "is not part of a certificate"
+        require(False, f"certificate.{label}.{name}", values.get(name), problem, AGAIN)
+    return kind(**{types[n].name: value_of(f"certificate.{label}.{n}", types[n].type, v) for n, v in values.items()})

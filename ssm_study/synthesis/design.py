@@ -5,33 +5,158 @@ The theorems are 1 and 2 of [Z26]; how one problem serves both: docs/theory.md.
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import partial
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ssm_study.refusal import require
-from ssm_study.signals import Trajectory
-from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
-from ssm_study.synthesis.frontier import Frontier, controller_frontier, observer_frontier
-from ssm_study.synthesis.problem import Problem, Solution
-from ssm_study.synthesis.verdict import CONTROLLER, OBSERVER, Request
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.refusal import BadRequest, at_least, positive, require
+from ssm_study.signals import Trajectories
+from ssm_study.synthesis.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
+from ssm_study.synthesis.frontier import Frontier, controller_frontier
+from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
+from ssm_study.synthesis.theorem import Known, Theorem, theorem_named
+from ssm_study.synthesis.theorems.observer import ObserverOfBall
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
+from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
+from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 
-# A near miss is solved again for a faster rate: this share of the way (in log r) from the asked rate to the frontier.
+MOST_CONDITION = 1 / np.finfo(float).eps  # of a metric scaled to unit diagonal: beyond it, rounding alone decides
+FRONTIER_ROUNDING = 1e-8  # the frontier is recomputed from eigenvalues, which differ by rounding on another machine
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """One part that is being designed: what was asked, what is possible, who tries, since when."""
+
+    theorem: type[Side]
+    rate: float
+    ball: JacobianBall
+    frontier: Frontier
+    method: str
+    started: float
+
+    def refused(self) -> Infeasible | None:
+        """What no method can do, with the number that decides; None if the request lies inside the frontier."""
+        ball, limit = self.ball, self.frontier.rate_limit
+        if abs(ball.alpha) <= ball.beta:
+            reason = (
+                f"the slopes [{ball.lower:.4g}, {ball.upper:.4g}] include zero, so no input is sure to have an effect; "
+                "raise the slope floor (model.slope_lower) or use a scaffolding with slopes bounded by construction"
+            )
+            return self.nothing(reason, "not asked", proved=True)
+        if self.rate >= limit:
+            reason = (
+                f"rate {self.rate:.6g} is infeasible: it must be below the frontier {limit:.6g}, set by "
+                f"{self.frontier.decided_by}; request a smaller rate, raise the slope floor (model.slope_lower), or "
+                "drop states (reduction.truncate_to)"
+            )
+            return self.nothing(reason, "not asked", proved=True)
+        return None
+
+    def nothing(self, reason: str, status: str, proved: bool = False) -> Infeasible:
+        """The request without a certificate."""
+        asked: Any = {"theorem": self.theorem.name(), "rate": self.rate, "rate_limit": self.frontier.rate_limit}
+        asked |= {"alpha": self.ball.alpha, "beta": self.ball.beta, "method": self.method}
+        seconds = time.perf_counter() - self.started
+        return Infeasible(**asked, proved=proved, reason=reason, solver_status=status, seconds=seconds)
+
+    def verified(self, problem: Problem, solution: Solution) -> Any:
+        """The certificate, a `Side`; `problem` is in Theorem 1's form, transposed for an observer."""
+        numbers = self.theorem.numbers_of(problem, solution)
+        told: dict[str, Any] = {"method": self.method, "started": self.started}
+        return self.theorem.proved(numbers, rate_limit=self.frontier.rate_limit, status=solution.status, **told)
+
+    def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
+        """The first attempt that is certified; else what the last one with matrices comes to; else why none did.
+
+        Matrices that floats could have held are handed on as found, not certified; hopeless ones are refused.
+        """
+        best: Side | None = None
+        status = "no attempt"
+        for attempt in attempts:
+            try:
+                with within_floats():
+                    best = self.verified(problem, attempt())
+            except NoSolution as nothing:
+                status = str(nothing)
+                continue
+            if best.certified:
+                return best
+        inside = f"the rate is inside the frontier {self.frontier.rate_limit:.6g}, yet"
+        if best is None:  # information, not a verdict
+            reason = f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati or a lower rate"
+            return self.nothing(reason, status)
+        number = f"{best.condition:.1e}; balance the model, drop states (reduction.truncate_to) or request less"
+        if best.condition > MOST_CONDITION:
+            reason = f"{inside} its metric needs more digits than floats have: its condition number is {number}"
+            return self.nothing(reason, best.solver_status)
+        told = f"not positive definite in exact arithmetic, condition number {number}"
+        return replace(best, solver_status=f"{best.solver_status}; {told}")
+
+
+def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None) -> list[str]:
+    """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
+
+    `linear` is the recurrence, `balls` are re-derived from `model.json`, `controlled` is what the state feedback
+    acts on where that is not the model itself (integral action). A claim is: the digest of each part; every field that
+    its theorem calls the model's; the ball contains the model's; products, correctly rounded; the theorem's conditions,
+    in rational arithmetic, agree with `certified`; the rate limit; without a certificate, that it is excluded.
+    """
+    try:
+        design = Design.from_json(content)
+    except BadRequest as malformed:
+        return [str(malformed)]
+    known = Known(system=linear, controlled=controlled or linear, balls=balls, gains=design.gains)
+    broken = [
+        f"{part}.digest: the stored numbers are not those that were written"
+        for part, fields in content.items()
+        if fields.get("digest") != digest(fields)
+    ]
+    for label, part in design.content.items():
+        broken += [f"{label}{claim}" for claim in _of_part(part, known)]
+    for side in SIDES:  # what is proved at the largest rate is of the gain that is deployed
+        part, again = design.content[side], design.beside.get(f"{side}_deployed")
+        if again and (isinstance(part, Infeasible) or not np.array_equal(again.gain, part.gain)):
+            broken.append(f"{side}_deployed: the gain is not the one that is deployed")
+        stated, derived = content[side].get("certified_rate"), design.certified_rate(side)
+        if stated != derived:
+            broken.append(f"{side}.certified_rate = {stated!r}: what is proved is {derived!r}")
+    return broken
+
+
+def _of_part(part: Theorem | Infeasible, known: Known) -> list[str]:
+    theorem = theorem_named(part.theorem) if isinstance(part, Infeasible) else type(part)
+    ball, limit = theorem.ball(known), theorem.rate_limit_of(known)
+    broken, stated = [], getattr(part, "rate_limit", np.nan)
+    if limit is not None and not abs(stated - limit) <= FRONTIER_ROUNDING:
+        broken.append(f".rate_limit = {stated!r}: the frontier is {limit!r}")
+    if isinstance(part, Infeasible):
+        excluded = abs(ball.alpha) <= ball.beta or (limit is not None and part.rate >= limit - FRONTIER_ROUNDING)
+        if part.proved and not excluded:
+            broken.append(f".proved: the rate {part.rate:g} is inside the frontier {limit:g}")
+        return broken
+    if Fraction(ball.beta) + abs(Fraction(ball.alpha) - Fraction(part.alpha)) > Fraction(part.beta):
+        stated, filled = f"{part.alpha!r}, {part.beta!r}", f"{ball.alpha!r}, {ball.beta!r}"
+        broken.append(f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which is not inside")
+    return broken + part.broken(known)
+
+
+# A near miss is solved again for a faster rate: these shares of the way (in log r) to the frontier.
 REPAIRS = (0.03, 0.3, 0.8)
-# A frontier at r = 0 (linear output) would make the repair infinitely fast; this is fast enough.
+# A frontier at r = 0 (linear output) would make the repair infinitely fast; this share of r is fast enough.
 REPAIR_FLOOR = 0.5
+FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be told from 1
 
 
-@runtime_checkable
-class HasLinear(Protocol):
-    """All that synthesis needs of a model."""
-
-    @property
-    def linear(self) -> StateSpace: ...
+def contraction_rate(field: str, rate: Any, remedy: str) -> None:
+    """Refuse what is no contraction rate, or one so near 1 that a faster one rounds to 1."""
+    fits = isinstance(rate, int | float) and 0 < rate <= FASTEST
+    require(fits, field, rate, "a contraction rate lies in (0, 1), at least 1e-13 below 1", remedy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,17 +178,17 @@ class Synthesis(ABC):
     output_noise: float = 1.0
 
     method: ClassVar[str]
+    feedback_theorem: ClassVar[type[StateFeedback]] = StateFeedbackOfBall
+    observer_theorem: ClassVar[type[Observer]] = ObserverOfBall
 
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
             rate = getattr(self, name)
-            require(bool(0 < rate < 1), f"synthesis.{name}", rate, "a contraction rate lies in (0, 1)", "try 0.1")
+            contraction_rate(f"synthesis.{name}", rate, "try 0.1")
         for name in ("state_weight", "input_weight", "state_noise", "output_noise"):
-            weight = getattr(self, name)
-            require(bool(0 < weight < np.inf), f"synthesis.{name}", weight, "must be positive and finite", "try 1")
+            positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
-            weight = getattr(self, name)
-            require(bool(0 <= weight < np.inf), f"synthesis.{name}", weight, "must not be negative", "try 1")
+            at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
@@ -71,59 +196,50 @@ class Synthesis(ABC):
 
     def design(
         self,
-        model: HasLinear,
-        input_ball: JacobianBall,
-        output_ball: JacobianBall,
-        validation: tuple[Trajectory, ...] = (),  # noqa: ARG002  for specifications that choose by a record
+        model: Any,
+        balls: Balls,
+        validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
         start_up_samples: int = 0,  # noqa: ARG002
+        trials: Trajectories = (),  # noqa: ARG002
     ) -> Design:
-        """Both parts, independently: `input_ball` holds the Jacobians of S_u, `output_ball` those of S_y."""
-        return Design(
-            state_feedback=self.state_feedback(model.linear, input_ball),
-            observer=self.observer(model.linear, output_ball),
-        )
+        """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
+        system = getattr(model, "system", model.linear)
+        feedback, observer = self.state_feedback(system, balls.input), self.observer(system, balls.output)
+        return Design(state_feedback=feedback, observer=observer)
 
-    def state_feedback(self, linear: StateSpace, ball: JacobianBall) -> StateFeedback | Infeasible:
-        """Theorem 1 for `x+ = A x + B S_u(u)`."""
-        request = self._request(CONTROLLER, self.rate_controller, ball, controller_frontier(linear, ball))
-        return request.refused() or self._searched(request, self.controller_problem(linear, ball))  # type: ignore[return-value]
+    def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
+        """Theorem 1 for `x+ = A x + B S_u(u)`, or its like with neurons."""
+        structured = isinstance(system, StructuredSystem)
+        return self._certified(StructuredStateFeedback if structured else self.feedback_theorem, system, ball)
 
-    def observer(self, linear: StateSpace, ball: JacobianBall) -> Observer | Infeasible:
+    def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
         """Theorem 2 for `y = S_y(C x + D S_u(u))`: Theorem 1 for `(A^T, C^T)`, transposed and verified as itself."""
-        request = self._request(OBSERVER, self.rate_observer, ball, observer_frontier(linear, ball))
-        return request.refused() or self._searched(request, self.observer_problem(linear, ball))  # type: ignore[return-value]
+        structured = isinstance(system, StructuredSystem)
+        return self._certified(StructuredObserver if structured else self.observer_theorem, system, ball)
 
-    def controller_problem(self, linear: StateSpace, ball: JacobianBall) -> Problem:
-        weight = self.output_weight * linear.c.T @ linear.c + self.state_weight * np.eye(linear.order)
-        return Problem(
-            a=linear.a,
-            b=linear.b,
-            ball=ball,
-            rate=self.rate_controller,
-            state_weight=weight,
-            input_weight=self.input_weight,
-        )
-
-    def observer_problem(self, linear: StateSpace, ball: JacobianBall) -> Problem:
-        weight = self.input_noise * linear.b @ linear.b.T + self.state_noise * np.eye(linear.order)
-        return Problem(
-            a=np.ascontiguousarray(linear.a.T),
-            b=np.ascontiguousarray(linear.c.T),
-            ball=ball,
-            rate=self.rate_observer,
-            state_weight=weight,
-            input_weight=self.output_noise,
-        )
-
-    def _request(self, side: str, rate: float, ball: JacobianBall, frontier: Frontier) -> Request:
+    def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
+        rate = self.rate_observer if theorem.observes else self.rate_controller
+        limit = controller_frontier(dual(system) if theorem.observes else system, ball)
         started = time.perf_counter()
-        return Request(side=side, rate=rate, ball=ball, frontier=frontier, method=self.method, started=started)
+        request = Request(theorem=theorem, rate=rate, ball=ball, frontier=limit, method=self.method, started=started)
+        if refused := request.refused():
+            return refused
+        problem = self.problem(system, ball, theorem.observes)
+        return request.first_certified(problem, self.attempts(problem, limit))
 
-    def _searched(self, request: Request, problem: Problem) -> StateFeedback | Observer | Infeasible:
-        return request.first_certified(problem, self.attempts(problem, request.frontier))
+    def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
+        """What is solved for the controller; `observes`: for the observer, of the dual system."""
+        weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
+        if observes:
+            weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
+            system = dual(system)
+        on_output, on_state, on_input, rate = weights
+        weight = on_output * system.c.T @ system.c + on_state * np.eye(system.order)  # of |C x|^2, and of x itself
+        data: Any = {"a": system.a, "b": system.b, "neurons": Neurons.of(system, observes)}
+        return Problem(**data, ball=ball, rate=rate, state_weight=weight, input_weight=on_input)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate with room."""
         r, floor = problem.contraction, max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
-        return [partial(self.solve, replace(problem, rate=rate)) for rate in rates]
+        return [partial(self.solve, problem.at(rate)) for rate in rates]

@@ -9,17 +9,19 @@ statement for `(A^T, C^T)`. Derivation: docs/theory.md; cf. Elia & Mitter 2001, 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, StateSpace, System
 
-# A mode counts as out of the input's reach when its left eigenvector meets B at less than this share of ||B||:
+# A mode counts as out of the input's reach when its left eigenvector meets B at less than this share of `||B||`:
 # eigenvectors of a well-conditioned matrix are accurate to about 1e-14.
 REACH_FLOOR = 1e-12
 # Eigenvalues closer than this share of the largest are treated as repeated (a defective pair splits by 1e-8).
 REPEATED = 1e-7
+# A mode this near to the circle `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`, and has an infinite metric.
+ON_CIRCLE = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,29 +40,27 @@ class Frontier:
         return 1 - self.contraction_limit**2
 
 
-def controller_frontier(linear: StateSpace, ball: JacobianBall) -> Frontier:
-    """The frontier of Theorem 1 for `x+ = A x + B S_u(u)`. Raises `BadRequest` for matrices that are not finite."""
-    return frontier(linear.a, linear.b, ball)
+def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
+    """The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual system's (`problem.dual`).
 
-
-def observer_frontier(linear: StateSpace, ball: JacobianBall) -> Frontier:
-    """The frontier of Theorem 2: that of the dual pair `(A^T, C^T)`."""
-    return frontier(linear.a.T, linear.c.T, ball)
-
-
-def rate_limit(linear: StateSpace, input_ball: JacobianBall, output_ball: JacobianBall) -> tuple[float, float]:
-    """The largest certifiable rates of controller and observer."""
-    controller, observer = controller_frontier(linear, input_ball), observer_frontier(linear, output_ball)
-    return controller.rate_limit, observer.rate_limit
+    With neurons it is the worst over frozen slopes, which no certificate goes beyond and few attain. Raises
+    `BadRequest` for matrices that are not finite.
+    """
+    if isinstance(system, StateSpace):
+        return frontier(system.a, system.b, ball)
+    frozen = (system.at_slopes(slopes) for slopes in system.corners())  # each neuron at slope zero or one
+    found = (frontier(one.a, one.b, ball) for one in frozen)
+    return max(found, key=lambda one: one.contraction_limit)
 
 
 def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall) -> Frontier:
-    """Infimum of the `r` at which `beta/|alpha| < ratio_limit(a, b, r)`.
+    """Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
     A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the input does not reach
     keep theirs. In between several inputs need a scalar search within closed-form brackets, which meet for one input.
     """
-    _require_finite(a, b)
+    for label, matrix in (("a", a), ("b", b)):
+        require(bool(np.isfinite(matrix).all()), label, "NaN or infinity", "not finite", "identify the model again")
     moduli = np.sort(np.abs(np.linalg.eigvals(a)))[::-1]
     if ball.relative_radius >= 1 or not b.any():
         return Frontier(contraction_limit=float(moduli[0]), decided_by="the open loop")
@@ -68,23 +68,12 @@ def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: Jac
     product = _product_limit(moduli, ball.relative_radius)
     if unreached >= product:
         return Frontier(contraction_limit=unreached, decided_by="a mode out of reach")
-    lowest = max(unreached, _product_limit(moduli, ball.relative_radius ** b.shape[1]))
-    limit = _search(a, b, ball.relative_radius, lowest, product)
-    return Frontier(contraction_limit=limit, decided_by="the slopes" if limit > unreached else "a mode out of reach")
-
-
-def ratio_limit(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
-    """The supremum of `beta/|alpha|` at which Theorem 1 is feasible with `r = contraction`; 0 if no ball at all is.
-
-    For one input `prod r/|lambda_i|` over `|lambda_i| > r`; for several `1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
-    """
-    _require_finite(a, b)
-    if b.any() and unreached_modulus(a, b) >= contraction:
-        return 0.0
-    if b.shape[1] == 1:
-        moduli = np.abs(np.linalg.eigvals(a))
-        return float(np.prod(contraction / np.maximum(moduli, contraction)))
-    return float(1 / np.sqrt(1 + _largest_energy(a, b, contraction)))
+    high, least = product, _product_limit(moduli, ball.relative_radius ** b.shape[1])
+    low = max(unreached, least, np.finfo(float).tiny)
+    while low < (middle := float(np.sqrt(low * high))) < high:  # the largest ball grows with r: until doubles run out
+        feasible = 1 / np.sqrt(1 + largest_energy(a, b, middle)) > ball.relative_radius
+        low, high = (low, middle) if feasible else (middle, high)
+    return Frontier(contraction_limit=high, decided_by="the slopes" if high > unreached else "a mode out of reach")
 
 
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
@@ -92,7 +81,7 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
 
     A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]` decides.
     """
-    values, left = np.linalg.eig(a.T)
+    values, left = np.linalg.eig(a.T)  # columns are left eigenvectors of A
     reach = np.linalg.norm(left.T @ b, axis=1) / max(np.linalg.norm(b, 2), np.finfo(float).tiny)
     distances = np.abs(values[:, None] - values) + np.diag(np.full(len(values), np.inf))
     for i in np.flatnonzero(distances.min(axis=1) < REPEATED * np.abs(values).max()):
@@ -101,24 +90,16 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
     return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
 
 
-@dataclass(frozen=True, kw_only=True)
-class FastPart:
-    """The modes with `|lambda| > r`: `z = basis^T x`, `z+ = a z + b u`: a left invariant subspace."""
+def fast_part(
+    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
+) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "k k"], Float[np.ndarray, "k m"]]:
+    """`basis, a, b` of `z = basis^T x`, `z+ = a z + b u`, the modes with `|lambda| > r`: a left invariant subspace.
 
-    basis: Float[np.ndarray, "n k"]
-    a: Float[np.ndarray, "k k"]
-    b: Float[np.ndarray, "k m"]
-
-    @property
-    def order(self) -> int:
-        return len(self.a)
-
-
-def fast_part(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> FastPart:
-    """Ordered real Schur form of `A^T`: orthogonal coordinates, so no eigenvector basis is ever inverted."""
-    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction)
-    basis = z[:, :order]
-    return FastPart(basis=basis, a=t[:order, :order].T, b=basis.T @ b)
+    Ordered real Schur form of `A^T`: orthogonal coordinates, so no eigenvector basis is ever inverted.
+    """
+    edge = contraction * (1 + ON_CIRCLE)
+    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge)
+    return z[:, :order], t[:order, :order].T, z[:, :order].T @ b
 
 
 def minimum_energy(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k k"]:
@@ -126,18 +107,18 @@ def minimum_energy(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> 
 
     With no weight on the state the Riccati equation is a Lyapunov equation in the inverse.
     """
-    inverse = np.linalg.inv(a)
+    inverse = np.linalg.inv(a)  # stable, for all modes of A are outside the circle
     w = scipy.linalg.solve_discrete_lyapunov(inverse, inverse @ b @ b.T @ inverse.T)
     return (w + w.T) / 2
 
 
-def _largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
+def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
     """`lambda_max(Bh^T S Bh)`, 0 when no mode is faster than `r` asks for."""
-    part = fast_part(a, b, contraction)
-    if part.order == 0:
+    _, fast_a, fast_b = fast_part(a, b, contraction)
+    if not len(fast_a):
         return 0.0
-    bh = part.b / contraction
-    w = minimum_energy(part.a / contraction, bh)
+    bh = fast_b / contraction
+    w = minimum_energy(fast_a / contraction, bh)
     return float(np.linalg.eigvalsh(bh.T @ np.linalg.solve(w, bh))[-1])
 
 
@@ -150,17 +131,3 @@ def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
     with np.errstate(divide="ignore"):
         logs = (np.log(ratio) + np.cumsum(np.log(moduli))) / np.arange(1, len(moduli) + 1)
     return float(min(np.exp(logs.max()), moduli[0]))
-
-
-def _search(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ratio: float, low: float, high: float) -> float:
-    """Bisection on `r` until doubles are exhausted: `ratio_limit` grows with `r`."""
-    low = max(low, np.finfo(float).tiny)
-    while low < (middle := float(np.sqrt(low * high))) < high:
-        feasible = 1 / np.sqrt(1 + _largest_energy(a, b, middle)) > ratio
-        low, high = (low, middle) if feasible else (middle, high)
-    return high
-
-
-def _require_finite(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> None:
-    for label, matrix in (("a", a), ("b", b)):
-        require(bool(np.isfinite(matrix).all()), label, "NaN or infinity", "not finite", "identify the model again")

@@ -1,28 +1,30 @@
 """[Z26] Theorems 1 and 2 as the paper states them: linear matrix inequalities, through CVXPY.
 
 Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves without compiling. The
-solver's status is kept as information: inside the frontier its "infeasible" is often false (docs/theory.md), and the
-verdict on what it returns is exact arithmetic's.
+solver's status is information: inside the frontier its "infeasible" is often false (docs/theory.md), and the verdict on
+what it returns is exact arithmetic's.
 """
 
+import time
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, TypeVar
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import cvxpy as cp
 import numpy as np
-import scipy.linalg
+import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import require
-from ssm_study.synthesis.certificate import Infeasible, Observer, StateFeedback
-from ssm_study.synthesis.design import Synthesis
+from ssm_study.refusal import BadRequest, one_of
+from ssm_study.synthesis.certificate import Side
+from ssm_study.synthesis.design import Request, Synthesis
+from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.systems import JacobianBall, StateSpace
-
-Part = TypeVar("Part", bound=StateFeedback | Observer | Infeasible)
+from ssm_study.synthesis.theorem import Blocks, full
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import JacobianBall, StateSpace, System
 
 OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost", "largest_rate")
 LARGEST_RATE_STEPS = 12  # halvings between the asked rate and the frontier: the rate to 1/4096 of that interval
@@ -35,13 +37,15 @@ SOLVERS: dict[str, dict[str, Any]] = {
 # The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its strictness by this.
 STRICTNESS = 1e-6
 
+Goal = tuple[cp.Expression, list[cp.Constraint]]
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledLmi:
     """Theorem 1 for one pair `(a, b)`, ready to be solved at any rate and ball.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights matter for
-    `guaranteed_cost` only.
+    `guaranteed_cost` only, whose cost is that of the Riccati route.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -55,114 +59,81 @@ class CompiledLmi:
 
     def __post_init__(self) -> None:
         n, m = self.b.shape
-        p = cp.Variable((n, n), symmetric=True)
-        parts = {
-            "p": p,
-            "y": cp.Variable((n, n)) if self.full else p,
-            "x": cp.Variable((m, n)),
-            "sigma": cp.Variable(nonneg=True),
-            "r2": cp.Parameter(nonneg=True),
-            "alpha": cp.Parameter(),
-            "beta": cp.Parameter(nonneg=True),
-        }
+        p, x = cp.Variable((n, n), symmetric=True), cp.Variable((m, n))
+        y = cp.Variable((n, n)) if self.full else p
+        parts: dict[str, Any] = {"p": p, "y": y, "x": x, "sigma": cp.Variable(nonneg=True)}
+        parts |= {"rate": cp.Parameter(), "alpha": cp.Parameter(), "beta": cp.Parameter(nonneg=True)}
+        upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=self.a, b=self.b, **parts))
+        if self.objective == "smallest_gain":
+            goal, constraints = _smallest_gain(upper, p, y, x)
+        else:
+            root = np.real(scipy.linalg.sqrtm(self.state_weight))
+            goal, constraints = aim(self.objective, upper, p, 1, [root @ y, np.sqrt(self.input_weight) * x])
         object.__setattr__(self, "parts", parts)
-        goal, constraints = getattr(self, f"_{self.objective}")()
         object.__setattr__(self, "problem", cp.Problem(cp.Minimize(goal), constraints))
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
         """Raises `NoSolution` with the solver's status when it returns no matrices."""
         parts = self.parts
-        parts["r2"].value = 1 - problem.rate
+        parts["rate"].value = problem.rate
         parts["alpha"].value, parts["beta"].value = problem.ball.alpha, problem.ball.beta
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # "may be inaccurate": the exact verdict says whether it matters
-                self.problem.solve(solver=solver, **SOLVERS[solver])
-        except (cp.error.SolverError, ArithmeticError, ValueError) as error:
-            raise NoSolution(f"{solver.lower()}: {error}") from error
-        status = f"{solver.lower()}: {self.problem.status}"
-        if parts["x"].value is None:
-            raise NoSolution(status)
-        p, y = parts["p"].value, parts["y"].value
-        p = (p + p.T) / 2
-        y = y if self.full else p
+        status = solved(self.problem, solver)
+        p = (parts["p"].value + parts["p"].value.T) / 2
+        y = parts["y"].value if self.full else p
         try:
             k = np.linalg.solve(y.T, parts["x"].value.T).T
         except np.linalg.LinAlgError as error:
             raise NoSolution(f"{status}, singular Y") from error
         return Solution(p=p, y=y, k=k, sigma=float(parts["sigma"].value), status=status)
 
-    def _theorem(self, extra: list[cp.Expression]) -> cp.Expression:
-        """The block matrix, with `extra` performance rows coupled to the middle block."""
-        n, m = self.b.shape
-        p, y, x, sigma = (self.parts[name] for name in ("p", "y", "x", "sigma"))
-        r2, alpha, beta = (self.parts[name] for name in ("r2", "alpha", "beta"))
-        sizes = [e.shape[0] for e in extra]
-        rows = [
-            [r2 * p - sigma * (self.b @ self.b.T), self.a @ y + alpha * (self.b @ x), np.zeros((n, m))],
-            [(self.a @ y + alpha * (self.b @ x)).T, y + y.T - p, beta * x.T],
-            [np.zeros((m, n)), beta * x, sigma * np.eye(m)],
-        ]
-        for row, height in zip(rows, (n, n, m), strict=True):
-            row += [e.T if row is rows[1] else np.zeros((height, s)) for e, s in zip(extra, sizes, strict=True)]
-        for i, (e, size) in enumerate(zip(extra, sizes, strict=True)):
-            tail = [np.eye(size) if i == j else np.zeros((size, s)) for j, s in enumerate(sizes)]
-            rows.append([np.zeros((size, n)), e, np.zeros((size, m)), *tail])
-        return cp.bmat(rows)
 
-    def _strict(self, matrix: cp.Expression) -> cp.Constraint:
-        return matrix >> STRICTNESS * _identity_beside(matrix)
+def aim(objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]) -> Goal:
+    """Goal and constraints of an inequality with this upper triangle, linear in P and other unknowns.
 
-    def _feasibility(self) -> tuple[cp.Expression, list[cp.Constraint]]:
-        """Any solution: what the bare theorem asks for."""
-        matrix = self._theorem([])
-        return cp.Constant(0), [matrix >> _identity_beside(matrix)]
-
-    def _largest_margin(self) -> tuple[cp.Expression, list[cp.Constraint]]:
-        """`max t` with the block matrix `>= t I` at fixed trace: the solution deepest inside."""
-        matrix, t = self._theorem([]), cp.Variable()
-        identity = _identity_beside(matrix)
-        return -t, [matrix >> t * identity, cp.trace(matrix) == np.trace(identity)]
-
-    def _smallest_gain(self) -> tuple[cp.Expression, list[cp.Constraint]]:
-        """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
-        n, m = self.b.shape
-        p, y, x = (self.parts[name] for name in ("p", "y", "x"))
-        g = cp.Variable(nonneg=True)
-        bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(m)]])
-        return g, [self._strict(self._theorem([])), p >> np.eye(n), bound >> 0]
-
-    def _guaranteed_cost(self) -> tuple[cp.Expression, list[cp.Constraint]]:
-        """`min trace(Z)`, `Z >= P^{-1}`, with rows `Q^(1/2) Y` and `R^(1/2) X`: the cost of the Riccati route."""
-        n, _ = self.b.shape
-        p, y, x = (self.parts[name] for name in ("p", "y", "x"))
-        root = np.real(scipy.linalg.sqrtm(self.state_weight))
-        z = cp.Variable((n, n), symmetric=True)
-        matrix = self._theorem([root @ y, np.sqrt(self.input_weight) * x])
-        return cp.trace(z), [matrix >> 0, cp.bmat([[z, np.eye(n)], [np.eye(n), p]]) >> 0]
+    `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace, deepest inside.
+    `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance` coupled to block `at`.
+    Source: [Z26]; THEORY section 6.
+    """
+    if objective != "guaranteed_cost":
+        matrix, t = cp.bmat(full(upper)), cp.Variable()
+        one = np.eye(matrix.shape[0])
+        if objective == "feasibility":
+            return cp.Constant(0), [matrix >> one]
+        return -t, [matrix >> t * one, cp.trace(matrix) == len(one)]
+    zeros: list[Any] = [0] * len(performance)
+    bordered = [[*row, *zeros] for row in upper]
+    bordered[at][-len(zeros) :] = [rows.T for rows in performance]
+    bordered += [[np.eye(rows.shape[0]), *zeros[i + 1 :]] for i, rows in enumerate(performance)]
+    one, z = np.eye(p.shape[0]), cp.Variable(p.shape, symmetric=True)
+    return cp.trace(z), [cp.bmat(full(bordered)) >> 0, cp.bmat([[z, one], [one, p]]) >> 0]
 
 
-def _identity_beside(matrix: cp.Expression) -> Float[np.ndarray, "s s"]:
-    size, _ = matrix.shape
-    return np.eye(size)
+def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
+    """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
+    matrix, g = cp.bmat(full(upper)), cp.Variable(nonneg=True)
+    bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
+    return g, [matrix >> STRICTNESS * np.eye(matrix.shape[0]), p >> np.eye(p.shape[0]), bound >> 0]
 
 
-def compiled(problem: Problem, objective: str, full: bool) -> CompiledLmi:
-    """The compiled inequality for this pair, from a small cache."""
-    shape, weights = problem.b.shape, problem.state_weight if objective == "guaranteed_cost" else np.eye(len(problem.a))
-    key = (problem.a.tobytes(), problem.b.tobytes(), weights.tobytes())
-    return _compiled(shape, key, objective, full, problem.input_weight)
+def solved(program: cp.Problem, solver: str) -> str:
+    """Solve in place; the status, as information. Raises `NoSolution` when the solver returns no matrices."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the exact verdict says whether it matters
+            program.solve(solver=solver, **SOLVERS[solver])
+    except (cp.error.SolverError, ArithmeticError, ValueError) as error:
+        raise NoSolution(f"{solver.lower()}: {error}") from error
+    status = f"{solver.lower()}: {program.status}"
+    if any(variable.value is None for variable in program.variables()):
+        raise NoSolution(status)
+    return status
 
 
 @lru_cache(maxsize=4)
-def _compiled(
-    shape: tuple[int, int], key: tuple[bytes, bytes, bytes], objective: str, full: bool, input_weight: float
-) -> CompiledLmi:
-    n, m = shape
-    a, b, weight = (np.frombuffer(part).reshape(n, -1) for part in key)
-    return CompiledLmi(
-        a=a, b=b.reshape(n, m), objective=objective, full=full, state_weight=weight, input_weight=input_weight
-    )
+def _compiled(pair: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float) -> Any:
+    a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in pair)
+    weights = {"state_weight": weight, "input_weight": input_weight}
+    return CompiledLmi(a=a, b=b, objective=objective, full=full, **weights)  # type: ignore[arg-type]  # two kinds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,33 +152,57 @@ class LmiSynthesis(Synthesis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, choices in (("objective", OBJECTIVES), ("solver", tuple(SOLVERS))):
-            value = getattr(self, name)
-            require(value in choices, f"synthesis.{name}", value, "unknown", f"use one of {', '.join(choices)}")
+        one_of(OBJECTIVES, "synthesis.objective", self.objective)
+        one_of(SOLVERS, "synthesis.solver", self.solver)
 
-    def state_feedback(self, linear: StateSpace, ball: JacobianBall) -> StateFeedback | Infeasible:
+    def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
         if self.objective != "largest_rate":
-            return super().state_feedback(linear, ball)
-        return _largest(lambda rate: self._at(rate_controller=rate).state_feedback(linear, ball), self.rate_controller)
+            return super()._certified(theorem, system, ball)
+        name = "rate_observer" if theorem.observes else "rate_controller"
 
-    def observer(self, linear: StateSpace, ball: JacobianBall) -> Observer | Infeasible:
-        if self.objective != "largest_rate":
-            return super().observer(linear, ball)
-        return _largest(lambda rate: self._at(rate_observer=rate).observer(linear, ball), self.rate_observer)
+        def certify(rate: float) -> Any:
+            asked: Any = {name: rate, "objective": "largest_margin"}
+            return replace(self, **asked)._certified(theorem, system, ball)
 
-    def _at(self, **rate: float) -> "LmiSynthesis":
-        return replace(self, objective="largest_margin", **rate)  # type: ignore[arg-type]  # the two rate fields only
+        best = certify(low := getattr(self, name))  # what the floor gives, if that is not certified
+        high = best.rate_limit
+        for _ in range(LARGEST_RATE_STEPS if best.certified else 0):
+            middle = (low + high) / 2
+            found = certify(middle)
+            best, low, high = (found, middle, high) if found.certified else (best, low, middle)
+        return best
 
     def solve(self, problem: Problem) -> Solution:
-        return compiled(problem, self.objective, self.full).solve(problem, self.solver)
+        if problem.neurons is None:
+            one = np.eye(len(problem.a))
+            weight = problem.state_weight if self.objective == "guaranteed_cost" else one
+            pair = (problem.a.tobytes(), problem.b.tobytes(), weight.tobytes())
+            compiled = _compiled(pair, len(one), self.objective, self.full, problem.input_weight)
+            return compiled.solve(problem, self.solver)
+        from ssm_study.synthesis.structured_lmi import StructuredLmi  # which solves by this module
+
+        objective = "guaranteed_cost" if self.objective == "smallest_gain" else self.objective
+        return StructuredLmi(problem=problem, objective=objective).solve(problem.rate, self.solver)
 
 
-def _largest(certify: Callable[[float], Part], floor: float) -> Part:
-    """The last certified part of a bisection on the rate; what the floor gives, if that is not certified."""
-    best = certify(floor)
-    low, high = floor, best.rate_limit
-    for _ in range(LARGEST_RATE_STEPS if best.certified else 0):
-        middle = (low + high) / 2
-        found = certify(middle)
-        best, low, high = (found, middle, high) if found.certified else (best, low, middle)
-    return best
+def paper_lmi(
+    linear: StateSpace,
+    ball: JacobianBall,
+    rate: float,
+    theorem: type[Side] = StateFeedbackOfBall,
+    solver: str = "CLARABEL",
+) -> Any:
+    """[Z26] Theorem 1 (2) as printed: all its unknowns (P, Y, X, sigma), any solution with the block matrix `>= I`.
+
+    One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for every record. A
+    certificate, certified or not; `Infeasible` without matrices.
+    """
+    rates = {"rate_controller": rate, "rate_observer": rate}
+    method, started = LmiSynthesis(**rates, objective="feasibility", full=True, solver=solver), time.perf_counter()
+    limit = Frontier(contraction_limit=0.0, decided_by="not asked")
+    request = Request(theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started)
+    try:
+        problem = method.problem(linear, ball, theorem.observes)
+        return request.verified(problem, method.solve(problem))
+    except (NoSolution, BadRequest) as nothing:
+        return request.nothing("the solver returned no matrices", str(nothing))

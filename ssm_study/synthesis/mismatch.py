@@ -1,129 +1,285 @@
-"""Will a certified design keep the plant? What its loop tolerates, against the mismatch in the validation record.
+"""How far a plant is from its model, as its records show it: `e = y - y_model`, at each amplitude, noise removed.
 
-Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue` (`synthesis.sensitivity`).
-By the small-gain theorem it survives any mismatch `u -> e` of gain below `1 / ||T_ue||_inf`. Two estimates of that
-gain, both from the validation record alone:
+A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows of `e` holds where
+it has been, so there is one `View` for each amplitude. Within a view
 
-    in total        g = ||e||_2 / ||u||_2,                margin           = 1 / (g max_w sigma_max(T_ue(w)))
-    by frequency    g(w) = sqrt(S_e(w) / S_u(w)),         resolved margin  = 1 / max_w g(w) sigma_max(T_ue(w))
+    in total        g    = ||e||_2 / ||u||_2
+    by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands in for it
+    split           e    = Q y_model + r,   Q = S_(e, y_model) / S_(y_model),   g_r(w) = sqrt(S_r(w) / S_u(w))
 
-The total gain is an average over frequencies: a resonance that the model misses hides in it. And no record that keeps
-the plant moving shows what friction or saturation do to a loop at rest: there the plant holds still and the controller
-runs alone, so it must be stable by itself (`controller_radius` below one). A design is predicted to keep the plant when
-its resolved margin exceeds one and its controller is stable. A predictor, not a certificate.
-Source: THEORY section 5 for the margin in total; docs/closed_loop.md for what was measured of the rest.
+Q is linear in what the model says (a gain that differs at this amplitude, a lag: -1 where the plant holds still), and
+the loop answers it with a phase; r is distortion and whatever else is not linear, and counts by size alone. So nothing
+is hidden, as it would be by the cross spectrum alone.
+
+Sensor noise is removed only where it is measured by itself: where an input repeats, what does not repeat is noise (or
+motion of the plant's own, which shows at rest). A record at rest input that does not come to rest is a mismatch of
+infinite gain. Where no input repeats, noise counts as mismatch.
+
+In a closed loop `u = T_ue e` whatever e is: noise and the start alone show g = 1 / |T_ue|, the very gain that the loop
+just fails to tolerate. So a trial in closed loop counts only if its output does not come to rest (`MOVING`), and of e
+only what neither the initial state nor the noise explains: the gain that sustains a limit cycle. Source: THEORY
+sections 5 and 7.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
-from jaxtyping import Float
+import scipy
+from jaxtyping import Complex, Float
 
-from ssm_study.models.free_run import free_run
-from ssm_study.models.identified import SSM
+from ssm_study.models.metrics import free_run
+from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sensitivity import controller_radius, sensitivity_peak, weighted_peak
-from ssm_study.systems import JacobianBall
+from ssm_study.signals import Trajectories, Trajectory, repetition
+from ssm_study.synthesis.spectra import ANGLES, banded, bands_of, divided, power, welch
 
-SEGMENT = 64
-"""Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in 4,000 samples."""
+# A band with less than this share of the input's mean power is not excited: g is measured there, and uncertain.
 EXCITED = 0.01
-"""Bands with less than this share of the input's mean power say nothing of the mismatch; there `g` stands in."""
+# Standard errors by which a record below the largest amplitude must exceed what noise leaves of it: of more than a
+# hundred bands the largest counts.
+SURE = 3.0
+AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
+IN_LOOP = (1 / 3, 300)  # share, and most samples, of a trial in closed loop that only tell its initial state
+MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
+NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
+QUIET = 0.25  # quantile of the bands of e that is taken for white noise in a closed loop where no record measured it
+BLOCKS = 8  # pieces of the largest record, among which the gain's spread is taken
+Spectra = tuple[Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What the records of one amplitude show, scaled units, at `ANGLES`: see the module for `linear` (Q) and `rest`.
+
+    `amplitude` is the input's rms; `response` the output's power over the model's, one where they agree, zero where the
+    plant holds still.
+    """
+
+    amplitude: float
+    gain: float
+    by_frequency: Float[np.ndarray, "F"]
+    linear: Complex[np.ndarray, "F"]
+    rest: Float[np.ndarray, "F"]
+    response: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """What a validation record shows of `y - y_model` per input, in scaled units.
+    """All views, the smallest amplitude first. `spread`: standard deviation of `ln g` over blocks of the largest.
 
-    `gain` in total; `by_frequency (F,)` at `angles (F,)`, radians per sample, from 0 to pi.
+    `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None without such a
+    record. `unexcited`: bands without input power in the largest record. `loop`: what trials in closed loop show.
     """
 
-    gain: float
-    angles: Float[np.ndarray, "F"]
-    by_frequency: Float[np.ndarray, "F"]
+    views: tuple[View, ...]
+    loop: View | None = None
+    spread: float = 0.0
+    left_at_rest: float | None = None
+    unexcited: tuple[float, ...] = ()
+
+    @classmethod
+    def flat(cls, by_frequency: Float[np.ndarray, "F"], gain: float) -> "Mismatch":
+        """One view of which only sizes are known."""
+        none = np.zeros(len(ANGLES), dtype=complex)
+        return cls(views=(View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency),))
+
+    @property
+    def gain(self) -> float:
+        return self.views[-1].gain
+
+    @property
+    def rests(self) -> bool:
+        return self.left_at_rest is None or self.left_at_rest < AT_REST
+
+    @property
+    def seen(self) -> float:
+        """The largest gain of any record: from below, what the incremental gain of the mismatch is."""
+        return max(view.gain for view in self.everywhere) if self.rests else float("inf")
+
+    @property
+    def everywhere(self) -> tuple[View, ...]:
+        """The views, and what the trials in closed loop show."""
+        return self.views if self.loop is None else (*self.views, self.loop)
+
+    @property
+    def by_frequency(self) -> Float[np.ndarray, "F"]:
+        """`g(w)` at the largest amplitude, or in closed loop."""
+        largest = self.views[-1].by_frequency
+        return largest if self.loop is None else np.maximum(largest, self.loop.by_frequency)
 
     def at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-        """`g(w)`, linear between the bands."""
-        return np.interp(angles, self.angles, self.by_frequency)
+        """`g(w)` of `by_frequency`, linear between the bands."""
+        return np.interp(angles, ANGLES, self.by_frequency)
+
+
+def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()) -> Mismatch:
+    """`e = y - y_model` in free run, scaled: of the `trials` where there are any, else of the validation records.
+
+    With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do not count. Raises
+    `BadRequest` without a record that moves the input.
+    """
+    trial_runs = [_Errors.of(model, trial, unscored(trial, start_up_samples)) for trial in trials if trial.closed_loop]
+    loops = [one for one in trial_runs if one.u.any() and swing(one.e + one.model) > MOVING]
+    opened = [*validation, *(trial for trial in trials if not trial.closed_loop)]
+    measured = [_Errors.of(model, record, start_up_samples) for record in opened]
+    moving = [one for one in measured if one.u.any()]
+    problem = "the input never leaves its equilibrium, so no mismatch can be measured"
+    remedy = "give a validation record that excites the plant"
+    require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
+    periodic = [one for one in moving if one.period is not None]
+    noise = _noise(periodic) if periodic else None
+    views = [_once(moving)] if noise is None else _repeated(periodic, noise)
+    largest = max(periodic or moving, key=lambda one: float((one.u**2).mean()))
+    drive = welch([largest.u])
+    return Mismatch(
+        views=tuple(sorted(views, key=lambda view: view.amplitude)),
+        loop=_in_loop(loops, noise) if loops else None,
+        spread=largest.spread(),
+        left_at_rest=max((left(one.e + one.model) for one in measured if not one.u.any()), default=None),
+        unexcited=tuple(float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """What a pair of gains is expected to do on the plant."""
+class _Errors:
+    """One record: scaled input, the model's output, what it misses; `period` samples repeat from `start`, twice."""
 
-    margin: float
-    resolved_margin: float
-    controller_radius: float
+    u: Float[np.ndarray, "T m"]
+    model: Float[np.ndarray, "T p"]
+    e: Float[np.ndarray, "T p"]
+    start: int = 0
+    period: int | None = None
 
-    def keeps_the_plant(self, margin: float = 1.0) -> bool:
-        return self.resolved_margin > margin and self.controller_radius < 1
+    @classmethod
+    def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "_Errors":
+        simulated = free_run(model, record, start_up_samples)
+        found = repetition(record.u[start_up_samples:])
+        return cls(
+            u=model.scale.scaled_input(record.u)[start_up_samples:],
+            model=model.scale.scaled_output(simulated)[start_up_samples:],
+            e=((record.y - simulated) / model.scale.output_scale)[start_up_samples:],
+            start=found[0] if found else 0,
+            period=found[1] if found else None,
+        )
 
-    def columns(self) -> dict[str, float]:
-        """As every table names them (all -)."""
-        return {
-            "mismatch_margin": self.margin,
-            "resolved_margin": self.resolved_margin,
-            "controller_radius": self.controller_radius,
-        }
+    def spread(self) -> float:
+        """Standard deviation of `ln(||e|| / ||u||)` over `BLOCKS` pieces."""
+        pieces = zip(np.array_split(self.e, BLOCKS), np.array_split(self.u, BLOCKS), strict=True)
+        ratios = [float((e**2).sum() / (u**2).sum()) for e, u in pieces if np.any(u) and np.any(e)]
+        return 0.5 * float(np.std(np.log(ratios))) if len(ratios) > 1 else 0.0  # half: of g, not of g^2
 
-
-def predict(
-    model: SSM,
-    k: Float[np.ndarray, "m s"],
-    l: Float[np.ndarray, "n p"],  # noqa: E741 - the paper's letter
-    input_ball: JacobianBall,
-    output_ball: JacobianBall,
-    shown: Mismatch,
-) -> Prediction:
-    """Margins of one controller and observer: 0 if the loop is unstable at a slope, infinite without any mismatch."""
-    peak = sensitivity_peak(model.linear, k, l, input_ball, output_ball)
-    weighted = weighted_peak(model.linear, k, l, input_ball, output_ball, shown.at)
-    return Prediction(
-        margin=_inverse(shown.gain, peak),
-        resolved_margin=_inverse(1.0, weighted),
-        controller_radius=float(controller_radius(model.linear, k[None], l[None], input_ball, output_ball)[0]),
-    )
+    def spectra(self) -> Spectra:
+        """Fourier transforms of both periods of e, and of input and model over the second."""
+        assert self.period is not None
+        first, second = (slice(self.start + k * self.period, self.start + (k + 1) * self.period) for k in (0, 1))
+        both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
+        return both, np.fft.rfft(self.u[second], axis=0), np.fft.rfft(self.model[second], axis=0)
 
 
-def mismatch(model: SSM, validation: tuple[Trajectory, ...], start_up_samples: int = 0) -> Mismatch:
-    """`e = y - y_model` in free run over all validation records, in total and by frequency, in scaled units.
+def left(y: Float[np.ndarray, "T p"]) -> float:
+    """What is left of an output in the last quarter of its record at rest input: offset or swing, noise removed."""
+    tail, noise = _tail(y)
+    offset = np.maximum(np.abs(tail.mean(axis=0)) - SURE * np.sqrt(noise / len(tail)), 0.0)
+    return max(float(offset.max()), swing(y))
 
-    With `start_up_samples` the initial state is estimated from them (`models.free_run`), and they do not count.
-    Measurement noise in the record counts as mismatch. Raises `BadRequest` without a record that moves the input.
+
+def swing(y: Float[np.ndarray, "T p"]) -> float:
+    """The amplitude of the output's motion there."""
+    tail, noise = _tail(y)
+    return float(np.sqrt(2 * np.maximum(tail.var(axis=0) - (1 + SURE * np.sqrt(8 / len(tail))) * noise, 0.0)).max())
+
+
+def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
+    """The output there, and the variance of its noise: the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
+
+    A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a loop has fed back and
+    coloured is broad, and does. The relative variance is about 6/T, that of the output's own 2/T.
     """
-    errors, drives = [], []
-    for record in validation:
-        missed = (record.y - free_run(model, record, start_up_samples)) / model.output_scale
-        errors.append(missed[start_up_samples:])
-        drives.append(((record.u - model.input_equilibrium) / model.input_scale)[start_up_samples:])
-    error, drive = (float(sum((part**2).sum() for part in parts)) for parts in (errors, drives))
-    require(
-        drive > 0,
-        "validation",
-        f"{len(validation)} record(s)",
-        "the input never leaves its equilibrium, so no mismatch can be measured",
-        "give a validation record that excites the plant",
-    )
-    gain = float(np.sqrt(error / drive))
-    segment = min(SEGMENT, *(len(part) for part in drives))
-    power_u, power_e = _power(drives, segment), _power(errors, segment)
-    excited = power_u > EXCITED * power_u.mean()
-    resolved = np.sqrt(np.divide(power_e, power_u, out=np.full_like(power_u, gain**2), where=excited))
-    return Mismatch(gain=gain, angles=np.linspace(0, np.pi, len(power_u)), by_frequency=resolved)
+    tail = y[-max(len(y) // 4, 8) :]
+    lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][1:-1]
+    return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(axis=0) / 2 / np.log(2)
 
 
-def _power(signals: list[Float[np.ndarray, "T c"]], segment: int) -> Float[np.ndarray, "F"]:
-    """Welch's power density, summed over channels and records (each by its length), at equal steps from 0 to pi."""
-    even = segment - segment % 2
-    return sum(
-        len(signal) * scipy.signal.welch(signal, nperseg=max(even, 2), detrend=False, axis=0)[1].sum(axis=1)
-        for signal in signals
-    )
+def _once(records: list[_Errors]) -> View:
+    """Records whose input does not repeat, taken together: noise counts as mismatch, and nothing is split off."""
+    error, drive = (float(sum((part**2).sum() for part in parts)) for parts in zip(*[(r.e, r.u) for r in records]))  # noqa: B905
+    power_u, power_e = welch([r.u for r in records]), welch([r.e for r in records])
+    bands = np.linspace(0, np.pi, len(power_u))
+    ratio = np.sqrt(np.divide(power_e, power_u, out=np.where(power_e > 0, np.inf, 0.0), where=power_u > 0))
+    return _sizes(records, np.interp(ANGLES, bands, ratio), float(np.sqrt(error / drive)))
 
 
-def _inverse(gain: float, peak: float) -> float:
-    if np.isinf(peak):
-        return 0.0
-    return float("inf") if gain * peak == 0.0 else 1.0 / (gain * peak)
+def _sizes(records: list[_Errors], resolved: Float[np.ndarray, "F"], gain: float) -> View:
+    """The view of records of which only sizes are known."""
+    amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
+    linear = np.zeros(len(ANGLES), dtype=complex)
+    return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
+
+
+def unscored(trial: Trajectory, start_up_samples: int) -> int:
+    """Samples at the beginning of a trial in closed loop that tell its initial state: a third, `IN_LOOP` at most."""
+    return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
+
+
+def _in_loop(records: list[_Errors], noise: Float[np.ndarray, "F"] | None) -> View:
+    """What trials in closed loop show: the largest of any, since a large swing would hide a small one in their mean."""
+    shown = [_swung(record, noise) for record in records]
+    return _sizes(records, np.max([resolved for resolved, _ in shown], axis=0), max(gain for _, gain in shown))
+
+
+def _swung(record: _Errors, noise: Float[np.ndarray, "F"] | None) -> tuple[Float[np.ndarray, "F"], float]:
+    """By frequency and in total: what exceeds the noise by `SURE` standard errors, over the input.
+
+    Where no record measured the noise it is taken for white, as strong as e in its quietest bands. Welch's average over
+    N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment (Hann's window, half overlapping); by frequency
+    the gain is raised by as many of them, since what a loop that failed shows must refute it.
+    """
+    power_u, power_e = welch([record.u]), welch([record.e])
+    bands, samples = np.linspace(0, np.pi, len(power_u)), len(record.u)
+    sides = np.where((bands > 0) & (bands < np.pi), 2.0, 1.0)  # Welch's density has one side
+    white = np.quantile(power_e[1:-1], QUIET) / 2
+    drawn = sides * (white if noise is None else samples * np.interp(bands, ANGLES, noise))
+    sure = 1 + SURE * np.sqrt(1.06 * len(power_u) / samples)
+    counted = np.maximum(power_e - sure * drawn, 0.0)
+    resolved = np.interp(ANGLES, bands, np.sqrt(divided(sure * counted, power_u)))
+    return resolved, float(np.sqrt(counted.sum() / power_u.sum()))
+
+
+def _noise(records: list[_Errors]) -> Float[np.ndarray, "F"]:
+    """What does not repeat, a sample's power in each band: the same at all amplitudes, so their median serves all."""
+    spectra = [(record.spectra()[0], record.period) for record in records]
+    return np.asarray(np.median([banded(power(a - b) / 2) / period for (a, b), period in spectra], axis=0))
+
+
+def _repeated(records: list[_Errors], noise: Float[np.ndarray, "F"]) -> list[View]:
+    """One view a record."""
+    largest = max(float((record.u**2).mean()) for record in records)
+    alike = [float((record.u**2).mean()) == largest for record in records]
+    return [_view(r, r.spectra(), noise=noise, sure=sure) for r, sure in zip(records, alike, strict=True)]
+
+
+def _view(record: _Errors, spectra: Spectra, noise: Float[np.ndarray, "F"], sure: bool) -> View:
+    """With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
+
+    In a band that the input does not excite nothing is subtracted: the gain is the one measured, noise included.
+    Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`. Below the largest amplitude only
+    what exceeds `SURE` of its standard deviations counts.
+    """
+    both, drive, said = spectra
+    drawn, (_, lines) = noise * float(record.period or 1), bands_of(len(drive))
+    power_u, power_said = banded(power(drive)), banded(power(said))
+    repeats = banded((both[0] * both[1].conj()).real.sum(axis=1))  # noise averages out, see above
+    doubt = 0.0 if sure else SURE * np.sqrt((drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines)
+    cross = ((both[0] + both[1]) / 2 * said.conj()).sum(axis=1)  # both periods: half the noise's variance
+    linear = divided(banded(cross.real) + 1j * banded(cross.imag), power_said)
+    known = power_said * np.abs(linear) ** 2 > (1 + (0.0 if sure else SURE**2)) * drawn / 2 / lines
+    linear = np.where(known & (record.e.shape[1] == 1) & (record.u.shape[1] == 1), linear, 0.0)
+    explained = power_said * np.abs(linear) ** 2
+    whole, rest = np.maximum(repeats - doubt, 0.0), np.maximum(repeats - explained - doubt, 0.0)
+    dark = power_u < EXCITED * power_u.mean()  # little or no input: by chance nothing repeats there, or anything
+    measured = banded((power(both[0]) + power(both[1])) / 2)
+    whole, rest, linear = np.where(dark, measured, whole), np.where(dark, measured, rest), np.where(dark, 0.0, linear)
+    answered = (power_said * np.abs(1 + linear) ** 2 + rest).sum() / max(power_said.sum(), np.finfo(float).tiny)
+    sizes = {"by_frequency": np.sqrt(divided(whole, power_u)), "rest": np.sqrt(divided(rest, power_u))}
+    amplitude, gain = float(np.sqrt((record.u**2).mean())), float(np.sqrt(whole.sum() / power_u.sum()))
+    return View(amplitude=amplitude, gain=gain, linear=linear, response=float(answered), **sizes)

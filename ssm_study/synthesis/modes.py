@@ -1,21 +1,97 @@
-"""Coordinates in which Theorem 1 is well conditioned: fast modes balanced by their energy, slow modes beside them.
+"""Riccati equations by doubling, and metrics of a minimum-energy gain: by fast and slow modes, and of the whole model.
 
 Only the modes with `|lambda| > r` need the input. In coordinates where their minimum-energy metric is the identity,
 every matrix of the inequality has condition number about `1 / (room to the frontier)`; the slow modes are contracted by
-the open loop already and join through a Lyapunov equation. Derivation: docs/theory.md.
+the open loop already and join through a Lyapunov equation. Derivation: docs/theory.md, "The gain in closed form".
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.problem import NoSolution
+from ssm_study.synthesis.problem import NoSolution, Problem
+from ssm_study.synthesis.theorem import margin
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 
-# Doublings of F in sum_j F^j G G^T F^jT: 2^60 terms, or stop when F^(2^j) no longer matters.
-DOUBLINGS = 60
+MOST_STEPS = 60
+CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
+RESIDUAL_SHARE = 1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows
+# E in coordinates where the reachable metric is about the identity; the faster rate gives the slack itself.
+SLACK = 1e-6
+Square = Float[np.ndarray, "n n"]
+
+
+def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: float) -> Square:
+    """The stabilising `S` of `S = A^T (S^{-1} + kappa B B^T)^{-1} A + Q`, by doubling, else by SciPy's QZ.
+
+    Raises `NoSolution` when neither gives one.
+    """
+    s = doubled(a, kappa * b @ b.T, q)
+    if s is not None:
+        sb = s @ b
+        inner = s - kappa * sb @ np.linalg.solve(np.eye(b.shape[1]) + kappa * b.T @ sb, sb.T)
+        residual = np.abs(s - a.T @ inner @ a - q).max() / max(np.abs(s).max(), np.finfo(float).tiny)
+        if residual < RESIDUAL_SHARE:
+            return s
+    try:
+        s = scipy.linalg.solve_discrete_are(a, b, q, np.eye(b.shape[1]) / kappa)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise NoSolution(f"no stabilising Riccati solution: {error}") from error
+    return (s + s.T) / 2
+
+
+def doubled(a: Square, g: Square, q: Square) -> Square | None:
+    """The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None without a limit.
+
+    From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`,
+    `G' = G + A (I + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S, quadratically. A few matrix
+    products a step instead of a QZ decomposition. Source: Chu, Fan, Lin & Wang 2004, Algorithm 2.1.
+    """
+    n, h = len(a), q
+    for _ in range(MOST_STEPS):
+        with np.errstate(over="ignore", invalid="ignore"):
+            try:
+                solved = np.linalg.solve(np.eye(n) + g @ h, np.hstack([a, g]))
+            except np.linalg.LinAlgError:
+                return None
+            step = a.T @ h @ solved[:, :n]
+            h = h + (step + step.T) / 2
+            if not np.isfinite(h).all():  # diverged: no stabilising solution in floats
+                return None
+            if np.abs(step).max() <= CONVERGED * np.abs(h).max():
+                return h
+            g = g + a @ solved[:, n:] @ a.T
+            a = a @ solved[:, :n]
+        g = (g + g.T) / 2
+    return None
+
+
+def least_metric(
+    problem: Problem, k: Float[np.ndarray, "m n"], contraction: float, right: Square, left: Square, slack: float = SLACK
+) -> Square:
+    """The least `P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`, for a given gain.
+
+    Solved for `z`, where `x = right z`, `z = left x` and `E = slack I`. Raises `NoSolution` if floats find none.
+    """
+    b, k = left @ problem.b / contraction, k @ right
+    a_closed = left @ problem.a @ right / contraction + problem.ball.alpha * b @ k
+    noise = b @ b.T + slack * np.eye(len(b))
+    p = doubled(np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise)
+    if p is None:
+        raise NoSolution("the bounded-real equation has no solution in floats")
+    whole = right @ p @ right.T
+    return (whole + whole.T) / 2
+
+
+DOUBLINGS = 60  # of F in sum_j F^j G G^T F^jT: 2^60 terms, or stop when F^(2^j) no longer matters
 NEGLIGIBLE = 1e-20
+SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)  # of the slow modes' metric: from dominating to negligible beside the fast
+GOOD_SHARE = 0.3
+BETWEEN = 0.3  # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
+SLOW_FLOOR = 1e-8  # directions of the slow modes that the input hardly reaches keep this share of the mean
+ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,11 +113,18 @@ class Modes:
         return len(self.a_fast)
 
 
+@dataclass(frozen=True, kw_only=True)
+class FastGain:
+    """The minimum-energy gain and its metric on the fast modes: `k (m, n)` in x, `p (k, k)` on `z_fast`, sigma = 1."""
+
+    k: Float[np.ndarray, "m n"]
+    p: Float[np.ndarray, "k k"]
+
+
 def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> Modes:
     """Ordered real Schur form of `A^T` (the fast part drives the slow one), then a Sylvester equation decouples them.
 
-    Raises `NoSolution` when an eigenvalue lies so close to the circle of radius r that the two parts cannot be told
-    apart.
+    Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts cannot be told apart.
     """
     try:
         t, z, k = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction)
@@ -49,7 +132,7 @@ def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contra
         raise NoSolution("fast and slow modes cannot be separated") from error
     lower = t.T  # z^T A z, block lower triangular
     a_fast, a_slow, coupling = lower[:k, :k], lower[k:, k:], lower[k:, :k]
-    left, right = z.T.copy(), z.copy()
+    left, right = z.T.copy(), z.copy()  # orthogonal so far; the Sylvester solution shears them
     if 0 < k < len(a):
         x = scipy.linalg.solve_sylvester(a_slow, -a_fast, -coupling)
         left[k:] -= x @ left[:k]
@@ -67,8 +150,10 @@ def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Flo
     f = np.linalg.inv(a)
     root = f @ b
     for _ in range(DOUBLINGS):
-        root = _compressed(np.hstack([root, f @ root]))
-        f = f @ f
+        root = np.hstack([root, f @ root])
+        if root.shape[1] > len(root):
+            root = np.asarray(np.linalg.qr(root.T, mode="r")).T  # R^T R = root root^T: as narrow as W again
+        f = f @ f  # F^(2^j): each round doubles the terms summed
         size = np.abs(f).max()
         if not np.isfinite(size):
             raise NoSolution("a fast mode lies on the circle |lambda| = r")
@@ -79,7 +164,61 @@ def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Flo
     return root
 
 
-def _compressed(root: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k d"]:
-    if root.shape[1] <= root.shape[0]:
+def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
+    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with `GOOD_SHARE` of the best margin: a
+    smaller one would only spread the entries of P over more digits than floats have.
+
+    `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
+    """
+    if modes.fast == len(modes.left):
+        return _symmetric(modes.right @ fast.p @ modes.right.T)
+    ah = modes.a_slow / problem.contraction
+    if not np.abs(np.linalg.eigvals(ah)).max() < 1:
+        raise NoSolution(ON_CIRCLE)
+    slow = _symmetric(np.linalg.inv(scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))))
+    k, a, b = fast.k @ modes.right, modes.left @ problem.a @ modes.right, modes.left @ problem.b
+    candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
+    told = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate, "sigma": 1.0}
+    conditions = [StateFeedbackOfBall.in_floats(a=a, b=b, k=k, p=p, y=p, **told) for p in candidates]
+    margins = [margin(found["inequality"]) for found in conditions]
+    if not max(margins) > 0:
+        raise NoSolution("no metric of this form holds in floats")
+    chosen = next(p for p, reached in zip(candidates, margins, strict=True) if reached >= max(margins) * GOOD_SHARE)
+    return _symmetric(modes.right @ chosen @ modes.right.T)
+
+
+def whole_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Float[np.ndarray, "n n"]:
+    """The least `P` of the gain built at `r = faster`, fast and slow modes together: where diagonal needs more digits.
+
+    Given K, Theorem 1 with `Y = P`, `sigma = 1` is bounded-real for `beta K (zI - Ah_K)^{-1} Bh`; in dual form
+
+        P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E,      Ah_K = Ah + alpha Bh K,
+
+    with slack `E`. It couples what the input reaches of both parts; condition numbers fall by several orders of
+    magnitude where slow modes lie just inside the circle or are hard to reach. Raises `NoSolution` without fast modes,
+    or without a solution in floats.
+    """
+    if modes.fast == 0:
+        raise NoSolution("no fast modes: nothing to couple")
+    scale = _scale(problem, modes, faster)
+    between = float(faster * (problem.contraction / faster) ** BETWEEN)
+    return least_metric(problem, fast.k, between, modes.right @ scale, np.linalg.solve(scale, modes.left))
+
+
+def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
+    """Roots of what the input reaches: the minimum energy of the fast modes, the Gramian of the slow ones."""
+    root = energy_root(modes.a_fast / faster, modes.b_fast / faster)
+    slow = len(modes.left) - modes.fast
+    if slow == 0:
         return root
-    return np.asarray(np.linalg.qr(root.T, mode="r")).T
+    reach = modes.b_slow @ modes.b_slow.T
+    reach += SLOW_FLOOR * (np.trace(reach) or 1.0) * np.eye(slow)
+    try:
+        gramian = scipy.linalg.solve_discrete_lyapunov(modes.a_slow / problem.contraction, reach)
+        return scipy.linalg.block_diag(root, np.linalg.cholesky(gramian))
+    except np.linalg.LinAlgError as error:
+        raise NoSolution(ON_CIRCLE) from error
+
+
+def _symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    return (matrix + matrix.T) / 2

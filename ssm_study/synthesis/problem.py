@@ -3,13 +3,61 @@
 Source: [Z26], with the corrections of docs/theory.md.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.systems import JacobianBall
+from ssm_study.systems import JacobianBall, StateSpace, System
+
+# Each matrix of a system, and the one that stands, transposed, in its place in the dual system.
+DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h": "g"}
+
+
+def dual(system: System) -> System:
+    """`(A^T, C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the observer, transposed."""
+    turned = {name: np.ascontiguousarray(getattr(system, DUAL[name]).T) for name in vars(system)}
+    return type(system)(**turned)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Neurons:
+    """`w = phi(z) - phi(bias)`, slopes in [0, 1]: `e (n, q)`, `f (q, n)`, `g (q, m)` beside a state feedback's `a, b`.
+
+    For an observer those of the dual system, as `a, b` are: `F^T`, `E^T`, `H^T`; `observes` says so.
+    """
+
+    e: Float[np.ndarray, "n q"]
+    f: Float[np.ndarray, "q n"]
+    g: Float[np.ndarray, "q m"]
+    observes: bool
+
+    @classmethod
+    def of(cls, system: System, observes: bool) -> "Neurons | None":
+        """Those of a system (`observes`: of a dual one); None without any."""
+        if isinstance(system, StateSpace):
+            return None
+        return cls(e=system.e, f=system.f, g=system.g, observes=observes)
+
+    @property
+    def injects(self) -> bool:
+        """Whether the output may be injected into the neurons: of an observer whose output they do not enter."""
+        return self.observes and not self.g.any()
+
+    @property
+    def units(self) -> Float[np.ndarray, "q"]:
+        """Powers of two `d` that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ by many decades."""
+        into, seen = np.linalg.norm(self.e, axis=0), np.linalg.norm(self.f, axis=1)
+        ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
+        return np.exp2(np.round(np.log2(ratio) / 2))
+
+    def scaled(self) -> "Neurons":
+        """The same neurons, `d w` for w and `d z` for z."""
+        d = self.units
+        return Neurons(e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,23 +75,19 @@ class Problem:
     rate: float
     state_weight: Float[np.ndarray, "n n"]
     input_weight: float
+    neurons: Neurons | None = None
 
     def __post_init__(self) -> None:
         require(bool(0 < self.rate < 1), "rate", self.rate, "a contraction rate lies in (0, 1)", "try 0.1")
         finite = all(np.isfinite(m).all() for m in (self.a, self.b, self.state_weight))
         require(bool(finite), "a, b", "NaN or infinity", "the matrices are not finite", "identify the model again")
         require(bool(self.input_weight > 0), "input_weight", self.input_weight, "must be positive", "try 1")
-        require(
-            bool(abs(self.ball.alpha) > self.ball.beta),
-            "slopes",
-            (self.ball.lower, self.ball.upper),
-            "the ball holds zero, so no input is certain to act",
-            "constrain the slopes (model.slope_lower > 0)",
-        )
+        ends, remedy = (self.ball.lower, self.ball.upper), "constrain the slopes (model.slope_lower > 0)"
+        acts = bool(abs(self.ball.alpha) > self.ball.beta)
+        require(acts, "slopes", ends, "the ball holds zero, so no input is certain to act", remedy)
 
     @property
     def contraction(self) -> float:
-        """`r`."""
         return float(np.sqrt(1 - self.rate))
 
     @property
@@ -54,56 +98,43 @@ class Problem:
     def b_hat(self) -> Float[np.ndarray, "n m"]:
         return self.b / self.contraction
 
+    def at(self, rate: float) -> "Problem":
+        """The same at another rate."""
+        return replace(self, rate=rate)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Matrices of Theorem 1 as a method found them, not yet verified: `p, y (n, n)`, `k (m, n)`, `sigma`."""
+    """Matrices of Theorem 1 as a method found them, not yet verified: `p, y (n, n)`, `k (m, n)`, `sigma`.
+
+    With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an observer injects.
+    """
 
     p: Float[np.ndarray, "n n"]
     y: Float[np.ndarray, "n n"]
     k: Float[np.ndarray, "m n"]
     sigma: float
     status: str
+    multipliers: Float[np.ndarray, "q"] | None = None
+    k_w: Float[np.ndarray, "m q"] | None = None
+
+    def of_neurons(self, neurons: Neurons) -> "Solution":
+        """From what was found for `neurons.scaled()` to what holds for themselves."""
+        assert self.multipliers is not None
+        assert self.k_w is not None
+        d = neurons.units
+        weights = self.multipliers * (d**-2 if neurons.observes else d**2)
+        return replace(self, multipliers=weights, k_w=self.k_w * d)
 
 
 class NoSolution(Exception):
     """A method ended without matrices; the message says what the solver reported. Information, not a verdict."""
 
 
-def theorem_matrix(
-    a: Float[np.ndarray, "n n"],
-    b: Float[np.ndarray, "n m"],
-    ball: JacobianBall,
-    rate: float,
-    solution: Solution,
-) -> Float[np.ndarray, "s s"]:
-    """Theorem 1's block matrix in floats, scaled to a unit diagonal where the diagonal is positive."""
-    p, y, sigma = solution.p, solution.y, solution.sigma
-    n, m = b.shape
-    x = solution.k @ y
-    coupling, border = a @ y + ball.alpha * b @ x, ball.beta * x.T
-    matrix = np.block(
-        [
-            [(1 - rate) * p - sigma * b @ b.T, coupling, np.zeros((n, m))],
-            [coupling.T, y + y.T - p, border],
-            [np.zeros((m, n)), border.T, sigma * np.eye(m)],
-        ]
-    )
-    return unit_diagonal(matrix)
-
-
-def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
-    """`D M D` with `D = diag(|M_ii|)^(-1/2)`: what definiteness and conditioning mean whatever the units."""
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
-    scaled = scale[:, None] * matrix * scale
-    return (scaled + scaled.T) / 2
-
-
-def margin(matrix: Float[np.ndarray, "s s"]) -> float:
-    """Smallest eigenvalue; of a matrix scaled to unit diagonal, between minus infinity and one."""
-    return float(np.linalg.eigvalsh(matrix)[0])
-
-
-def condition(matrix: Float[np.ndarray, "n n"]) -> float:
-    """Condition number after scaling to a unit diagonal, which is what rounding sees."""
-    return float(np.linalg.cond(unit_diagonal(matrix)))
+@contextmanager
+def within_floats() -> Iterator[None]:
+    """A singular matrix, or eigenvalues that do not converge, end the attempt as `NoSolution` and not the run."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NoSolution(f"beyond what floats hold: {error}") from error

@@ -5,21 +5,97 @@ With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians
     x+  = (A + B J_u K) x + B J_u K eps,     eps+ = (A + L J_y C) eps - L e,     u = K (x + eps).
 
 With integral action `u = K_x (x + eps) + K_z z` and `z+ = z + J_y C x + e`, the measured output being what is
-integrated (here D is taken as zero). The Jacobians are taken constant, at the ends and the centre of their balls.
+integrated (here D is taken as zero). The Jacobians are taken constant, at the ends and the centre of their balls, and
+so are the slopes of neurons, at zero and one: a loop whose neurons switch is not among them.
 Source: THEORY section 5.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float
+import scipy
+from jaxtyping import Complex, Float
 
-from ssm_study.synthesis.hinf_norm import frequency_response, gains, hinf_norm
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
 
+PEAK_TOLERANCE = 1e-8  # relative: the returned gain is attained, and no frequency exceeds it by more than this
+# Relative: how near the imaginary axis an eigenvalue counts as a crossing. Rounding moves them by up to 1e-6 (seen);
+# a false crossing costs one more frequency to look at, a missed one the peak.
+ON_AXIS = 1e-4
+
+
+def frequency_response(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Complex[np.ndarray, "F p m"]:
+    """`C (e^{j angle} I - A)^{-1} B + D`, angles in radians per sample."""
+    shifted = np.exp(1j * angles)[:, None, None] * np.eye(system.order) - system.a
+    return system.c @ np.linalg.solve(shifted, np.broadcast_to(system.b, (len(angles), *system.b.shape))) + system.d
+
+
+def gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+    """The largest singular value of the frequency response at each angle."""
+    return np.linalg.norm(frequency_response(system, angles), ord=2, axis=(1, 2))
+
+
+def hinf_norm(system: StateSpace) -> float:
+    """`sup_w sigma_max(C (e^{jw} I - A)^{-1} B + D)`; infinite if `A` is not stable, or not by what floats resolve.
+
+    A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma` exceeds the norm
+    iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between neighbouring ones lie the peaks to look at
+    next: quadratic convergence. Source: Bruinsma & Steinbuch, Systems & Control Letters 14 (1990) 287-293.
+    """
+    try:
+        return _peak(system) if system.spectral_radius < 1 else float("inf")
+    except np.linalg.LinAlgError:  # an eigenvalue on the circle, to rounding: nothing may be claimed
+        return float("inf")
+
+
+def _peak(system: StateSpace) -> float:
+    poles = np.linalg.eigvals(system.a)
+    angles = np.concatenate([[0.0, np.pi], np.abs(np.angle(poles)), np.geomspace(1e-4, np.pi, 32)])
+    best = float(gains(system, angles).max())
+    continuous = _bilinear(system)
+    for _ in range(40):  # a bound only: convergence is quadratic
+        if best**2 < np.finfo(float).tiny:  # the squares below underflow
+            return best
+        crossings = _crossings(continuous, best * (1 + PEAK_TOLERANCE))
+        if not len(crossings):
+            break
+        between = np.concatenate([crossings, (crossings[1:] + crossings[:-1]) / 2])  # a peak lies between two crossings
+        found = float(gains(system, 2 * np.arctan(between)).max())
+        if found <= best * (1 + PEAK_TOLERANCE):
+            break
+        best = found
+    return best * (1 + PEAK_TOLERANCE)
+
+
+def _bilinear(system: StateSpace) -> StateSpace:
+    """The continuous-time system with the same norm: `z = (1 + s) / (1 - s)`, so `w = tan(angle / 2)`."""
+    one, root2 = np.eye(system.order), np.sqrt(2)
+    shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable
+    a, d = shifted @ (system.a - one), system.d - system.c @ shifted @ system.b
+    return StateSpace(a=a, b=root2 * shifted @ system.b, c=root2 * system.c @ shifted, d=d)
+
+
+def _crossings(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
+    """Frequencies at which some singular value equals `gamma`, ascending, both signs."""
+    a, b, c, d = system.a, system.b, system.c, system.d
+    r = gamma**2 * np.eye(d.shape[1]) - d.T @ d
+    s = gamma**2 * np.eye(len(d)) - d @ d.T
+    f = a + b @ np.linalg.solve(r, d.T @ c)  # the first block of gamma's Hamiltonian matrix
+    top = np.hstack([f, gamma * b @ np.linalg.solve(r, b.T)])
+    bottom = np.hstack([-gamma * c.T @ np.linalg.solve(s, c), -f.T])
+    eigenvalues = scipy.linalg.eigvals(np.vstack([top, bottom]))
+    near = np.abs(eigenvalues.real) <= ON_AXIS * np.maximum(np.abs(eigenvalues), 1.0)
+    return np.sort(eigenvalues[near].imag)
+
+
+MOST_CORNERS = 4  # neurons up to which every corner of their slopes is tried, beyond them a few
+# Frequencies (rad/sample) of the weighted peak, beside those of the loop's own modes.
 FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
-"""Frequencies (rad/sample) of the weighted peak, beside those of the loop's own modes."""
+
+# A system and an observer gain at frozen slopes of the neurons, and slopes of `S_u` and `S_y`.
+End = tuple[StateSpace, Float[np.ndarray, "*pairs n p"], float, float]
 
 
 def slopes(ball: JacobianBall) -> tuple[float, ...]:
@@ -27,74 +103,37 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
     return (ball.lower, ball.alpha, ball.upper) if ball.beta > 0 else (ball.alpha,)
 
 
-def sensitivity(
-    linear: StateSpace,
-    k: Float[np.ndarray, "m s"],
-    l: Float[np.ndarray, "n p"],  # noqa: E741
-    slope_in: float,
-    slope_out: float,
-) -> StateSpace:
+def ends(system: System, pair: Pair, balls: Balls, at: Float[np.ndarray, "k q"] | None = None) -> Iterator[End]:
+    """Every combination of slopes; those of neurons at the corners unless given (`at`), where L is `L + E S L_z`."""
+    frozen = [(system, pair.l)] if isinstance(system, StateSpace) else []
+    if not isinstance(system, StateSpace):
+        for row in system.corners(MOST_CORNERS) if at is None else at:
+            injected = 0.0 if pair.l_z is None else (system.e * row) @ pair.l_z
+            frozen.append((system.at_slopes(row), pair.l + injected))
+    for (linear, l), *slope in product(frozen, slopes(balls.input), slopes(balls.output)):  # noqa: E741
+        yield linear, l, *slope
+
+
+def sensitivity(linear: StateSpace, pair: Pair, slope_in: float, slope_out: float) -> StateSpace:
     """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`; `s = n`, or `n + p` with integrators."""
-    n, p = l.shape
+    k, (n, p) = pair.k, pair.l.shape
     on_state, on_integral = k[:, :n], k[:, n:]
     drive, integral = slope_in * linear.b @ on_state, slope_in * linear.b @ on_integral
     seen, count = slope_out * linear.c[: on_integral.shape[1]], on_integral.shape[1]
-    return StateSpace(
-        a=np.block(
-            [
-                [linear.a + drive, drive, integral],
-                [np.zeros((n, n)), linear.a + slope_out * l @ linear.c, np.zeros((n, count))],
-                [seen, np.zeros((count, n)), np.eye(count)],
-            ]
-        ),
-        b=np.vstack([np.zeros((n, p)), -l, np.eye(count, p)]),
-        c=np.hstack([on_state, on_state, on_integral]),
-        d=np.zeros((len(k), p)),
-    )
+    rows = [[linear.a + drive, drive, integral]]  # x, for `u` reads the estimate `x + eps`
+    rows += [[np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, np.zeros((n, count))]]  # eps, driven by e
+    rows += [[seen, np.zeros((count, n)), np.eye(count)]]  # z sums what is measured
+    entry, read = [np.zeros((n, p)), -pair.l, np.eye(count, p)], [on_state, on_state, on_integral]
+    return StateSpace(a=np.block(rows), b=np.vstack(entry), c=np.hstack(read), d=np.zeros((len(k), p)))
 
 
-def sensitivity_peak(
-    linear: StateSpace,
-    k: Float[np.ndarray, "m s"],
-    l: Float[np.ndarray, "n p"],  # noqa: E741
-    input_ball: JacobianBall,
-    output_ball: JacobianBall,
-) -> float:
-    """`max ||T_ue||_inf` over the slopes of both balls; infinite if one of these loops is unstable."""
-    pairs = product(slopes(input_ball), slopes(output_ball))
-    return max(hinf_norm(sensitivity(linear, k, l, *pair)) for pair in pairs)
+def sensitivity_peak(system: System, pair: Pair, balls: Balls) -> float:
+    """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is unstable."""
+    found = ends(system, pair, balls)
+    return max(hinf_norm(sensitivity(linear, Pair(k=pair.k, l=l), *slope)) for linear, l, *slope in found)  # noqa: E741
 
 
-def weighted_peak(
-    linear: StateSpace,
-    k: Float[np.ndarray, "m s"],
-    l: Float[np.ndarray, "n p"],  # noqa: E741
-    input_ball: JacobianBall,
-    output_ball: JacobianBall,
-    weight: Callable[[Float[np.ndarray, "F"]], Float[np.ndarray, "F"]],
-) -> float:
-    """`max_w weight(w) sigma_max(T_ue(e^{jw}))` over the slopes; infinite if one of these loops is unstable.
-
-    On `FINE_ANGLES` and at the angles of the loop's own modes, where it is sharpest: from below.
-    """
-    peak = 0.0
-    for slope_in, slope_out in product(slopes(input_ball), slopes(output_ball)):
-        loop = sensitivity(linear, k, l, slope_in, slope_out)
-        modes = np.linalg.eigvals(loop.a)
-        if np.abs(modes).max() >= 1:
-            return float("inf")
-        angles = np.union1d(FINE_ANGLES, np.maximum(np.abs(np.angle(modes)), FINE_ANGLES[0]))
-        peak = max(peak, float((weight(angles) * gains(loop, angles)).max()))
-    return peak
-
-
-def controller_radius(
-    linear: StateSpace,
-    ks: Float[np.ndarray, "G m s"],
-    ls: Float[np.ndarray, "G n p"],
-    input_ball: JacobianBall,
-    output_ball: JacobianBall,
-) -> Float[np.ndarray, "G"]:
+def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndarray, "*pairs"]:
     """Spectral radius of each controller by itself, the largest over the slopes, its integrators left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the controller runs alone:
@@ -102,54 +141,73 @@ def controller_radius(
     still under small inputs, whatever its certificate says of the model. Field's term: strong stabilisation.
     Source: Youla, Bongiorno & Lu, Automatica 10 (1974) 159-173.
     """
-    on_state, largest = ks[:, :, : linear.order], np.zeros(len(ks))
-    for slope_in, slope_out in product(slopes(input_ball), slopes(output_ball)):
+    on_state, largest = pair.k[..., : system.order], np.zeros(pair.k.shape[:-2])
+    for linear, l, slope_in, slope_out in ends(system, pair, balls):  # noqa: E741
         driven = slope_in * on_state
-        alone = linear.a + linear.b @ driven + slope_out * ls @ (linear.c + linear.d @ driven)
-        largest = np.maximum(largest, np.abs(np.linalg.eigvals(alone)).max(axis=1))
-    return largest
+        alone = linear.a + linear.b @ driven + slope_out * l @ (linear.c + linear.d @ driven)
+        largest = np.maximum(largest, np.abs(np.linalg.eigvals(alone)).max(axis=-1))
+    return np.asarray(largest)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Responses:
+    """`T_ue` of pairs of many controllers and observers at `angles`; what pairs share is computed once.
+
+    `T_ue = (I - J_u F G)^{-1} (K_z / (z - 1) - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z J_y C / (z - 1)`,
+    `G = (z I - A)^{-1} B`, separates a pair into two factors: of the observer, and of the controller, G is common.
+    """
+
+    angles: Float[np.ndarray, "F"]
+    known: dict[bytes, Complex[np.ndarray, "F n k"]] = field(default_factory=dict)
+
+    def to_state(self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]) -> Complex[np.ndarray, "F n k"]:
+        """`(z I - a)^{-1} b`, kept for the next pair that asks."""
+        key = a.tobytes() + b.tobytes()
+        if key not in self.known:
+            system = StateSpace(a=a, b=b, c=np.eye(len(a)), d=np.zeros_like(b))
+            self.known[key] = frequency_response(system, self.angles)
+        return self.known[key]
+
+    def of(
+        self, linear: StateSpace, k: Float[np.ndarray, "m s"], ls: list[Float[np.ndarray, "n p"]], *slope: float
+    ) -> Complex[np.ndarray, "O F m p"]:
+        """Of one controller with each of these observers, at slopes of `S_u` and `S_y`."""
+        (slope_in, slope_out), n = slope, linear.order
+        summed = k[:, n:] / (np.exp(1j * self.angles) - 1)[:, None, None]
+        seen = slope_out * linear.c[: k.shape[1] - n]
+        loop = (k[:, :n] + summed @ seen) @ self.to_state(linear.a, linear.b)
+        observed = np.stack([self.to_state(linear.a + slope_out * l @ linear.c, l) for l in ls])  # noqa: E741
+        through = -np.einsum("mn,ofnp->ofmp", k[:, :n], observed)
+        if k.shape[1] > n:
+            through = through + summed
+        return np.linalg.inv(np.eye(len(k)) - slope_in * loop) @ through
 
 
 def peaks_on_grid(
-    linear: StateSpace,
+    system: System,
     ks: Float[np.ndarray, "C m s"],
     ls: Float[np.ndarray, "O n p"],
-    input_ball: JacobianBall,
-    output_ball: JacobianBall,
+    balls: Balls,
     angles: Float[np.ndarray, "F"],
     weights: Float[np.ndarray, "F"] | float = 1.0,
+    l_zs: Float[np.ndarray, "O q p"] | None = None,
 ) -> Float[np.ndarray, "C O"]:
-    """The largest `weight sigma_max(T_ue)` on a grid of frequencies, for every pair of controller and observer at once.
+    """The largest `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0, 1/2 and 1, all alike.
 
-    `T_ue = (I - J_u F G)^{-1} (K_z / (z - 1) - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z J_y C / (z - 1)`,
-    `G = (z I - A)^{-1} B`, separates the pair into two factors, so a hundred controllers and fifty observers cost
-    little more than one of each. From below: a peak between two frequencies is missed, an unstable loop is not seen.
+    From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """
-    n, peak = linear.order, np.zeros((len(ks), len(ls)))
-    on_state, on_integral = ks[:, :, :n], ks[:, :, n:]
-    summed = np.einsum("cmq,f->cfmq", on_integral, 1 / (np.exp(1j * angles) - 1))
-    to_state = frequency_response(_with_output(linear, linear.a, linear.b), angles)
-    for slope_out in slopes(output_ball):
-        seen = slope_out * linear.c[: on_integral.shape[2]]
-        loops = (on_state[:, None] + summed @ seen) @ to_state
-        observed = np.stack(
-            [frequency_response(_with_output(linear, linear.a + slope_out * l @ linear.c, l), angles) for l in ls]  # noqa: E741
-        )
-        through = -np.einsum("cmn,ofnp->cofmp", on_state, observed)
-        if on_integral.shape[2]:
-            through = through + summed[:, None]
-        for slope_in in slopes(input_ball):
-            inverse = np.linalg.inv(np.eye(ks.shape[1]) - slope_in * loops)
-            size = _sizes(np.einsum("cfmk,cofkp->cofmp", inverse, through))
-            peak = np.maximum(peak, (weights * size).max(axis=2))
-    return peak
+    some = None if isinstance(system, StateSpace) else np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
+    responses, peaks = Responses(angles=angles), np.zeros((len(ks), len(ls)))
+    observers = Pair(k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs)  # the ends depend on no controller
+    for linear, frozen, *slope in ends(system, observers, balls, some):
+        for k, peak in zip(ks, peaks, strict=True):
+            size = sizes(responses.of(linear, k, list(frozen), *slope))
+            np.maximum(peak, (weights * size).max(axis=1), out=peak)
+    return peaks
 
 
-def _with_output(linear: StateSpace, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> StateSpace:
-    return StateSpace(a=a, b=b, c=np.eye(linear.order), d=np.zeros_like(b))
-
-
-def _sizes(response: np.ndarray) -> Float[np.ndarray, "C O F"]:
+def sizes(response: Complex[np.ndarray, "*many m p"]) -> Float[np.ndarray, "*many"]:
+    """The largest singular value of each."""
     if response.shape[-1] == response.shape[-2] == 1:
-        return np.abs(response[..., 0, 0])
+        return np.asarray(np.abs(response[..., 0, 0]))  # one channel needs no singular values
     return np.linalg.norm(response, ord=2, axis=(-2, -1))

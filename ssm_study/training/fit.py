@@ -1,59 +1,182 @@
-"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch."""
+"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch.
 
-import copy
+The loss is the squared error of windows of the records, and the defects between windows.
+"""
+
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import lightning.pytorch as pl
+import numpy as np
 import torch
 from jaxtyping import Float
-from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 from torch.func import functional_call
 
-from ssm_study.models.torch_recurrence import forward_derivatives
-from ssm_study.models.torch_ssm import TorchModel, TorchSSM
+from ssm_study.models.identified import Simulator
+from ssm_study.models.metrics import initial_state
+from ssm_study.models.torch_recurrence import forward_derivatives, hankel_singular_values
+from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
+from ssm_study.refusal import require
+from ssm_study.signals import DataSet, Trajectory, fit_of_error
 from ssm_study.training.levenberg import LevenbergMarquardt
-from ssm_study.training.objective import Records, fit_of_loss
-from ssm_study.training.optimisers import Adam, OptimiserSpec
-from ssm_study.training.penalties import Penalties
-from ssm_study.training.start_up import StartUp
-from ssm_study.training.windows import Continuity, Starts
+from ssm_study.training.optimisers import Adam, Levenberg, trainable
+from ssm_study.training.training import Training
+from ssm_study.training.windows import Cut
+
+POLISH_STEPS = 20  # they undo the rounding, not the optimum
+UNMOVED = 1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
+Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]
 
 
-class Fit(pl.LightningModule):
-    """Minimises the training loss of `model`, and with it the states of `starts` where they are parameters.
+def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
+    """Records `(u, y)`, padded with zeros at the end to one length."""
+    most = max(len(u) for u, _ in pairs)
+    u, y = (
+        np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in zip(*pairs, strict=True)
+    )
+    return u, y
 
-    `training` holds the windows, `whole` the records they were cut from (None where windows are whole records): the
-    training fit that is shown is always that of whole records. `start_up` estimates what validation records start from;
-    None for rest.
+
+class Records(nn.Module):
+    """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
+
+    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the first `unscored` samples (the start-up samples unless
+    given) and in the padding, and scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then
+    the loss is `(1 - fit / 100)^2` for one channel.
     """
+
+    u: Tensor
+    y: Tensor
+    weight: Tensor
+    scored: Tensor
+    sum_spread: Tensor
 
     def __init__(
         self,
-        model: TorchModel,
-        training: Records,
-        validation: Records,
-        optimiser: OptimiserSpec,
-        max_epochs: int,
-        starts: Starts | None,
-        penalties: Penalties,
-        continuity: Continuity | None,
-        whole: Records | None,
-        start_up: StartUp | None,
+        records: Sequence[Trajectory],
+        data: DataSet,
+        sorts: bool,
+        share: float = 0.0,
+        unscored: Sequence[int] = (),
     ) -> None:
         super().__init__()
-        self.model, self.training_records, self.validation_records = model, training, validation
-        self.optimiser, self.max_epochs = optimiser, max_epochs
-        self.starts, self.penalties, self.continuity = starts, penalties, continuity
-        self.whole, self.start_up = whole, start_up
-        self.last_loss = math.inf
-        self.automatic_optimization = False
+        self.integrated_share = share
+        u, y = padded([(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in records])
+        scored = np.zeros((*u.shape[:2], 1))
+        for e, record in enumerate(records):
+            scored[e, (unscored[e] if unscored else data.start_up_samples) : len(record)] = 1.0
+        mean = (scored * y).sum(axis=(0, 1)) / scored.sum()  # one offset for all records
+        spread = float((scored * (y - mean) ** 2).sum())
+        for name, values in {"u": u, "y": y, "weight": scored / spread, "scored": scored}.items():
+            self.register_buffer(name, torch.from_numpy(values), persistent=False)
+        summed = (self.scored * self.y).cumsum(1) * self.scored  # of y as of its error, see `objective`
+        sum_spread = summed.square().sum() if share else torch.ones((), dtype=torch.float64)
+        self.register_buffer("sum_spread", sum_spread, persistent=False)
+        self.lift = Lift(self.u, sorts)
+
+    def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
+        """Free run of the model over all records."""
+        if isinstance(model, TorchSSM):
+            return model(self.u, x0, self.lift(model.scaffold_in))
+        return model(self.u) if x0 is None else model(self.u, x0)
+
+    def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
+        """As `simulate`, and the states after the last sample, padding included."""
+        if isinstance(model, TorchSSM):
+            return model.advance(self.u, x0, self.lift(model.scaffold_in))
+        return model.advance(self.u, x0)
+
+    def loss(self, y_hat: Signals) -> Float[Tensor, ""]:
+        """`sum weight |e|^2`: what the fit is made of."""
+        return (self.weight * (y_hat - self.y) ** 2).sum((-3, -2, -1))
+
+    def objective(self, y_hat: Signals) -> Float[Tensor, ""]:
+        """`(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running sum of y|^2`.
+
+        The running sum is what an integrator behind the output sees: position, where y is a velocity.
+        """
+        if self.integrated_share == 0.0:
+            return self.loss(y_hat)
+        summed = (self.scored * (y_hat - self.y)).cumsum(-2) * self.scored
+        drift = summed.square().sum((-3, -2, -1)) / self.sum_spread  # relative to the sum of y itself
+        return (1 - self.integrated_share) * self.loss(y_hat) + self.integrated_share * drift
+
+
+class Starts(nn.Module):
+    """The states `(e, n)` that windows start from: rest, but for the rows that are parameters."""
+
+    rows: Tensor
+    later: Tensor
+
+    def __init__(self, cut: Cut, rows: Sequence[int], values: States, weight: float) -> None:
+        super().__init__()
+        self.cut, self.weight = cut, weight
+        for name, places in (("rows", rows), ("later", cut.later)):
+            self.register_buffer(name, torch.tensor(places, dtype=torch.int64), persistent=False)
+        self.free = nn.Parameter(values[self.rows].clone())
+
+    def forward(self) -> States:
+        return self.free.new_zeros(len(self.cut.pieces), self.free.shape[1]).index_copy(0, self.rows, self.free)
+
+    def defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
+        """Those of multiple shooting as residuals whose squared sum is the penalty, see `Windows`."""
+        reached = ends[self.later - 1]  # where the window before ends
+        size = (reached.square().sum(0) + UNMOVED) * reached.shape[1] / self.weight
+        return (reached - starts[self.later]) / torch.sqrt(size)
+
+
+def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) -> Float[Tensor, ""]:
+    """`roughness_weight (TV(S_u') + TV(S_y')) + hankel_weight sum(sigma) / max(sigma)`; zero for a baseline.
+
+    Both terms are free of scale, so a weight of 0.001 means a thousandth of the output's variance. The second is the
+    nuclear norm of the Hankel operator: it drives the singular values of redundant states to zero, one after the other.
+    """
+    if not isinstance(model, TorchSSM):
+        return torch.zeros(())
+    total = torch.zeros((), dtype=model.lru.nu.dtype, device=model.lru.nu.device)
+    if roughness_weight > 0:
+        total = total + roughness_weight * (model.scaffold_in.roughness() + model.scaffold_out.roughness())
+    if hankel_weight > 0:
+        sigma = hankel_singular_values(model.lru.modes(), model.lru.reals)
+        total = total + hankel_weight * sigma.sum() / sigma.max()
+    return total
+
+
+class Fit(pl.LightningModule):
+    """Minimises the training loss of `model`, and with it the states that windows start from where these are free.
+
+    `whole` are the records that the windows were cut from (None where windows are whole records): the training fit
+    that is shown is always that of whole records. Raises `BadRequest` for settings that this model cannot have.
+    """
+
+    def __init__(self, model: TorchModel, data: DataSet, settings: Training) -> None:
+        super().__init__()
+        self.automatic_optimization, self.last_loss = False, math.inf
+        sorts = not isinstance(settings.optimiser, Levenberg)  # which differentiates forward
+        able = sorts or model.differentiates_forward
+        require(able, "training.optimiser", "levenberg", "this model has no forward derivatives", "use lbfgs or adam")
+        cut = settings.windows.cut(data.training, data.start_up_samples)
+        self.model, self.data, self.settings = model, data, settings
+        self.training_records = Records(cut.pieces, data, sorts, settings.integrated_share, cut.unscored)
+        self.validation_records = Records(data.validation, data, sorts)
+        self.whole = Records(data.training, data, sorts) if cut.later else None
+        self.starts = self._free_starts(cut)
+
+    def _free_starts(self, cut: Cut) -> Starts | None:
+        model, weight, how = self.model, self.settings.windows.continuity_weight, self.settings.initial_state
+        moving = how == "estimated" or (how == "auto" and self.data.start_up_samples > 0)
+        problem, remedy = "this model has no state to start a window from", "use training.windows.washout instead"
+        require(model.states > 0 or not weight, "training.windows.continuity_weight", weight, problem, remedy)
+        rows = [*(cut.first if moving and model.estimates_start else ()), *(cut.later if weight else ())]
+        values = simulated_states(model, self.training_records, cut) if rows else None
+        return None if values is None else Starts(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
         """An epoch: what Lightning does around each call costs more than a step of a small model."""
         optimiser: Any = self.optimizers()
-        for _ in range(self.optimiser.calls_per_epoch):
+        for _ in range(self.settings.optimiser.calls_per_epoch):
             optimiser.step(self._evaluate)
         rates: Any = self.lr_schedulers()
         if rates is not None:
@@ -70,126 +193,83 @@ class Fit(pl.LightningModule):
         y_hat, defects = self.run()
         with torch.no_grad():
             self.last_loss = float(self.training_records.loss(y_hat))
-        return self.training_records.objective(y_hat) + defects.square().sum() + self._penalty()
+        added = penalty(self.model, self.settings.roughness_weight, self.settings.hankel_weight)
+        return self.training_records.objective(y_hat) + defects.square().sum() + added
 
-    def run(self) -> tuple[Float[Tensor, "e T p"], Float[Tensor, "k n"]]:
+    def run(self) -> tuple[Signals, Float[Tensor, "k n"]]:
         """The simulated windows, and the defects between them (none without multiple shooting)."""
         x0 = None if self.starts is None else self.starts()
-        if self.continuity is None or x0 is None:
+        if self.starts is None or x0 is None or not (self.starts.weight and self.starts.cut.later):
             return self.training_records.simulate(self.model, x0), self.training_records.y.new_zeros(0, 0)
         y_hat, ends = self.training_records.advance(self.model, x0)
-        return y_hat, self.continuity(ends, x0)
+        return y_hat, self.starts.defects(ends, x0)
+
+    def forward(self) -> Float[Tensor, "N"]:
+        """`sqrt(weight) (y_hat - y)`, then the defects."""
+        records, (y_hat, defects) = self.training_records, self.run()
+        return torch.cat([(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()])
 
     def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
-        """`sqrt(weight) (y_hat - y)`, then the defects, as a function of all trainable parameters in a row."""
+        """`forward` as a function of all trainable parameters in a row."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])
         values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
         with forward_derivatives():
-            return functional_call(_Residual(self), {f"fit.{name}": value for name, value in values.items()}, ())
-
-    def _penalty(self) -> Tensor:
-        """What is added to the squared error: see `Penalties`."""
-        if not isinstance(self.model, TorchSSM):
-            return torch.zeros(())
-        return self.penalties.of(self.model)
+            return functional_call(self, values, ())
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        x0 = None if self.start_up is None else self.start_up(self.model)
+        """Fits in percent, minus infinity for a loss that is not finite."""
+        x0 = self._validation_starts() if self.data.start_up_samples > 0 and isinstance(self.model, TorchSSM) else None
         loss = float(self.validation_records.loss(self.validation_records.simulate(self.model, x0)))
         if self.whole is not None:
-            x0 = None if self.starts is None else self.starts.of_records()
+            x0 = None if self.starts is None else self.starts()[list(self.starts.cut.first)]
             self.last_loss = float(self.whole.loss(self.whole.simulate(self.model, x0)))
-        self.log("fit_validation_percent", fit_of_loss(loss) if math.isfinite(loss) else -math.inf)
-        self.log("fit_training_percent", fit_of_loss(self.last_loss) if math.isfinite(self.last_loss) else -math.inf)
+        for name, value in (("fit_validation_percent", loss), ("fit_training_percent", self.last_loss)):
+            self.log(name, fit_of_error(value**0.5) if np.isfinite(value) else -np.inf)
+
+    def _validation_starts(self) -> States:
+        """The states that `free_run` estimates from the start-up samples of the validation records.
+
+        A record that starts in motion says nothing about a model that simulates it from rest: validation would then
+        stop a training, or choose among several, by the error of the initial state.
+        """
+        like, records = next(self.model.parameters()), self.data.validation
+        if not all(torch.isfinite(parameter).all() for parameter in self.model.parameters()):
+            return like.new_full((len(records), self.model.states), torch.nan)
+        stored = self.model.freeze(self.data)
+        states = [initial_state(stored, record, self.data.start_up_samples) for record in records]
+        return torch.from_numpy(np.stack(states)).to(like)
 
     def configure_optimizers(self) -> Any:
-        optimiser = self.optimiser.build(self)
+        spec = self.settings.optimiser
+        optimiser = spec.build(self)
         if isinstance(optimiser, LevenbergMarquardt):
-            optimiser.residual, optimiser.seen = self.residual, self._note
-        if isinstance(self.optimiser, Adam):
-            return {"optimizer": optimiser, "lr_scheduler": self.optimiser.schedule(optimiser, self.max_epochs)}
+            optimiser.residual, optimiser.seen = self.residual, lambda loss: setattr(self, "last_loss", loss)
+        if isinstance(spec, Adam):
+            return {"optimizer": optimiser, "lr_scheduler": spec.schedule(optimiser, self.settings.max_epochs)}
         return optimiser
 
-    def _note(self, loss: float) -> None:
-        self.last_loss = loss
+    def concluded(self) -> tuple[Simulator, str]:
+        """The explicit numbers, float32 undone by a few L-BFGS iterations in float64 if they end finite and lower."""
+        single = self.training_records.y.dtype == torch.float32
+        self.to("cpu", torch.float64)
+        if single and not isinstance(self.settings.optimiser, Levenberg):  # which leaves the penalties out
+            before = {name: value.clone() for name, value in self.state_dict().items()}
+            optimiser = torch.optim.LBFGS(trainable(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe")
+            first = float(self._evaluate().detach())
+            optimiser.step(lambda: float(self._evaluate().detach()))
+            if not float(self._evaluate().detach()) <= first:  # also where it is NaN
+                self.load_state_dict(before)
+        return self.model.freeze(self.data), ""
 
 
-class _Residual(nn.Module):
-    """The residuals as a module, so that `functional_call` can put other parameters in."""
+@torch.no_grad()
+def simulated_states(model: TorchModel, records: Records, cut: Cut) -> States:
+    """The state of a simulation of the whole records from rest at each window's start: shooting begins without defects.
 
-    def __init__(self, fit: Fit) -> None:
-        super().__init__()
-        self.fit = fit
-
-    def forward(self) -> Float[Tensor, "N"]:
-        records = self.fit.training_records
-        y_hat, defects = self.fit.run()
-        return torch.cat([(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()])
-
-
-STILL_EPOCHS = 2
-
-
-class Keeper(Callback):
-    """Keeps the state to return, and stops in good order when numbers leave the finite or no longer change.
-
-    Validation fits of noisy records differ by chance: among states whose validation fit is within `tolerance` percent
-    points of the best seen, the one with the best training fit is kept. A line search that fails at a kink of the
-    objective fails again and again: epochs that leave both fits as they were, to the last bit, end the training.
+    Records start at rest too: an estimate by the untrained model is far off in slow modes, and traps the optimiser.
     """
-
-    _REMEMBERED = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still")
-
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = tolerance
-        self.best_validation, self.kept_training = -math.inf, -math.inf
-        self.kept_validation = -math.inf
-        self.kept: dict[str, Tensor] | None = None
-        self.ended = ""
-        self.seen, self.still = (-math.inf, -math.inf), 0
-
-    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        self.begin(pl_module)
-
-    def begin(self, module: nn.Module) -> None:
-        """Until an epoch has ended, the starting point is the state to return."""
-        if self.kept is None:
-            self.kept = _copy(module)
-
-    def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        if trainer.sanity_checking:
-            return
-        training = float(trainer.callback_metrics["fit_training_percent"])
-        validation = float(trainer.callback_metrics["fit_validation_percent"])
-        self.see(trainer.current_epoch, training, validation, pl_module)
-        trainer.should_stop = trainer.should_stop or bool(self.ended)
-
-    def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
-        """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if so."""
-        if not (math.isfinite(training) and math.isfinite(validation)):
-            self.ended = (
-                f"the loss was not finite in epoch {epoch}; the last good state is kept; "
-                "lower the learning rate, or start from modes further inside the unit circle"
-            )
-            return
-        self.still = self.still + 1 if (training, validation) == self.seen else 0
-        self.seen = (training, validation)
-        if self.still == STILL_EPOCHS:
-            self.ended = "the optimiser no longer moves"
-        self.best_validation = max(self.best_validation, validation)
-        eligible = validation >= self.best_validation - self.tolerance
-        worn_out = self.kept_validation < self.best_validation - self.tolerance
-        if worn_out or (eligible and training > self.kept_training):
-            self.kept, self.kept_training, self.kept_validation = _copy(module), training, validation
-
-    def state_dict(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self._REMEMBERED}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        for name in self._REMEMBERED:
-            setattr(self, name, state_dict[name])
-
-
-def _copy(module: nn.Module) -> dict[str, Tensor]:
-    return copy.deepcopy(module.state_dict())
+    states = records.u.new_zeros(len(cut.pieces), model.states)
+    for later in cut.later:
+        states[later] = model.advance(records.u[later - 1 : later], states[later - 1 : later])[1][0]
+    return states

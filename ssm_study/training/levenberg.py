@@ -1,60 +1,92 @@
-"""Levenberg-Marquardt for the simulation error, its Jacobian by forward differentiation."""
+"""Levenberg-Marquardt for the simulation error, its Jacobian by forward differentiation or written out.
+
+    (J'J + R + damping diag(J'J + R)) step = -(J'r + R theta),    R the weights of a quadratic penalty, if any
+
+Source: Nocedal & Wright (2006), section 10.3; Marquardt (1963) for the scaling.
+"""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.func import jvp, vmap
 
 Residual = Callable[[Float[Tensor, "P"]], Float[Tensor, "N"]]
-
-TRIES = 8  # dampings tried before a step counts as failed
-GROW, SHRINK = 4.0, 0.3
 DAMPING_RANGE = (1e-12, 1e12)
-WEAKEST = 1e-6  # relative: curvatures below this are damped as if they had it
+
+
+class Rule(NamedTuple):
+    """`tries` dampings before a step counts as failed, each `grow` times the last; curvatures below `weakest`, relative
+    to the largest, are damped as if they had it."""
+
+    tries: int
+    grow: float
+    weakest: float
+
+
+FORWARD = Rule(tries=8, grow=4.0, weakest=1e-6)
+WRITTEN_OUT = Rule(tries=10, grow=3.0, weakest=1e-8)
+
+
+def damped(
+    rule: Rule, loss: float, gradient: Any, normal: Any, damping: float,
+    solved: Callable[[float], Any], loss_at: Callable[[Any], float],
+) -> tuple[Any, float, float]:  # fmt: skip
+    """The first step that gains (None where all fail), the loss there, and the damping of the next step.
+
+    The damping falls after a step that gains what the quadratic model expects, and grows after others. `solved` gives
+    the step of a damping, or None; arrays are NumPy's or torch's.
+    """
+    for _ in range(rule.tries):
+        step = solved(damping)
+        value = np.inf if step is None else loss_at(step)
+        gained = loss - value  # not above zero where the trial is not finite
+        if gained > 0:
+            expected = -float(2 * gradient @ step + step @ normal @ step)  # what the quadratic model promises
+            damping *= 0.3 if gained > 0.75 * expected else 1.0 if gained > 0.25 * expected else 2.0
+            return step, value, min(max(damping, DAMPING_RANGE[0]), DAMPING_RANGE[1])
+        damping = min(damping * rule.grow, DAMPING_RANGE[1])
+    return None, loss, damping
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
-    """`(J^T J + damping diag(J^T J)) step = -J^T r`; the damping falls after a good step and grows after a bad one.
+    """The optimiser of torch models: `step` takes one accepted step, or none; there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once, where the linear model
-    holds. `residual(flat parameters)` and `seen(loss)`, told of the loss before each step, are set by the training;
-    `step` takes one accepted step, or none.
-    Source: Nocedal & Wright (2006), section 10.3; Marquardt (1963) for the scaling.
+    holds. `residual(flat parameters)` and `seen(loss)`, told of the loss before each step, are set by the training.
     """
 
     def __init__(self, named: list[tuple[str, torch.nn.Parameter]], damping: float, longest_step: float) -> None:
         super().__init__([parameter for _, parameter in named], {"damping": damping})
         self.residual: Residual | None = None
         self.seen: Callable[[float], object] = float
-        limits = [
-            torch.full((p.numel(),), longest_step if n.endswith(("nu", "theta")) else torch.inf) for n, p in named
-        ]
-        self.limits = torch.cat(limits).double()
+        most = {name: longest_step if name.endswith(("nu", "theta")) else torch.inf for name, _ in named}
+        self.limits = torch.cat([torch.full((p.numel(),), most[name]) for name, p in named]).double()
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss
-        assert self.residual is not None, "the training sets the residual"
-        group = self.param_groups[0]
+        residual, group = self.residual, self.param_groups[0]
+        assert residual is not None, "the training sets the residual"
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
-        r, j = self.residual(flat), jacobian(self.residual, flat)
+        r, j = residual(flat), jacobian(residual, flat)  # P + 1 forward passes
         loss, gradient, normal = float(r @ r), j.T @ r, j.T @ j
         self.seen(loss)
-        scale = normal.diagonal().clamp(min=WEAKEST * float(normal.diagonal().max()))
-        for _ in range(TRIES):
-            step = torch.linalg.solve(normal + torch.diag(group["damping"] * scale), -gradient)
-            step = torch.maximum(torch.minimum(step, self.limits), -self.limits)
-            trial = self.residual(flat + step)
-            gained = loss - float(trial @ trial)
-            expected = -float(2 * gradient @ step + step @ normal @ step)
-            if gained > 0:
-                group["damping"] *= SHRINK if gained > 0.75 * expected else 1.0 if gained > 0.25 * expected else 2.0
-                group["damping"] = min(max(group["damping"], DAMPING_RANGE[0]), DAMPING_RANGE[1])
-                torch.nn.utils.vector_to_parameters(flat + step, group["params"])
-                break
-            group["damping"] = min(group["damping"] * GROW, DAMPING_RANGE[1])
+        scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
+
+        def solved(damping: float) -> Tensor:
+            step = torch.linalg.solve(normal + torch.diag(damping * scale), -gradient)
+            return torch.maximum(torch.minimum(step, self.limits), -self.limits)
+
+        def loss_at(step: Tensor) -> float:
+            trial = residual(flat + step)
+            return float(trial @ trial)
+
+        step, _, group["damping"] = damped(FORWARD, loss, gradient, normal, group["damping"], solved, loss_at)
+        if step is not None:
+            torch.nn.utils.vector_to_parameters(flat + step, group["params"])
         return loss
 
 

@@ -3,68 +3,67 @@
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import nn
+from ssm_study.models.lazy_torch import torch
+from ssm_study.refusal import at_least, positive, require
 
-from ssm_study.refusal import require
-from ssm_study.training.levenberg import LevenbergMarquardt
+if TYPE_CHECKING:
+    from torch import nn
 
 
+@dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
     """`build` returns a torch optimiser over the trainable parameters; an epoch is `calls_per_epoch` calls of it."""
 
     steps_per_epoch: int
+
+    def __post_init__(self) -> None:
+        at_least(1, "optimiser.steps_per_epoch", self.steps_per_epoch, "use 10 or so")
 
     @property
     def calls_per_epoch(self) -> int:
         return self.steps_per_epoch
 
     @abstractmethod
-    def build(self, model: nn.Module) -> torch.optim.Optimizer: ...
+    def build(self, model: "nn.Module") -> "torch.optim.Optimizer": ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lbfgs(OptimiserSpec):
     """Limited-memory BFGS with a strong Wolfe line search; one epoch is `steps_per_epoch` iterations of it."""
 
-    steps_per_epoch: int
     history: int
 
     def __post_init__(self) -> None:
-        _check_steps(self.steps_per_epoch)
-        require(self.history >= 1, "optimiser.history", self.history, "needs at least one pair", "use 20 or so")
+        super().__post_init__()
+        at_least(1, "optimiser.history", self.history, "use 20 or so")
 
     @property
     def calls_per_epoch(self) -> int:
         return 1  # it iterates by itself
 
-    def build(self, model: nn.Module) -> torch.optim.Optimizer:
-        return torch.optim.LBFGS(
-            trainable(model),
-            max_iter=self.steps_per_epoch,
-            history_size=self.history,
-            line_search_fn="strong_wolfe",
-            tolerance_grad=0.0,
-            tolerance_change=0.0,
-        )
+    def build(self, model: "nn.Module") -> "torch.optim.Optimizer":
+        sizes: dict[str, Any] = {"max_iter": self.steps_per_epoch, "history_size": self.history}
+        search: dict[str, Any] = {"line_search_fn": "strong_wolfe", "tolerance_grad": 0.0, "tolerance_change": 0.0}
+        return torch.optim.LBFGS(trainable(model), **sizes, **search)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Levenberg(OptimiserSpec):
     """Levenberg-Marquardt; one epoch is `steps_per_epoch` steps. Penalties are left out: it sees the error alone."""
 
-    steps_per_epoch: int
     damping: float
     longest_step: float
 
     def __post_init__(self) -> None:
-        _check_steps(self.steps_per_epoch)
-        for name in ("damping", "longest_step"):
-            value = getattr(self, name)
-            require(0 < value < math.inf, f"optimiser.{name}", value, "must be positive", "use 0.01 and 0.5")
+        super().__post_init__()
+        positive("optimiser.damping", self.damping, "use 0.01")
+        positive("optimiser.longest_step", self.longest_step, "use 0.5")
 
-    def build(self, model: nn.Module) -> torch.optim.Optimizer:
+    def build(self, model: "nn.Module") -> "torch.optim.Optimizer":
+        from ssm_study.training.levenberg import LevenbergMarquardt
+
         named = [(name, p) for name, p in model.named_parameters() if p.requires_grad]
         return LevenbergMarquardt(named, self.damping, self.longest_step)
 
@@ -74,19 +73,18 @@ class Adam(OptimiserSpec):
     """Adam; one epoch is `steps_per_epoch` steps. The rate falls along half a cosine to `final_fraction` of itself."""
 
     learning_rate: float
-    steps_per_epoch: int
     final_fraction: float
 
     def __post_init__(self) -> None:
-        rate, final = self.learning_rate, self.final_fraction
-        require(0 < rate < math.inf, "optimiser.learning_rate", rate, "must be positive", "use 0.01 or so")
+        super().__post_init__()
+        positive("optimiser.learning_rate", self.learning_rate, "use 0.01 or so")
+        final = self.final_fraction
         require(0 < final <= 1, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so")
-        _check_steps(self.steps_per_epoch)
 
-    def build(self, model: nn.Module) -> torch.optim.Optimizer:
+    def build(self, model: "nn.Module") -> "torch.optim.Optimizer":
         return torch.optim.Adam(trainable(model), lr=self.learning_rate, fused=True)
 
-    def schedule(self, optimiser: torch.optim.Optimizer, max_epochs: int) -> torch.optim.lr_scheduler.LRScheduler:
+    def schedule(self, optimiser: "torch.optim.Optimizer", max_epochs: int) -> "torch.optim.lr_scheduler.LRScheduler":
         """Half a cosine over all epochs, stepped once per epoch."""
 
         def factor(epoch: int) -> float:
@@ -96,10 +94,6 @@ class Adam(OptimiserSpec):
         return torch.optim.lr_scheduler.LambdaLR(optimiser, factor)
 
 
-def trainable(model: nn.Module) -> list[nn.Parameter]:
+def trainable(model: "nn.Module") -> "list[nn.Parameter]":
     """What an optimiser moves."""
     return [parameter for parameter in model.parameters() if parameter.requires_grad]
-
-
-def _check_steps(steps: int) -> None:
-    require(steps >= 1, "optimiser.steps_per_epoch", steps, "an epoch has at least one step", "use 10 or so")

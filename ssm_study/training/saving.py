@@ -1,39 +1,122 @@
-"""Saving while training runs and resuming from what was saved; a checkpoint of something else is refused."""
+"""One training under Lightning: what is saved, seen and kept; a checkpoint of something else is refused."""
 
+import copy
 import hashlib
+import io
+import logging
+import math
 import time
+import warnings
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import lightning.pytorch as pl
 import numpy as np
+import torch
 from jaxtyping import Shaped
-from lightning.pytorch.callbacks import Callback
+from lightning.pytorch.callbacks import Callback, EarlyStopping
+from lightning.pytorch.plugins.io import CheckpointIO
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
+from torch.utils.data import DataLoader
 
+from ssm_study.engine.durable import write_atomically
+from ssm_study.models.spec import ModelSpec
+from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet
-from ssm_study.training.checkpoint import DurableCheckpointIO
+from ssm_study.training.fit import Fit
+from ssm_study.training.metrics import Identification
+from ssm_study.training.training import Training
 
+if TYPE_CHECKING:
+    from ssm_study.training.structured_fit import StructuredFit
+
+SEAL_BYTES = hashlib.sha256().digest_size
 LAST, BEST = "last.ckpt", "best.ckpt"
+FITS = ("fit_training_percent", "fit_validation_percent")
+STILL_EPOCHS = 2
 
 
-class Saver(Callback):
-    """Writes `last.ckpt` whenever `every_s` seconds have passed, so that a killed training can go on from there."""
+class DurableCheckpointIO(CheckpointIO):
+    """Write beside the target, fsync, rename, fsync the folder; read tensors and plain containers only.
 
-    def __init__(self, folder: Path, fingerprint: str, every_s: float) -> None:
-        self.folder, self.fingerprint, self.every_s = folder, fingerprint, every_s
-        self.saved_at = time.monotonic()
+    The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the sum without a word).
+    Lightning's own writer goes through TMPDIR; with that on another file system a full disk destroyed the old file.
+    """
 
-    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        if time.monotonic() - self.saved_at >= self.every_s:
-            trainer.save_checkpoint(self.folder / LAST)
-            self.saved_at = time.monotonic()
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None) -> None:  # noqa: ARG002
+        target, memory = Path(path), io.BytesIO()
+        target.parent.mkdir(parents=True, exist_ok=True)
+        torch.save(checkpoint, memory)  # into a file it would hide a full disk behind an error of its own
+        for left in target.parent.glob(f".{target.name}.*.tmp"):  # by a writer that was killed
+            left.unlink()
+        write_atomically(target, memory.getvalue() + hashlib.sha256(memory.getvalue()).digest())
 
-    def on_save_checkpoint(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]  # noqa: ARG002
-    ) -> None:  # fmt: skip
-        checkpoint["fingerprint"] = self.fingerprint
+    def load_checkpoint(
+        self, path: str | Path, map_location: Any | None = None, weights_only: bool | None = True
+    ) -> dict[str, Any]:  # fmt: skip
+        del weights_only  # never anything else: a checkpoint must not be able to run code
+        whole = Path(path).read_bytes()
+        content, seal = whole[:-SEAL_BYTES], whole[-SEAL_BYTES:]
+        if hashlib.sha256(content).digest() != seal:
+            raise ValueError("not what was written")
+        return torch.load(io.BytesIO(content), map_location=map_location or "cpu", weights_only=True)
+
+    def remove_checkpoint(self, path: str | Path) -> None:
+        Path(path).unlink(missing_ok=True)
+
+
+def trained(
+    settings: Training, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool
+) -> Identification:
+    """Epochs, checkpoints and early stopping are the same around a step of torch and one that needs none of it."""
+    # More epochs or patience only continue a training, so a checkpoint is good for those too.
+    belongs_to = fingerprint((spec, seed), replace(settings, max_epochs=1, patience=1), data)
+    fit: Fit | StructuredFit
+    if isinstance(spec, StructuredSpec):
+        from ssm_study.training import structured_fit  # compiles
+
+        fit = structured_fit.StructuredFit(spec, data, seed)
+    else:
+        fit = Fit(spec.build(data, seed), data, settings)
+        fit.to(torch.float32 if settings.precision == 32 else torch.float64)
+    keeper = Keeper(settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s)
+    watched: Any = {"monitor": FITS[1], "mode": "max", "check_finite": False}
+    stopping = EarlyStopping(**watched, min_delta=settings.min_gain_percent, patience=settings.patience)
+    one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
+    resume_from = resumable(folder, belongs_to)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="lightning")  # advice on Slurm, workers, loggers: of no use here
+        line = [Line(settings.max_epochs)] if progress else []
+        trainer = trainer_of(settings, [stopping, keeper, *line], folder)  # saved is what stopping has counted
+        trainer.fit(fit, one, one, ckpt_path=resume_from)
+    if trainer.interrupted:
+        raise KeyboardInterrupt
+    early = "validation fit no longer grows" if stopping.stopped_epoch > 0 else f"{settings.max_epochs} epochs done"
+    if keeper.kept is not None:
+        write_best(folder / BEST, keeper.kept, belongs_to)
+        load_state(folder / BEST, fit)
+    model, told = fit.concluded()
+    seconds = keeper.curve[-1]["seconds"] if keeper.curve else 0.0
+    return Identification.of(model, data, seconds=seconds, curve=keeper.curve, ended=(keeper.ended or early) + told)
+
+
+def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> pl.Trainer:
+    """Raises `BadRequest` for an accelerator that this machine does not have."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    told: Any = dict.fromkeys(("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
+    told |= {"devices": 1, "log_every_n_steps": 1, "num_sanity_val_steps": 0, "plugins": [DurableCheckpointIO()]}
+    told |= {"callbacks": callbacks, "default_root_dir": folder, "max_epochs": settings.max_epochs}
+    told["logger"] = settings.logger.build(folder) or False  # its own refusals pass
+    try:
+        return pl.Trainer(accelerator=settings.accelerator, **told)
+    except (MisconfigurationException, RuntimeError, ValueError) as error:
+        problem, remedy = "not available on this machine", "use accelerator=cpu"
+        raise BadRequest("training.accelerator", settings.accelerator, problem, remedy) from error
 
 
 def fingerprint(spec: object, settings: object, data: DataSet) -> str:
@@ -73,10 +156,100 @@ def write_best(path: Path, state: dict[str, Shaped[Tensor, "..."]], belongs_to: 
 def load_state(path: Path, module: nn.Module) -> None:
     """Load `best.ckpt` into a module of the same architecture; raises `BadRequest` for any other."""
     state, own = read(path)["state_dict"], module.state_dict()
-    differing = sorted(set(state) ^ set(own)) + sorted(
-        name for name in set(state) & set(own) if state[name].shape != own[name].shape
-    )
-    shown = ", ".join(differing[:3])
-    problem = f"the checkpoint is of another architecture (differs in {shown})"
+    shapes, needed = ({(name, tensor.shape) for name, tensor in each.items()} for each in (state, own))
+    differing = sorted({name for name, _ in shapes ^ needed})
+    problem = f"the checkpoint is of another architecture (differs in {', '.join(differing[:3])})"
     require(not differing, "checkpoint", path, problem, "use the settings it was trained with")
     module.load_state_dict(state)
+
+
+class Line(Callback):
+    """Epochs, fits and time left on one live line; silent where stderr is not a terminal."""
+
+    def __init__(self, max_epochs: int) -> None:
+        columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
+        console = Console(stderr=True)
+        self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self.task = self.progress.add_task("", total=max_epochs)
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        self.progress.start()
+
+    def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        training, validation = (f"{trainer.callback_metrics[name]:.2f} %" for name in FITS)
+        epoch = trainer.current_epoch + 1
+        told = f"epoch {epoch}/{trainer.max_epochs}, fit {training}, validation {validation}"
+        self.progress.update(self.task, completed=epoch, description=told)
+
+    def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:  # noqa: ARG002
+        self.progress.stop()
+
+
+class Keeper(Callback):
+    """Keeps the state to return, and stops in good order when numbers leave the finite or no longer change.
+
+    Validation fits of noisy records differ by chance: among states whose validation fit is within `tolerance` percent
+    points of the best seen, the one with the best training fit is kept. A line search that fails at a kink of the
+    objective fails again and again: epochs that leave both fits as they were, to the last bit, end the training.
+    `curve` has one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. Whenever `every_s`
+    seconds have passed `last.ckpt` is written, so that a killed training can go on from there.
+    """
+
+    remembered = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still", "curve")
+
+    def __init__(
+        self, tolerance: float, folder: Path = Path(), belongs_to: str = "", every_s: float = math.inf
+    ) -> None:
+        self.tolerance, self.folder, self.belongs_to, self.every_s = tolerance, folder, belongs_to, every_s
+        self.curve: list[dict[str, float]] = []
+        self.started, self.before_s, self.saved_at = time.perf_counter(), 0.0, time.monotonic()
+        self.best_validation = self.kept_training = self.kept_validation = -math.inf
+        self.kept: dict[str, Tensor] | None = None
+        self.ended, self.seen, self.still = "", (-math.inf, -math.inf), 0
+
+    def state_dict(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.remembered}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        for name in self.remembered:
+            setattr(self, name, state_dict[name])
+        self.before_s = self.curve[-1]["seconds"] if self.curve else 0.0
+
+    def on_save_checkpoint(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]  # noqa: ARG002
+    ) -> None:  # fmt: skip
+        checkpoint["fingerprint"] = self.belongs_to
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        if time.monotonic() - self.saved_at >= self.every_s:
+            trainer.save_checkpoint(self.folder / LAST)
+            self.saved_at = time.monotonic()
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        if self.kept is None:  # until an epoch has ended, the starting point is the state to return
+            self.kept = copy.deepcopy(pl_module.state_dict())
+
+    def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
+        self.see(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
+        seconds = self.before_s + time.perf_counter() - self.started
+        self.curve.append({"epoch": float(trainer.current_epoch), "seconds": seconds, **fits})
+        trainer.should_stop = trainer.should_stop or bool(self.ended)
+
+    def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
+        """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if so."""
+        if not (math.isfinite(training) and math.isfinite(validation)):
+            self.ended = (
+                f"the loss was not finite in epoch {epoch}; the last good state is kept; "
+                "lower the learning rate, or start from modes further inside the unit circle"
+            )
+            return
+        self.still = self.still + 1 if (training, validation) == self.seen else 0
+        self.seen = (training, validation)
+        if self.still == STILL_EPOCHS:
+            self.ended = "the optimiser no longer moves"
+        self.best_validation = max(self.best_validation, validation)
+        least = self.best_validation - self.tolerance
+        if self.kept_validation < least or (validation >= least and training > self.kept_training):
+            self.kept = copy.deepcopy(module.state_dict())
+            self.kept_training, self.kept_validation = training, validation

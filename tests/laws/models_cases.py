@@ -3,9 +3,9 @@
 import numpy as np
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold_linear import LinearScaffold
-from ssm_study.models.scaffold_monotone import MonotoneScaffold
-from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
 
 SOFT_DEAD_ZONE = MonotoneScaffold(breakpoints=np.array([[-0.4, 0.4]]), slopes=np.array([[1.0, 0.2, 1.0]]))
@@ -19,10 +19,12 @@ def true_system() -> SSM:
         linear=TWO_POLES,
         scaffold_in=SOFT_DEAD_ZONE,
         scaffold_out=LinearScaffold.identity(1),
-        input_scale=np.ones(1),
-        output_scale=np.ones(1),
-        input_equilibrium=np.array([0.5]),
-        output_equilibrium=np.array([10.0]),
+        scale=Scale(
+            input_scale=np.ones(1),
+            output_scale=np.ones(1),
+            input_equilibrium=np.array([0.5]),
+            output_equilibrium=np.array([10.0]),
+        ),
         step_s=0.01,
     )
 
@@ -35,7 +37,7 @@ def data_set(noise: float = 0.0, samples: int = 400, hold: int = 8, seed: int = 
     rng, system = np.random.default_rng(seed), true_system()
 
     def record(name: str) -> Trajectory:
-        u = held_levels(rng, samples, hold) + system.input_equilibrium
+        u = held_levels(rng, samples, hold) + system.scale.input_equilibrium
         y = system.simulate(u)
         return Trajectory(u=u, y=y + noise * rng.normal(size=y.shape), step_s=0.01, name=name)
 
@@ -46,8 +48,10 @@ def data_set(noise: float = 0.0, samples: int = 400, hold: int = 8, seed: int = 
         test=(record("test"),),
         inputs=(Channel(name="voltage", unit="V"),),
         outputs=(Channel(name="speed", unit="rad/s"),),
-        input_equilibrium=system.input_equilibrium,
-        output_equilibrium=system.output_equilibrium,
-        input_scale=np.array([1.2]),
-        output_scale=np.array([3.0]),
+        scale=Scale(
+            input_equilibrium=system.scale.input_equilibrium,
+            output_equilibrium=system.scale.output_equilibrium,
+            input_scale=np.array([1.2]),
+            output_scale=np.array([3.0]),
+        ),
     )

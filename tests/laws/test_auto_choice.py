@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record
+from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record
 
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import Loop
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
-from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.auto import LOSS, Auto, expected_area
 from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.integral import with_integrators
-from ssm_study.synthesis.mismatch import Prediction, mismatch, predict
-from ssm_study.systems import JacobianBall
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.prediction import Prediction, predict
+from ssm_study.synthesis.theorems.integral_action import with_integrators
+from ssm_study.systems import JacobianBall, Pair
 
 SMALL = Auto(
     stretch_shares=(0.1, 0.6),
@@ -30,13 +31,12 @@ SMALL = Auto(
 
 
 def predicted(design: Design, record: Trajectory) -> Prediction:
-    gains = design.state_feedback.k, design.observer.l
-    return predict(motor_model(), *gains, INPUT_BALL, OUTPUT_BALL, mismatch(motor_model(), (record,)))
+    return predict(motor_model(), design.pair, BALLS, mismatch(motor_model(), (record,)))
 
 
 @pytest.fixture(scope="module")
 def chosen() -> Design:
-    return SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    return SMALL.design(motor_model(), BALLS, (motor_record(),))
 
 
 def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
@@ -46,22 +46,36 @@ def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
     assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
 
 
-def test_no_candidate_that_is_predicted_to_keep_the_plant_is_faster_on_the_model(chosen):
-    candidates = SMALL.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
+def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_response(chosen):
+    candidates = SMALL.candidates(motor_model(), BALLS)
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
-    areas = relative_areas(motor_model(), candidates.ks, candidates.ls, pairs, (motor_record(),))
+    areas = relative_areas(motor_model(), candidates.gains(pairs), (motor_record(),))
     shown = mismatch(motor_model(), (motor_record(),))
-    keeps = np.array(
-        [
-            predict(motor_model(), candidates.ks[i], candidates.ls[j], INPUT_BALL, OUTPUT_BALL, shown).keeps_the_plant()
-            for i, j in pairs
-        ]
-    )
+    gains = [Pair(k=candidates.ks[i], l=candidates.ls[j]) for i, j in pairs]
+    found = [predict(motor_model(), pair, BALLS, shown) for pair in gains]
+    keeps = np.array([prediction.keeps_the_plant() for prediction in found])
     assert 0 < keeps.sum() < len(keeps)
-    own = relative_areas(
-        motor_model(), chosen.state_feedback.k[None], chosen.observer.l[None], np.zeros((1, 2), int), (motor_record(),)
+    expected = np.array(
+        [expected_area(a, 1 / p.resolved_margin, shown.spread) for a, p in zip(areas, found, strict=True)]
     )
-    assert own[0] == pytest.approx(areas[keeps].min(), rel=1e-9)
+    own = expected_area(
+        relative_areas(
+            motor_model(),
+            Pair(k=chosen.state_feedback.k[None], l=chosen.observer.l[None]),
+            (motor_record(),),
+        )[0],
+        1 / predicted(chosen, motor_record()).resolved_margin,
+        shown.spread,
+    )
+    assert own == pytest.approx(expected[keeps].min(), rel=0.01)
+
+
+def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
+    """At the edge half of the samples of g fail on the plant; far from it the expected area is the area."""
+    assert expected_area(0.3, 1.0, 0.2) == pytest.approx((0.3 + LOSS) / 2)
+    assert expected_area(0.3, 0.1, 0.2) == pytest.approx(0.3)
+    assert expected_area(0.3, 0.7, 0.6) > expected_area(0.4, 0.3, 0.6)
+    assert expected_area(0.3, 0.7, 0.1) < expected_area(0.4, 0.3, 0.1)
 
 
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
@@ -76,10 +90,9 @@ def test_more_mismatch_makes_it_slower(chosen):
     rng = np.random.default_rng(0)
     record = motor_record()
     worse = replace(record, y=record.y + 2.0 * rng.standard_normal(record.y.shape))
-    careful = SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (worse,))
-    zero = np.zeros((1, 2), int)
+    careful = SMALL.design(motor_model(), BALLS, (worse,))
     areas = [
-        relative_areas(motor_model(), d.state_feedback.k[None], d.observer.l[None], zero, (record,))[0]
+        relative_areas(motor_model(), Pair(k=d.state_feedback.k[None], l=d.observer.l[None]), (record,))[0]
         for d in (chosen, careful)
     ]
     assert areas[1] > areas[0]
@@ -88,7 +101,7 @@ def test_more_mismatch_makes_it_slower(chosen):
 def test_without_any_margin_the_largest_is_taken_and_said():
     record = motor_record()
     useless = replace(record, y=record.y + 1e4)
-    design = SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (useless,))
+    design = SMALL.design(motor_model(), BALLS, (useless,))
     assert design.certified
     assert not predicted(design, useless).keeps_the_plant()
     assert "largest margin" in design.state_feedback.solver_status
@@ -96,16 +109,16 @@ def test_without_any_margin_the_largest_is_taken_and_said():
 
 def test_a_given_rate_is_kept():
     kept = replace(SMALL, rate_controller=0.02, rate_observer=0.15)
-    design = kept.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    design = kept.design(motor_model(), BALLS, (motor_record(),))
     assert design.state_feedback.rate == 0.02
     assert design.observer.rate == 0.15
 
 
 def test_one_rate_stands_for_both_sides_that_are_left_to_auto():
-    both = replace(SMALL, rate=0.02).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    both = replace(SMALL, rate=0.02).design(motor_model(), BALLS, (motor_record(),))
     assert (both.state_feedback.rate, both.observer.rate) == (0.02, 0.02)
     one = replace(SMALL, rate=0.02, rate_observer=0.15)
-    design = one.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    design = one.design(motor_model(), BALLS, (motor_record(),))
     assert (design.state_feedback.rate, design.observer.rate) == (0.02, 0.15)
 
 
@@ -119,21 +132,21 @@ def test_rate_is_a_key_of_the_configuration(group):
 
 
 def test_a_rate_beyond_the_frontier_is_infeasible_and_says_how_far():
-    design = replace(SMALL, rate_controller=0.9).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    design = replace(SMALL, rate_controller=0.9).design(motor_model(), BALLS, (motor_record(),))
     assert isinstance(design.state_feedback, Infeasible)
     assert design.state_feedback.proved
     assert design.state_feedback.rate_limit < 0.9
 
 
 def test_slopes_that_hold_zero_are_infeasible():
-    design = SMALL.design(motor_model(), JacobianBall.from_slopes(-0.1, 1.0), OUTPUT_BALL, (motor_record(),))
+    design = SMALL.design(motor_model(), replace(BALLS, input=JacobianBall.from_slopes(-0.1, 1.0)), (motor_record(),))
     assert isinstance(design.state_feedback, Infeasible)
 
 
 def test_a_record_without_excitation_is_refused():
     still = Trajectory(u=np.zeros((50, 1)), y=np.zeros((50, 1)), step_s=0.01)
     with pytest.raises(BadRequest, match="validation"):
-        SMALL.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (still,))
+        SMALL.design(motor_model(), BALLS, (still,))
 
 
 @pytest.mark.parametrize(
@@ -179,12 +192,12 @@ def test_the_default_grids_are_those_of_the_documentation():
 
 def test_each_candidate_is_the_gain_of_its_specification():
     auto = replace(SMALL, integral_weights=(1e-3, 1e-2), state_weight=1e-5, state_noise=1e-3)
-    candidates = auto.candidates(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    candidates = auto.candidates(motor_model(), BALLS)
     assert set(candidates.integral) == {1e-3, 1e-2}
     last = np.array([len(candidates.ks) - 1, len(candidates.ls) - 1])
     for pair in (np.array([0, 0]), last // 2, last):
         asked = candidates.specification(pair)
-        design = asked.design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+        design = asked.design(motor_model(), BALLS)
         np.testing.assert_allclose(design.state_feedback.k, candidates.ks[pair[0]], rtol=1e-9)
         np.testing.assert_allclose(design.observer.l, candidates.ls[pair[1]], rtol=1e-9)
         assert asked.integral_weight == candidates.integral[pair[0]]
@@ -195,7 +208,7 @@ def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
     """Shares of the model's own rate, then of the stretch from there to the limit; absolute ones for the observer."""
     model = motor_model()
     auto = replace(SMALL, own_rate_shares=(0.25, 0.5))
-    candidates = auto.candidates(model, INPUT_BALL, OUTPUT_BALL)
+    candidates = auto.candidates(model, BALLS)
     own = 1 - model.linear.spectral_radius**2
     limit = controller_frontier(model.linear, INPUT_BALL).rate_limit
     rates = sorted({specification.rate_controller for specification in candidates.feedback})
@@ -209,7 +222,7 @@ def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
 def test_an_unstable_model_has_no_cautious_rate():
     model = motor_model()
     unstable = model.with_linear(replace(model.linear, a=model.linear.a * 1.05))
-    candidates = SMALL.candidates(unstable, INPUT_BALL, OUTPUT_BALL)
+    candidates = SMALL.candidates(unstable, BALLS)
     limit = controller_frontier(unstable.linear, INPUT_BALL).rate_limit
     rates = sorted({specification.rate_controller for specification in candidates.feedback})
     np.testing.assert_allclose(rates, [0.1 * limit, 0.6 * limit])
@@ -217,17 +230,19 @@ def test_an_unstable_model_has_no_cautious_rate():
 
 def test_a_larger_margin_is_kept_or_said_to_be_out_of_reach(chosen):
     reached = predicted(chosen, motor_record()).resolved_margin
-    careful = replace(SMALL, margin=1.5 * reached).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    careful = replace(SMALL, margin=1.5 * reached).design(motor_model(), BALLS, (motor_record(),))
     assert predicted(careful, motor_record()).resolved_margin > 1.5 * reached
-    assert careful.state_feedback.solver_status.startswith("fastest that is predicted to keep the plant; tau")
-    none = replace(SMALL, margin=1e9).design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    assert careful.state_feedback.solver_status.startswith(
+        "best expected response of those predicted to be stable; tau"
+    )
+    none = replace(SMALL, margin=1e9).design(motor_model(), BALLS, (motor_record(),))
     assert none.observer.solver_status.startswith("no stable controller with margin above 1e+09; largest margin taken")
     assert predicted(none, motor_record()).resolved_margin >= predicted(careful, motor_record()).resolved_margin
 
 
 def test_with_integral_action_an_impossible_request_says_why():
     asked = replace(SMALL, rate_controller=0.9, integral_weights=(1e-3,))
-    design = asked.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    design = asked.design(motor_model(), BALLS, (motor_record(),))
     assert design.state_feedback.proved
     assert design.state_feedback.rate == 0.9
     limit = controller_frontier(with_integrators(motor_model()), INPUT_BALL).rate_limit

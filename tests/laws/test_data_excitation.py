@@ -8,18 +8,18 @@ import pandas as pd
 import pytest
 from plants_cases import choices, from_yaml
 
-from ssm_study.data.coverage import (
+from ssm_study.data.excitations.excitation import PRBS, SignalRequest
+from ssm_study.data.excitations.multisine import Multisine
+from ssm_study.data.excitations.own_signal import OwnSignal
+from ssm_study.data.metrics import (
     SlopesNotIdentifiable,
     input_coverage,
     persistency_order,
     warn_if_two_level,
 )
-from ssm_study.data.excitation import PRBS, Request
-from ssm_study.data.multisine import Multisine, crest_factor
-from ssm_study.data.own_signal import OwnSignal
 from ssm_study.refusal import BadRequest
 
-REQUEST = Request(samples=600, step_s=0.01, amplitude=(4.0, 0.5), clock_s=0.05)
+REQUEST = SignalRequest(samples=600, step_s=0.01, amplitude=(4.0, 0.5), clock_s=0.05)
 EVERY = pytest.mark.parametrize("name", choices("excitation"))
 
 
@@ -61,7 +61,7 @@ def test_levels_are_held_for_the_clock() -> None:
 def test_a_prbs_is_a_maximum_length_sequence() -> None:
     """Its circular autocorrelation is -1/(2^n - 1) at every shift but zero."""
     length = 2**7 - 1
-    request = Request(samples=length, step_s=1.0, amplitude=(1.0,), clock_s=1.0)
+    request = SignalRequest(samples=length, step_s=1.0, amplitude=(1.0,), clock_s=1.0)
     u = PRBS(register_bits=7).signal(request, np.random.default_rng(0))[:, 0]
     correlation = np.fft.ifft(np.abs(np.fft.fft(u)) ** 2).real / length
     np.testing.assert_allclose(correlation[1:], -1 / length, atol=1e-12)
@@ -85,7 +85,7 @@ def test_a_sum_of_sines_is_persistently_exciting_of_twice_their_number(sines: in
     assert persistency_order(u - 0.0) == 2 * sines
 
 
-ONE = Request(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
+ONE = SignalRequest(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
 
 
 def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
@@ -95,6 +95,11 @@ def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
     assert inside.sum() == 41
     np.testing.assert_allclose(amplitude[inside], amplitude[inside].mean(), rtol=1e-9)
     np.testing.assert_allclose(amplitude[~inside], 0.0, atol=1e-12)
+
+
+def crest_factor(u: np.ndarray) -> float:
+    """`max |u| / rms(u)`: 1 for two levels, sqrt(2) for a sine."""
+    return float(np.abs(u).max() / np.sqrt(np.mean(u**2)))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -127,7 +132,7 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(u, values[start : start + 1000])
     scaled = OwnSignal(path=str(tmp_path / "u.csv"), column="volt", amplitude=1.0)
     assert np.abs(scaled.signal(ONE, np.random.default_rng(0))).max() <= 1.0
-    long = Request(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)
+    long = SignalRequest(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)
     with pytest.raises(BadRequest, match="has 1500 rows and records of 2000 samples"):
         OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(long, np.random.default_rng(0))
     with pytest.raises(BadRequest, match="the plant has 2 inputs"):

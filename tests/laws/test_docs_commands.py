@@ -1,5 +1,6 @@
 """Every command that README and docs show is executed, made short by the one rule in `docs_commands.py`."""
 
+import json
 import os
 import runpy
 import shlex
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,8 @@ from filelock import FileLock
 
 import ssm_study.plants
 import ssm_study.synthesis
-from ssm_study import cli
+from ssm_study import extensions
+from ssm_study.cli import main as cli
 from ssm_study.report import figures, style
 
 COMMANDS = every_command()
@@ -49,25 +52,43 @@ def clone(tmp_path_factory: pytest.TempPathFactory, smoke_study: Path) -> Path:
             place(folder)
             (folder / "results" / ".store").symlink_to(smoke_study.parent / ".store")
             log().to_csv(folder / "log.csv", index=False)
+            trial().to_csv(folder / "first_trial.csv", index=False)
     return folder
 
 
 def log() -> pd.DataFrame:
     """A record with the columns that the pages name."""
-    rng = np.random.default_rng(0)
-    power = np.repeat(rng.uniform(-3, 3, 60), 8)
-    temperature = np.zeros(len(power))
-    for k in range(len(power) - 1):
-        temperature[k + 1] = 0.93 * temperature[k] + 0.4 * (power[k] + 0.5 * np.tanh(power[k]))
-    noisy = temperature + 0.02 * rng.standard_normal(len(power))
+    power = np.repeat(np.random.default_rng(0).uniform(-3, 3, 60), 8)
+    return heated(power, gain=0.0, start=0.0)
+
+
+def trial() -> pd.DataFrame:
+    """The same plant under a gain so high that the loop swings for ever."""
+    return heated(np.zeros(480), gain=5.0, start=1.0)
+
+
+def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
+    """A lag whose input saturates softly; `gain` feeds its measured output back."""
+    temperature, noise = np.zeros(len(power)), 0.02 * np.random.default_rng(0).standard_normal(len(power))
+    temperature[0] = start
+    for k in range(len(power)):
+        power[k] = np.clip(power[k] - gain * (temperature[k] + noise[k]), -3, 3)
+        if k + 1 < len(power):
+            temperature[k + 1] = 0.93 * temperature[k] + 0.4 * (power[k] + 0.5 * np.tanh(power[k]))
+    noisy = temperature + noise
     return pd.DataFrame({"power": power, "temperature": noisy, "voltage": power, "speed": noisy})
 
 
 @pytest.fixture(autouse=True)
-def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(style._PAPER, "savefig.dpi", 40)  # rendering pixels is most of a report's time
+def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(style._PAPER["savefig"], "dpi", 40)  # rendering pixels is most of a report's time
     monkeypatch.setattr(time, "perf_counter", time.perf_counter)  # one benchmark puts its own clock there
     monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setenv(extensions.FOLDER, "")
+    extensions.packages.cache_clear()
+    yield
+    monkeypatch.undo()
+    extensions.packages.cache_clear()  # what a command trusted by `--with`
 
 
 def test_there_are_commands_of_every_kind() -> None:
@@ -76,7 +97,7 @@ def test_there_are_commands_of_every_kind() -> None:
         assert any(command.startswith(beginning) for command in COMMANDS), beginning
 
 
-@pytest.mark.filterwarnings("ignore::ssm_study.data.coverage.SlopesNotIdentifiable")  # one page shows it
+@pytest.mark.filterwarnings("ignore::ssm_study.data.metrics.SlopesNotIdentifiable")  # one page shows it
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: f"{COMMANDS[command]}: {command[:70]}")
 def test_it_runs(
     command: str, clone: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, tmp_path: Path
@@ -98,6 +119,14 @@ def test_it_runs(
         executed(command, clone, conf if conf.is_dir() else None)
 
 
+def test_the_tutorial_makes_the_log_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(files_to_write(ROOT / "docs" / "tutorial.md")["make_log.py"], {})
+    written = pd.read_csv("log.csv")
+    assert list(written.columns) == ["power", "temperature"]
+    assert len(written) == 2400
+
+
 def lock_of(command: str) -> str:
     """Commands on one study, or of one benchmark, one after the other."""
     words = command.replace("STUDY", "results/paper").split()
@@ -110,6 +139,7 @@ def lock_of(command: str) -> str:
 def executed(command: str, clone: Path, written: Path | None = None) -> None:
     words = [word for word in shlex.split(command) if "=" not in word or not word.split("=")[0].isupper()]
     program, *arguments = words
+    arguments = extensions.taken_from(arguments)
     if "--retry-failed" in arguments:  # of a study that is there
         executed(command.replace(" --retry-failed", ""), clone, written)
     if program == "ssm-study" and arguments[0] == "run":
@@ -133,7 +163,7 @@ def executed(command: str, clone: Path, written: Path | None = None) -> None:
 
 
 def status(arguments: list[str]) -> int:
-    """The exit status of `ssm-study`."""
+    """The exit status of `ssm-study`, as in a process of its own."""
     try:
         return cli.main(arguments)
     except SystemExit as end:
@@ -153,8 +183,9 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
         found = maker(study)
         assert found is not None, f"no page says how to make the study {study}"
         executed(found, clone)
-    runs = sorted(path.parent.name for path in (clone / "results" / study).glob("*/record.json"))
-    return [word.replace("/RUN", f"/{runs[0]}") for word in arguments]
+    records = sorted((clone / "results" / study).glob("*/record.json"))
+    runs = [path.parent.name for path in records if json.loads(path.read_text()).get("status") == "ok"]
+    return [word.replace("/RUN", f"/{(runs or [records[0].parent.name])[0]}") for word in arguments]
 
 
 def benchmark(arguments: list[str], clone: Path) -> None:

@@ -1,5 +1,6 @@
 """The notebooks run from top to bottom without a display or a network, on the smoke configuration."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,17 @@ def test_it_runs(path: Path, results: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert pictures(notebook) >= 1, text(notebook)
     assert "Traceback" not in text(notebook), text(notebook)
     assert "$" not in shown_as_markdown(notebook), "exported to HTML, a formula between $ needs a network to be shown"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
+    jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
+    page = (ROOT / "docs" / "notebooks" / f"{path.stem}.md").read_text()
+    code = [cell.source for cell in jupytext.read(path).cells if cell.cell_type == "code"]
+    assert re.findall(r"```python\n(.*?)\n```", page, re.S) == code, "run python benchmarks/notebooks_rendered.py"
+    shown = re.findall(r"!\[[^]]*\]\(([^)]+)\)", page)
+    assert shown
+    assert all((ROOT / "docs" / "notebooks" / name).is_file() for name in shown)
 
 
 def pictures(notebook: Any) -> int:

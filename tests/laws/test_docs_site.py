@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from report_browser import chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -14,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
@@ -38,3 +39,34 @@ def test_formulas_are_drawn_without_script(site: Path) -> None:
     page = (site / "howto_export" / "index.html").read_text()
     assert "<math" in page
     assert "arithmatex" not in page, "a formula was left as LaTeX"
+
+
+def test_every_image_and_link_of_the_site_leads_somewhere(site: Path) -> None:
+    dead = []
+    for page in site.rglob("*.html"):
+        for target in re.findall(r'(?:href|src)="([^"]+)"', page.read_text()):
+            if re.match(r"[a-z]+:|#|//", target):
+                continue
+            place = site / target.lstrip("/") if target.startswith("/") else page.parent / target
+            place = Path(str(place).split("#")[0].split("?")[0])
+            if not (place.is_file() or (place / "index.html").is_file()):
+                dead.append(f"{page.relative_to(site)}: {target}")
+    assert not dead, dead
+
+
+def test_formulas_tables_and_names_are_legible_on_a_phone(site: Path, tmp_path: Path) -> None:
+    """No page is wider than the phone, and the name of a column is not broken into two lines."""
+    with chromium(tmp_path, phone=True) as driver:
+        for page in ("howto_export", "engine", "notebooks/reading_a_sweep"):
+            driver.get((site / page / "index.html").as_uri())
+            assert driver.execute_script("return document.documentElement.scrollWidth") <= 390, page
+        driver.get((site / "engine" / "index.html").as_uri())
+        names = "[...document.querySelectorAll('td:first-child code')]"
+        assert driver.execute_script(f"return {names}.length") > 50
+        assert driver.execute_script(f"return {names}.filter((name) => name.getClientRects().length > 1).length") == 0
+
+
+def test_every_page_says_at_its_top_who_needs_it() -> None:
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        if page.name != "index.md":
+            assert page.read_text().split("\n")[2].startswith("*For "), page.name

@@ -14,11 +14,12 @@ from typing import Any
 
 import pytest
 
-from ssm_study.results.durable import unsealed, write_json_atomically
-from ssm_study.results.gather import PARQUET, gather
-from ssm_study.results.records import RECORD, read_record
-from ssm_study.results.runs import Run, execute
-from ssm_study.results.store import Store, intact_manifest
+from ssm_study.engine.durable import unsealed, write_json_atomically
+from ssm_study.engine.records import RECORD, read_record
+from ssm_study.engine.runs import Run, execute
+from ssm_study.engine.settings import digest
+from ssm_study.engine.store import Store, intact_manifest
+from ssm_study.table.gather import PARQUET, gather
 
 OPERATIONS = ("open", "write", "fsync", "replace", "rename", "mkdir")
 
@@ -136,13 +137,13 @@ def test_a_stage_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         (folder / "b.bin").write_bytes(bytes(1000))
 
     def act(nth: int) -> None:
-        Store(tmp_path / f"{nth}").stage("model", 1, [], "v", compute)
+        Store(tmp_path / f"{nth}").keyed("model", digest(1), {}, compute)
 
     def judge(nth: int) -> None:
         store = Store(tmp_path / f"{nth}")
         for folder in (tmp_path / f"{nth}" / "model").glob("[!.]*"):
             assert intact_manifest(folder) is not None
-        stage = store.stage("model", 1, [], "v", compute)
+        stage = store.keyed("model", digest(1), {}, compute)
         assert (stage.path / "inner" / "a.json").read_text() == "12345"
         assert [path.name for path in stage.path.parent.iterdir()] == [stage.path.name]
 
@@ -205,8 +206,8 @@ def no_file_longer_than(size: int) -> Iterator[None]:
 @pytest.mark.parametrize("size", [0, 1, 100, 700])
 def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size: int) -> None:
     def work(run: Run) -> dict[str, float]:
-        stage = Store(tmp_path / "store").stage(
-            "model", 1, [], "v", lambda folder: (folder / "m").write_bytes(bytes(1200)) and None
+        stage = Store(tmp_path / "store").keyed(
+            "model", digest(1), {}, lambda folder: (folder / "m").write_bytes(bytes(1200)) and None
         )
         (run.path / "model.json").write_bytes((stage.path / "m").read_bytes())
         return {"fit_test_percent": 90.0}
@@ -238,8 +239,8 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
     def work(run: Run) -> dict[str, float]:
         number = int(run.path.name)
         store = Store(small_disk / "store")
-        stage = store.stage(
-            "model", number, [], "v", lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None
+        stage = store.keyed(
+            "model", digest(number), {}, lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None
         )
         (run.path / "model.json").write_bytes((stage.path / "m").read_bytes()[:1000])
         return {"fit_test_percent": float(number)}

@@ -11,31 +11,30 @@ from typing import Any
 
 import pytest
 
-from ssm_study.results.gather import gather
-from ssm_study.results.records import read_record
+from ssm_study.engine.records import read_record
+from ssm_study.table.gather import gather
 
 PROGRAM = [sys.executable, str(Path(__file__).resolve().parents[1] / "engine_study.py"), "-m"]
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
-def environment(folder: Path) -> dict[str, str]:
-    (folder / "conf").mkdir(exist_ok=True)
+def environment(folder: Path, more: dict[str, str]) -> dict[str, str]:
     unwanted = ("OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THREADS")
     base = {name: value for name, value in os.environ.items() if name not in unwanted}
     path = os.pathsep.join([str(REPOSITORY), str(folder), os.environ.get("PYTHONPATH", "")])
-    return base | {"ENGINE_CONF": str(folder / "conf"), "PYTHONPATH": path, "HYDRA_FULL_ERROR": "1"}
+    return base | {"PYTHONPATH": path, "HYDRA_FULL_ERROR": "1"} | more
 
 
-def start(folder: Path, *words: str, into: Path | None = None) -> "subprocess.Popen[str]":
-    ours = not any(word.startswith(("hydra/launcher", "hydra.launcher.preload")) for word in words)
-    light = ["hydra.launcher.preload=[ssm_study.results.store]"] if ours else []
-    command = [*PROGRAM, f"results_dir={folder / 'results'}", *light, *words]
+def start(folder: Path, *words: str, into: Path | None = None, **more: str) -> "subprocess.Popen[str]":
+    command = [*PROGRAM, f"results_dir={folder / 'results'}", *words]
     command = ["sh", "-c", 'echo $$ >"$0/cgroup.procs"; exec "$@"', str(into), *command] if into else command
-    return subprocess.Popen(command, env=environment(folder), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        command, env=environment(folder, more), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
 
 
-def sweep(folder: Path, *words: str) -> tuple[int, str]:
-    process = start(folder, *words)
+def sweep(folder: Path, *words: str, **more: str) -> tuple[int, str]:
+    process = start(folder, *words, **more)
     output, errors = process.communicate(timeout=120)
     return process.returncode, output + errors
 
@@ -133,7 +132,7 @@ def test_when_memory_runs_out_a_job_is_killed_and_neither_the_sweep_nor_another_
     tmp_path: Path, small_memory: Path
 ) -> None:
     """The kernel's own choice: the jobs have told it to prefer them."""
-    process = start(tmp_path, "do=work,devour", "seed=0,1", "work_s=0.5", into=small_memory)
+    process = start(tmp_path, "do=work,devour", "seed=0,1", into=small_memory, WORK_S="0.5")
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors + output
     by_status = {status: [r for r in records(tmp_path) if r["status"] == status] for status in ("ok", "failed")}
@@ -173,7 +172,7 @@ def test_a_sweep_computes_each_stage_once_and_repeats_nothing(tmp_path: Path) ->
 
 
 def test_two_sweeps_at_once_do_everything_once(tmp_path: Path) -> None:
-    both = [start(tmp_path, "seed=0,1", "rate=range(3)", "work_s=0.1") for _ in range(2)]
+    both = [start(tmp_path, "seed=0,1", "rate=range(3)", WORK_S="0.1") for _ in range(2)]
     for process in both:
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
@@ -190,7 +189,7 @@ def test_threads_times_jobs_stay_within_the_cores(tmp_path: Path) -> None:
     assert status != 0
     assert "oversubscribed" in output
     assert records(tmp_path) == []
-    status, output = sweep(tmp_path, "do=threads", "hydra.launcher.preload=[torch]")
+    status, output = sweep(tmp_path, "do=threads", WARM="torch")
     assert (status, [record["threads_seen"] for record in records(tmp_path)]) == (0, [1]), output
 
 
@@ -202,16 +201,13 @@ def test_a_wrong_job_stops_the_sweep_before_any_starts(tmp_path: Path) -> None:
 
 
 def test_a_module_that_cannot_be_imported_for_the_jobs_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "cvxpy.py").write_text("raise RuntimeError('half edited')\n")
-    status, output = sweep(tmp_path, "seed=0,1", "hydra.launcher.preload=[cvxpy]")
+    (tmp_path / "halfway.py").write_text("raise RuntimeError('half edited')\n")
+    status, output = sweep(tmp_path, "seed=0,1", WARM="halfway")
     assert status != 0
-    assert "BadRequest: hydra.launcher.preload = cvxpy: importing it for the jobs failed" in output.splitlines()[-1]
+    assert "halfway.py:1: importing it for the jobs failed" in output.splitlines()[-1]
     assert "RuntimeError: half edited" in output.splitlines()[-1]
     assert "EOFError" not in output
     nothing_lives_on(tmp_path)
-    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'marker')!r}, 'w')\n")
-    assert "foreign modules are not imported" in sweep(tmp_path, "seed=0,1", "hydra.launcher.preload=[evil]")[1]
-    assert not (tmp_path / "marker").exists()
 
 
 def test_failed_runs_wait_for_retry_and_are_then_the_only_ones(tmp_path: Path) -> None:
@@ -228,7 +224,7 @@ def test_run_names_do_not_depend_on_the_launcher(tmp_path: Path) -> None:
 
 
 def test_a_plan_starts_nothing(tmp_path: Path) -> None:
-    status, output = sweep(tmp_path, "seed=0,1", "rate=range(3)", "dry_run=true", "hydra/sweeper=grid")
+    status, output = sweep(tmp_path, "seed=0,1", "rate=range(3)", "dry_run=true")
     assert (status, records(tmp_path)) == (0, [])
     assert not list((tmp_path / "results").rglob("multirun.yaml"))
     assert "6 runs: 0 finished, 6 to do" in output
@@ -244,9 +240,10 @@ def test_shared_compositions_are_hydras_own() -> None:
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
-    from omegaconf import OmegaConf
+    from omegaconf import OmegaConf, open_dict
 
-    from ssm_study.sweeps.compose import Composer
+    from ssm_study.engine.compose import Composer, adopt
+    from ssm_study.engine.settings import plain
 
     jobs = [
         ["seed=3"],
@@ -255,13 +252,21 @@ def test_shared_compositions_are_hydras_own() -> None:
         ["model.order=6", "synthesis=riccati", "synthesis.rate_controller=0.5"],
         ["+extra=1", "model.order=2", "study='a b'"],
         ["experiment=smoke", "data.samples=300"],
+        ["experiment=smoke", "data.samples=400"],
+        ["model._target_=os.system", "seed=${loop_seed}"],
     ]
+    GlobalHydra.instance().clear()  # a run in this process may have left its own
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
         loader = GlobalHydra.instance().config_loader()
         sweep_config = loader.load_configuration("study", overrides=[], run_mode=RunMode.MULTIRUN)
         HydraConfig.instance().set_config(sweep_config)
-        composer = Composer(loader, sweep_config)
+        composer = Composer(loader, sweep_config, refuse=lambda _: None)
         for overrides in jobs * 2:
-            ours, theirs = composer.compose(overrides), loader.load_sweep_config(sweep_config, overrides)
-            assert OmegaConf.to_container(ours, resolve=False) == OmegaConf.to_container(theirs, resolve=False)
-        assert len(composer.composed) == 4
+            settings, theirs = composer.settings(overrides, 0), loader.load_sweep_config(sweep_config, overrides)
+            adopt(theirs)
+            with open_dict(theirs):
+                theirs.hydra.job.id = theirs.hydra.job.num = 0
+            ours = OmegaConf.to_container(composer.compose(overrides, 0), resolve=False)
+            assert ours == OmegaConf.to_container(theirs, resolve=False)
+            assert (list(settings), settings) == (list(plain(theirs)), plain(theirs))
+        assert len(composer.composed) == len(jobs) - 1, "jobs of the same choices and names share one"

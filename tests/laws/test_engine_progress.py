@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ssm_study.results.records import write_record
-from ssm_study.sweeps.progress import Progress, Watch
+from ssm_study.engine.progress import Progress, Watch
+from ssm_study.engine.records import write_record
 
 
 def test_the_line_counts_and_foresees(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from ssm_study.engine import settings as naming
+from ssm_study.engine.provenance import provenance
+from ssm_study.engine.records import RECORD, parse_record, read_record, write_record
+from ssm_study.engine.runs import Run, execute, run_folder, standing
+from ssm_study.engine.store import intact_manifest
 from ssm_study.refusal import BadRequest
-from ssm_study.results import naming
-from ssm_study.results.records import RECORD, parse_record, read_record, write_record
-from ssm_study.results.runs import Run, execute, run_folder, standing
-from ssm_study.results.store import intact_manifest
-from ssm_study.stages import with_gaps, write_json
+from ssm_study.study.stages import with_gaps, write_json
 
 
 def good(run: Run) -> dict[str, object]:
@@ -44,13 +45,15 @@ def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> N
 
 
 def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
-    execute(tmp_path / "study" / "run", {"seed": 3}, good)
+    about = provenance(("torch", "no-such-library"), Path(__file__))
+    execute(tmp_path / "study" / "run", {"seed": 3}, good, provenance=about)
     text = (tmp_path / "study" / "run" / RECORD).read_text()
     record = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
     assert all(value is None or isinstance(value, (bool, int, float, str)) for value in record.values())
     assert (record["study"], record["run"], record["status"], record["seed"]) == ("study", "run", "ok", 3)
     assert (record["rmse_test"], record["mismatch_gain"], record["fit_test_percent"]) == (None, "inf", 91.5)
     assert record["version_torch"]
+    assert "version_no_such_library" not in record
     assert record["machine_cores"] >= 1
     assert {"git_commit", "git_dirty", "seconds", "started_utc", "host"} <= record.keys()
 
@@ -119,7 +122,7 @@ def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
 LIVING = """
 import sys, time
 from pathlib import Path
-from ssm_study.results.runs import execute
+from ssm_study.engine.runs import execute
 def work(run):
     print("working", flush=True)
     time.sleep(600)
@@ -178,14 +181,20 @@ CONFIG = {
 }
 
 
+SHOWN = ("order:model.order", "width:model.hidden_width", "seed:seed", "none:no.such.key")
+
+
 def test_a_run_is_named_by_what_it_computes_alone() -> None:
-    name = naming.run_name(CONFIG)
+    def named(**changed: object) -> str:
+        return naming.run_name(OmegaConf.create(CONFIG | changed), *SHOWN)
+
+    name = named()
     assert name.startswith("order8-width32-seed0-")
-    assert naming.run_name(CONFIG | {"study": "b", "results_dir": "/y", "retry_failed": True, "dry_run": True}) == name
-    assert naming.run_name(CONFIG | {"copy": 8.0}) == name
-    assert naming.run_name(CONFIG | {"seed": 1}) != name
-    resolved = OmegaConf.create(CONFIG | {"name": "${run_name:}", "hydra": {"x": 1}})
-    assert resolved.name == name
+    assert named(study="b", results_dir="/y", retry_failed=True, dry_run=True) == name
+    assert named(copy=8.0) == name
+    assert named(seed=1) != name
+    resolved = OmegaConf.create(CONFIG | {"run": f"${{run_name:{','.join(SHOWN)}}}", "hydra": {"x": 1}})
+    assert resolved.run == name
 
 
 def test_a_saved_configuration_reads_back_to_the_same_values() -> None:

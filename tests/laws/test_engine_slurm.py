@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 from hydra.core.utils import JobReturn, JobStatus
-from omegaconf import OmegaConf
 
-from ssm_study.results.gather import gather
-from ssm_study.results.records import read_record
-from ssm_study.results.runs import execute
-from ssm_study.sweeps.sweep import Job
+from ssm_study.engine.jobs import Job
+from ssm_study.engine.records import read_record
+from ssm_study.engine.runs import execute
+from ssm_study.table.gather import gather
 
 submitit = pytest.importorskip("submitit", reason="the extra `slurm` is not installed")
 
-from ssm_study.sweeps.slurm import executor, settled  # noqa: E402
+from ssm_study.engine.settings import Settings  # noqa: E402
+from ssm_study.engine.slurm import executor, settled  # noqa: E402
 
 
 def begun(folder: Path, how: str) -> JobReturn:
@@ -53,9 +53,9 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
         time.sleep(0.05)
     jobs["waits"].cancel(check=False)
     for how, running in jobs.items():
-        job = Job(overrides=[], config=OmegaConf.create(), folder=tmp_path / "study" / how)
-        returned = settled(job, running, patience_s=600.0)  # submitit's local scheduler has no accounts to ask
-        assert returned.return_value.status == ("ok" if how == "returns" else "failed")
+        job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / how)
+        outcome = settled(job, running, patience_s=600.0)  # submitit's local scheduler has no accounts to ask
+        assert outcome.status == ("ok" if how == "returns" else "failed")
     rows = gather(tmp_path / "study").set_index("run")
     assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
     assert rows.loc[["killed", "waits"], "failure_transient"].all(), rows["error_message"].to_dict()
@@ -82,7 +82,7 @@ def test_a_job_that_slurm_has_forgotten_is_a_row(tmp_path: Path, monkeypatch: py
     (tmp_path / "sacct").write_text("#!/bin/sh\necho 'JobID|State|NodeList'\necho '1_0|RUNNING|n1'\n")
     (tmp_path / "sacct").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    job = Job(overrides=["seed=3"], config=OmegaConf.create(), folder=tmp_path / "study" / "never")
+    job = Job(overrides=["seed=3"], settings=Settings(), folder=tmp_path / "study" / "never")
     settled(job, Unheard(), patience_s=0.0)
     record = read_record(job.folder)
     assert record is not None

@@ -1,6 +1,5 @@
 """The store: one key, one computation, the same bytes for ever; whatever happens to a file is noticed."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
+from ssm_study.engine.durable import is_locked
+from ssm_study.engine.plan import PlannedStages, plan
+from ssm_study.engine.settings import canonical_json, digest
+from ssm_study.engine.stages import Stage
+from ssm_study.engine.store import MANIFEST, Store, intact_manifest
 from ssm_study.refusal import BadRequest
-from ssm_study.results import keys
-from ssm_study.results.durable import is_locked
-from ssm_study.results.keys import canonical_json, code_version, digest, stage_key
-from ssm_study.results.plan import PlannedStages, plan
-from ssm_study.results.store import MANIFEST, Store, intact_manifest
 
+KEY = digest("a key")
 CONTENT = {"model.json": b'{"a": 1}', "inner/weights.bin": bytes(range(256)) * 4}
 
 
@@ -25,6 +25,10 @@ def write_content(folder: Path) -> None:
     for name, content in CONTENT.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
+
+
+def write_kept(folder: Path, *_: object, **__: object) -> None:
+    write_content(folder)
 
 
 def refuse_to_compute(folder: Path) -> None:
@@ -41,25 +45,12 @@ def content_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    first = store.stage("model", {"order": 8}, ["k"], "v", write_content)
-    again = store.stage("model", {"order": 8.0}, ("k",), "v", refuse_to_compute)
+    first = store.keyed("model", KEY, {}, write_content)
+    again = store.keyed("model", KEY, {}, refuse_to_compute)
     assert (first.reused, again.reused) == (False, True)
     assert again.path == first.path
     assert again.seconds == first.seconds
     assert content_of(again.path) == CONTENT
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        ("data", {"order": 8}, ["k"], "v"),
-        ("model", {"order": 9}, ["k"], "v"),
-        ("model", {"order": 8}, ["l"], "v"),
-        ("model", {"order": 8}, ["k"], "w"),
-    ],
-)
-def test_everything_a_stage_depends_on_changes_its_key(other: tuple[str, dict[str, int], list[str], str]) -> None:
-    assert stage_key(*other) != stage_key("model", {"order": 8}, ["k"], "v")
 
 
 def test_equal_meanings_have_equal_keys() -> None:
@@ -85,37 +76,14 @@ def test_the_canonical_text_does_not_depend_on_the_order_of_keys(value: object) 
     assert canonical_json(reversed_keys(value)) == canonical_json(value)
 
 
-def test_editing_a_room_changes_its_version_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for room in ("plants", "loop"):
-        (tmp_path / room).mkdir()
-        (tmp_path / room / "__init__.py").write_text("x = 1\n")
-    monkeypatch.setattr(keys, "_source_of", lambda name: tmp_path / name)
-
-    def versions() -> tuple[str, str, str]:
-        keys._room_digest.cache_clear()
-        return code_version("plants"), code_version("loop"), code_version("plants", "loop")
-
-    before = versions()
-    (tmp_path / "plants" / "motor.py").write_text("y = 2\n")
-    after = versions()
-    keys._room_digest.cache_clear()
-    assert [a == b for a, b in zip(before, after, strict=True)] == [False, True, False]
-
-
-def test_rooms_and_distributions_have_versions() -> None:
-    assert code_version("signals", "numpy") == code_version("numpy", "signals")
-    assert code_version("signals") != code_version("systems")
-    assert code_version("numpy") != code_version("scipy")
-
-
 @pytest.mark.parametrize("damage", ["flip", "truncate", "extend", "remove"])
 @pytest.mark.parametrize("name", [*CONTENT, MANIFEST])
 def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
     store = Store(tmp_path)
-    stage = store.stage("model", 1, [], "v", write_content)
+    stage = store.keyed("model", KEY, {}, write_content)
     harm(stage.path / name, damage)
     assert intact_manifest(stage.path) is None
-    again = store.stage("model", 1, [], "v", write_content)
+    again = store.keyed("model", KEY, {}, write_content)
     assert not again.reused
     assert content_of(again.path) == CONTENT
     assert len(list((tmp_path / ".corrupt").iterdir())) == 1
@@ -132,7 +100,7 @@ def harm(path: Path, damage: str) -> None:
 
 
 def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
-    stage = Store(tmp_path).stage("model", 1, [], "v", write_content)
+    stage = Store(tmp_path).keyed("model", KEY, {}, write_content)
     rng, silent = np.random.default_rng(0), []
     for name in [*CONTENT, MANIFEST]:
         original = (stage.path / name).read_bytes()
@@ -153,22 +121,23 @@ def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
         raise RuntimeError("the solver gave up")
 
     with pytest.raises(RuntimeError, match="gave up"):
-        Store(tmp_path).stage("model", 1, [], "v", halfway)
+        Store(tmp_path).keyed("model", KEY, {}, halfway)
     assert list((tmp_path / "model").iterdir()) == []
-    assert not Store(tmp_path).stage("model", 1, [], "v", write_content).reused
+    assert not Store(tmp_path).keyed("model", KEY, {}, write_content).reused
 
 
 SLOWLY = """
 import os, sys, time
 from pathlib import Path
-from ssm_study.results.store import Store
+KEY = 64 * "a"
+from ssm_study.engine.store import Store
 root, ledger = Path(sys.argv[1]), Path(sys.argv[2])
 def compute(folder):
     with ledger.open("a") as stream:
         stream.write(f"{os.getpid()}\\n")
     time.sleep(0.3)
     (folder / "model.json").write_text("{}")
-assert (Store(root).stage("model", 1, [], "v", compute).path / "model.json").read_text() == "{}"
+assert (Store(root).keyed("model", KEY, {}, compute).path / "model.json").read_text() == "{}"
 """
 
 
@@ -179,67 +148,81 @@ def test_four_processes_compute_a_stage_once(tmp_path: Path) -> None:
     assert len((tmp_path / "ledger").read_text().splitlines()) == 1
 
 
-TOGETHER = """
-import os, sys, time
+UNREACHED = """
+import errno, fcntl, socket, sys, time
 from pathlib import Path
-from ssm_study.results.keys import stage_key
-from ssm_study.results.store import Store
-store, ledger, names = Store(Path(sys.argv[1])), Path(sys.argv[2]), sys.argv[3:]
+root, ledger, node, keys = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], sys.argv[4]
+socket.gethostname = lambda: node
+def flock(*_):
+    if node == "b":
+        raise OSError(errno.ENOLCK, "No locks available")
+fcntl.flock = flock  # granted to everybody, or unknown to the file system
+from ssm_study.engine.store import Store
 def compute(folder):
     with ledger.open("a") as stream:
-        stream.write(f"{os.getpid()}\\n")
+        stream.write(f"{node} {folder.name}\\n")
     time.sleep(0.2)
-    if "killed" in os.environ:
-        os.kill(os.getpid(), 9)
-    (folder / "model.json").write_text("{}")
-with store.hold("model", [stage_key("model", name, (), "v") for name in names]):
-    for name in names:
-        store.stage("model", name, [], "v", compute)
+    (folder / "model.json").write_text(folder.name.split("-")[1])
+for key in keys:
+    stage = Store(root).keyed("model", 64 * key, {}, compute)
+    assert (stage.path / "model.json").read_text() == 32 * key, key
 """
 
 
-def test_two_who_train_the_same_models_wait_for_each_other_and_a_killed_holder_lets_go(tmp_path: Path) -> None:
-    """Real processes, two orders of the same models: no deadlock, each computed once; the third is killed at work."""
-    command = [sys.executable, "-c", TOGETHER, str(tmp_path / "store"), str(tmp_path / "ledger")]
-    killed = subprocess.Popen([*command, "a", "b"], env=os.environ | {"killed": "yes"})
-    workers = [subprocess.Popen([*command, *names]) for names in (("a", "b", "c"), ("c", "b", "a"))]
-    assert [worker.wait(timeout=120) for worker in (killed, *workers)] in ([-9, 0, 0], [0, 0, 0])
-    computed = [line for line in (tmp_path / "ledger").read_text().splitlines() if line != str(killed.pid)]
-    assert len(computed) == 3
-    assert len(set(computed)) == 1, "one of them has computed all"
+def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path: Path) -> None:
+    """Six stages, taken from both ends, then the same ones by both at once: most are computed once, none is torn."""
+    store, ledger = tmp_path / "store", tmp_path / "ledger"
+
+    def nodes(**keys: str) -> list[str]:
+        ledger.write_text("")
+        command = [sys.executable, "-c", UNREACHED, str(store), str(ledger)]
+        workers = [subprocess.Popen([*command, node, asked]) for node, asked in keys.items()]
+        assert [worker.wait(timeout=120) for worker in workers] == [0] * len(workers)
+        return ledger.read_text().splitlines()
+
+    assert 6 <= len(nodes(a="012345", b="543210")) <= 8
+    assert nodes(c="012345") == []
+    assert 3 <= len(nodes(a="abc", b="abc")) <= 6
+    folders = list((store / "model").iterdir())
+    assert len(folders) == 9
+    assert all(intact_manifest(folder) is not None for folder in folders)
+    assert not (store / ".corrupt").exists()
 
 
-def test_two_who_do_not_see_each_others_locks_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A file system without locks: another machine places the result while we are computing it."""
     from contextlib import nullcontext
 
-    from ssm_study.results import store as module
+    from ssm_study.engine import store as module
 
     monkeypatch.setattr(module, "locked", lambda _: nullcontext())
 
     def overtaken(folder: Path) -> None:
-        hidden = folder.rename(folder.with_name("ours"))  # out of sight of the other's clearing up
-        Store(tmp_path).stage("model", 1, [], "v", write_content)
-        hidden.rename(folder)
+        (folder / "last.ckpt").write_text("half way")
+        monkeypatch.setattr(module.socket, "gethostname", lambda: "elsewhere")
+        Store(tmp_path).keyed("model", KEY, {}, lambda theirs: write_content(theirs) or (theirs / "last.ckpt").unlink())
         write_content(folder)
+        (folder / "last.ckpt").unlink()
 
-    stage = Store(tmp_path).stage("model", 1, [], "v", overtaken)
+    stage = Store(tmp_path).keyed("model", KEY, {}, overtaken)
     assert content_of(stage.path) == CONTENT
     assert [path.name for path in (tmp_path / "model").iterdir()] == [stage.path.name]
 
 
 def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    folder = store.folder("model", stage_key("model", 1, (), "v"))
+    folder = store.folder("model", KEY)
     leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
     leftover.mkdir(parents=True)
-    store.stage("model", 1, [], "v", write_content)
+    store.keyed("model", KEY, {}, write_content)
     assert not leftover.exists()
 
 
 def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    folder = store.folder("model", stage_key("model", 1, (), "v"))
+    folder = store.folder("model", KEY)
     leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
     (leftover / "start_1").mkdir(parents=True)
     for name in ("last.ckpt", "start_1/last.ckpt", "half.json"):
@@ -254,15 +237,15 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        store.stage("model", 1, [], "v", stopped)
-    assert content_of(store.stage("model", 1, [], "v", going_on).path)["model.json"] == b"more"
+        store.keyed("model", KEY, {}, stopped)
+    assert content_of(store.keyed("model", KEY, {}, going_on).path)["model.json"] == b"more"
     assert not leftover.exists()
 
 
 HOLDING = """
 import sys, time
 from pathlib import Path
-from ssm_study.results.durable import locked
+from ssm_study.engine.durable import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
@@ -285,9 +268,9 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     store = Store(tmp_path)
 
     def line(stages: Store | PlannedStages, rate: float) -> str:
-        data = stages.stage("data", 0, [], "v", write_content)
-        model = stages.stage("model", 8, [data.key], "v", lambda f: write_content(f))
-        return stages.stage("synthesis", rate, [model.key], "v", write_content).key
+        data = stages.take(Stage(name="data", compute=write_kept), {})
+        model = stages.take(Stage(name="model", compute=write_kept), {"order": 8}, None, data)
+        return stages.take(Stage(name="synthesis", compute=write_kept), {"rate": rate}, None, model).result.key
 
     before = plan(store, [lambda s, r=r: line(s, r) for r in range(20)], runs=20, finished=0)
     assert {s.name: (s.needed, s.missing) for s in before.stages} == {
@@ -306,10 +289,10 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])
 def test_a_stage_name_cannot_leave_the_store(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRequest, match="stage"):
-        Store(tmp_path).stage(name, 1, [], "v", write_content)
+        Store(tmp_path).keyed(name, KEY, {}, write_content)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), object(), {1, 2}])
 def test_a_configuration_without_a_canonical_text_is_refused(value: object) -> None:
     with pytest.raises(BadRequest, match="config"):
-        stage_key("model", {"x": value}, (), "v")
+        canonical_json({"x": value})

@@ -8,33 +8,36 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2] / "ssm_study"
 FLOW = [
     "refusal",
+    "columns",
+    "extensions",
+    "family",
+    "engine",
     "signals",
     "systems",
     "plants",
     "data",
+    "bounds",
     "models",
     "training",
-    "bounds",
     "synthesis",
+    "evidence",
     "loop",
-    "results",
-    "report",
-    "sweeps",
-    "specification",
-    "stages",
-    "members",
+    "table",
+    "export",
     "study",
-    "advice",
+    "report",
     "cli",
+    "library",
+    "conformance",
 ]
 ROOMS = {
-    "lightning": {"training", "sweeps"},  # sweeps: the server of jobs preloads it
-    "torch": {"models", "training", "sweeps", "report"},  # report: ONNX export needs a torch cell
+    "lightning": {"training"},
+    "torch": {"models", "training", "export"},  # export: ONNX needs a torch cell
     "cvxpy": {"bounds", "synthesis"},
     "flint": {"synthesis"},
     "matplotlib": {"report"},
     "seaborn": {"report"},
-    "hydra": {"sweeps", "specification", "study", "advice", "cli"},
+    "hydra": {"engine", "study", "cli", "library", "conformance"},
     "foxglove": {"data"},
     "mcap": {"data"},
 }
@@ -72,3 +75,25 @@ def test_third_party_libraries_stay_in_their_rooms(path: Path) -> None:
     for name in imports(path):
         library = name.split(".")[0]
         assert room(path) in ROOMS.get(library, {room(path)}), f"{library} is imported in {room(path)}"
+
+
+LONGEST_FILE, LONGEST_FUNCTION = 300, 30
+LONG = {
+    "cli/main.py": "every command and its options",
+}
+
+
+def lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Of the body, its docstring left out."""
+    first = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    return (function.end_lineno or 0) - first[0].lineno + 1 if first else 0
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_and_functions_stay_short(path: Path) -> None:
+    text = path.read_text()
+    name = str(path.relative_to(ROOT))
+    assert len(text.splitlines()) <= LONGEST_FILE or name in LONG
+    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    long = [function.name for function in functions if lines(function) > LONGEST_FUNCTION]
+    assert not long or name in LONG, long

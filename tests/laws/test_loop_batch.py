@@ -1,17 +1,17 @@
 """Laws of the loop: a batch is its rows, the seed decides the draw, and what the controller sees is what it acts on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.reference import SineReference, StepReference
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import STAYED
 from ssm_study.plants.disturbance import StepDisturbance
-from ssm_study.signals import Channel
 
 LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
@@ -94,15 +94,29 @@ def test_the_disturbance_reaches_the_plant_and_not_the_model():
 
 def test_the_model_in_the_plants_place_replays_itself():
     model = random_model(0, inputs=2, outputs=2)
-    plant = IdentifiedPlant(
-        model=model,
-        input_channels=(Channel(name="a", unit="V"), Channel(name="b", unit="V")),
-        output_channels=(Channel(name="c", unit="m"), Channel(name="d", unit="m")),
-    )
-    u = model.input_equilibrium + np.random.default_rng(0).standard_normal((3, 40, 2))
+    plant = IdentifiedPlant.of(model)
+    u = model.scale.input_equilibrium + np.random.default_rng(0).standard_normal((3, 40, 2))
     np.testing.assert_allclose(plant.simulate(u)[1], model.simulate(u), rtol=1e-12, atol=1e-12)
-    y0 = model.output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
+    y0 = model.scale.output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
     np.testing.assert_allclose(plant.output(plant.states_at(y0)), y0, rtol=1e-9)
+
+
+def test_the_units_of_input_and_output_change_nothing():
+    """A pressure of 1e6 Pa is no input out of hand; the loop of a rescaled model is the rescaled loop."""
+    ends = []
+    for unit in (1.0, 1e9, 1e-9):
+        scale = motor_model().scale
+        model = replace(
+            motor_model(),
+            scale=replace(scale, input_scale=unit * scale.input_scale, output_scale=unit * scale.output_scale),
+        )
+        plant, loop = IdentifiedPlant.of(model), Loop(initial_conditions=3, horizon_s=1.0)
+        law = ObserverFeedback.of(model, motor_design())
+        kept = loop.on_plant(plant, law, 0).controlled
+        assert (kept.left_at_sample == STAYED).all()
+        ends.append(kept.y / unit)
+    for other in ends[1:]:
+        np.testing.assert_allclose(other, ends[0], rtol=1e-6, atol=1e-9)
 
 
 def test_every_column_is_a_number_or_nothing():

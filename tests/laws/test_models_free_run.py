@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
-from ssm_study.models.free_run import free_run, initial_state, reachability_gramian
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold_linear import LinearScaffold
-from ssm_study.signals import Trajectory, fit_percent
+from ssm_study.models.metrics import free_run, initial_state, reachability_gramian
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.signals import Scale, Trajectory, fit_percent
 from ssm_study.systems import StateSpace
 
 
@@ -18,8 +18,8 @@ def model() -> SSM:
     )
     gain = LinearScaffold(gain=np.array([[0.7]]))
     scales = {"input_scale": np.array([2.0]), "output_scale": np.array([3.0])}
-    rest = {"input_equilibrium": np.array([1.0]), "output_equilibrium": np.array([-4.0])}
-    return SSM(linear=linear, scaffold_in=gain, scaffold_out=gain, step_s=0.1, **scales, **rest)
+    scale = Scale(**scales, input_equilibrium=np.array([1.0]), output_equilibrium=np.array([-4.0]))
+    return SSM(linear=linear, scaffold_in=gain, scaffold_out=gain, step_s=0.1, scale=scale)
 
 
 def record(model: SSM, x0: np.ndarray, noise: float = 0.0) -> Trajectory:

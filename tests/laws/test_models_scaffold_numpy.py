@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssm_study.models.identified import SSM, scaffold_from_json
-from ssm_study.models.network import Network
-from ssm_study.models.scaffold import Scaffold
-from ssm_study.models.scaffold_linear import LinearScaffold
-from ssm_study.models.scaffold_mlp import MlpScaffold
-from ssm_study.models.scaffold_monotone import MonotoneScaffold
-from ssm_study.models.scaffold_residual import ResidualScaffold
+from ssm_study.bounds.network import Network
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.mlp import MlpScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.models.scaffolds.residual import ResidualScaffold
+from ssm_study.models.scaffolds.scaffold import Scaffold
+from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace
 
 KINDS = ("linear", "mlp", "monotone", "residual")
@@ -70,7 +71,7 @@ def test_the_jacobian_is_the_derivative(kind: str, seed: int, channels: int) -> 
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 4))
 def test_json_keeps_every_bit(kind: str, seed: int, channels: int) -> None:
     scaffold = random_scaffold(kind, seed, channels)
-    again = scaffold_from_json(json.loads(json.dumps(scaffold.to_json())))
+    again = Scaffold.from_json(json.loads(json.dumps(scaffold.to_json())))
     v = np.random.default_rng(seed).normal(size=(20, channels))
     assert (again(v) == scaffold(v)).all()
     assert again.to_json() == scaffold.to_json()
@@ -95,10 +96,12 @@ def random_model(seed: int, kind_in: str = "mlp", kind_out: str = "linear") -> S
         linear=linear,
         scaffold_in=random_scaffold(kind_in, seed, 2),
         scaffold_out=random_scaffold(kind_out, seed + 1, 3),
-        input_scale=np.array([2.0, 0.5]),
-        output_scale=np.array([1.0, 3.0, 0.1]),
-        input_equilibrium=np.array([0.3, -1.0]),
-        output_equilibrium=np.array([5.0, 0.0, 1.0]),
+        scale=Scale(
+            input_scale=np.array([2.0, 0.5]),
+            output_scale=np.array([1.0, 3.0, 0.1]),
+            input_equilibrium=np.array([0.3, -1.0]),
+            output_equilibrium=np.array([5.0, 0.0, 1.0]),
+        ),
         step_s=0.01,
     )
 
@@ -106,8 +109,8 @@ def random_model(seed: int, kind_in: str = "mlp", kind_out: str = "linear") -> S
 @pytest.mark.parametrize("kind_out", KINDS)
 def test_a_model_rests_at_its_equilibrium_and_survives_json(kind_out: str) -> None:
     model = random_model(3, kind_out=kind_out)
-    resting = np.broadcast_to(model.input_equilibrium, (5, 2))
-    assert (model.simulate(resting) == model.output_equilibrium).all()
+    resting = np.broadcast_to(model.scale.input_equilibrium, (5, 2))
+    assert (model.simulate(resting) == model.scale.output_equilibrium).all()
     again = SSM.from_json(json.loads(json.dumps(model.to_json())))
     u = np.random.default_rng(0).normal(size=(2, 30, 2))
     assert (again.simulate(u) == model.simulate(u)).all()

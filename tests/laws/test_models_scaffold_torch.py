@@ -1,33 +1,48 @@
 """Every trainable scaffolding: frozen numbers give its values, slopes stay in the certified sector, zero stays zero."""
 
 import itertools
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import yaml
+from hydra.utils import instantiate
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssm_study.models.scaffold_specs import Frame, Linear, Mlp, Monotone, Residual, ScaffoldSpec
-from ssm_study.models.torch_lift import Lift
-from ssm_study.models.torch_mlp import layer_sector
-from ssm_study.models.torch_scaffold import TorchScaffold
+from ssm_study.bounds.slopes import jacobian_ball
+from ssm_study.models.scaffolds.mlp import Mlp, layer_sector
+from ssm_study.models.scaffolds.residual import Residual
+from ssm_study.models.scaffolds.scaffold import Frame, Scaffold, Trainable
+from ssm_study.models.torch_ssm import Lift, TorchScaffold
 
-SPECS = {
-    "linear": Linear(),
-    "mlp": Mlp(depth=1, train_slopes=True, certified=True),
+CONF = Path(__file__).resolve().parents[2] / "conf"
+
+
+def built(path: Path) -> Trainable:
+    spec = instantiate(yaml.safe_load(path.read_text()))
+    assert isinstance(spec, Trainable)
+    return spec
+
+
+FROM_YAML = {path.stem: built(path) for path in sorted((CONF / "scaffold").glob("*.yaml"))}
+SPECS = FROM_YAML | {
     "mlp fixed": Mlp(depth=1, train_slopes=False, certified=True),
     "mlp deep": Mlp(depth=3, train_slopes=True, certified=True),
-    "mlp free": Mlp(depth=2, train_slopes=True, certified=False),
-    "monotone": Monotone(),
-    "residual": Residual(depth=1),
+    "mlp_free deep": Mlp(depth=2, train_slopes=True, certified=False),
     "residual deep": Residual(depth=2),
 }
-CERTIFIED = [name for name in SPECS if name not in ("linear", "mlp free")]
+CERTIFIED = [name for name in SPECS if not name.startswith(("linear", "mlp_free"))]
 LOWER, UPPER = 0.1, 1.5
 
 
-def shaken(spec: ScaffoldSpec, seed: int, channels: int) -> TorchScaffold:
+def test_every_yaml_is_under_the_laws() -> None:
+    assert {"linear", "mlp", "mlp_free", "monotone", "residual"} <= set(FROM_YAML)
+
+
+def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
     """A scaffolding far from where it starts: the certificate must not depend on training."""
     rng = np.random.default_rng(seed)
     frame = Frame(width=6, slopes=(LOWER, UPPER), samples=rng.normal(size=(50, channels)))
@@ -66,6 +81,40 @@ def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, chann
         assert np.linalg.norm(offset, 2) <= beta * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("name", SPECS)
+@given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
+def test_every_kind_answers_every_question(name: str, seed: int, channels: int) -> None:
+    """JSON keeps every bit; the Jacobian is the derivative and lies in the ball; what is exported is the same map."""
+    scaffold, rng = shaken(SPECS[name], seed, channels).freeze(), np.random.default_rng(seed)
+    v, step = 3 * rng.normal(size=(8, channels)), 1e-7
+    again = Scaffold.from_json(json.loads(json.dumps(scaffold.to_json())))
+    assert np.array_equal(again(v), scaffold(v))
+    np.testing.assert_allclose(scaffold.portable()(v), scaffold(v), rtol=1e-9, atol=1e-9)
+    bound, direction = (
+        jacobian_ball(scaffold, "interval" if scaffold.kind == "mlp" else "best"),
+        rng.normal(size=channels),
+    )
+    assert bound.ball is not None
+    for at in v:
+        slope = (scaffold(at + step * direction) - scaffold(at - step * direction)) / (2 * step)
+        np.testing.assert_allclose(scaffold.jacobian(at) @ direction, slope, atol=1e-4, rtol=1e-4)
+        offset = scaffold.jacobian(at) - bound.ball.alpha * np.eye(channels)
+        assert np.linalg.norm(offset, 2) <= bound.ball.beta * (1 + 1e-9) + 1e-12
+
+
+@pytest.mark.parametrize("name", [name for name in SPECS if "mlp" not in name])
+def test_what_the_linear_part_takes_is_given_up(name: str) -> None:
+    scaffold, v = shaken(SPECS[name], 3, 2).freeze(), np.random.default_rng(0).normal(size=(9, 2))
+    centre = scaffold.centre()
+    if centre is None:
+        with pytest.raises(NotImplementedError):
+            scaffold.after(np.eye(2))
+        return
+    m = np.linalg.inv(centre)
+    np.testing.assert_allclose(scaffold.after(m)(v), scaffold(v) @ m.T, atol=1e-9)
+    np.testing.assert_allclose(scaffold.before(m)(v), scaffold(v @ m.T), atol=1e-9)
+
+
 @given(seed=st.integers(0, 10_000))
 def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
     """What the loop feels are secants, not derivatives: `mu <= (S(v) - S(w)) / (v - w) <= nu`."""
@@ -81,7 +130,7 @@ def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
 def test_the_free_perceptron_leaves_the_sector() -> None:
     """Negative control: the paper's perceptron, unconstrained, has negative slopes for some parameters."""
     slopes = [
-        shaken(SPECS["mlp free"], seed, 1).freeze().jacobian(np.array([v]))[0, 0]
+        shaken(SPECS["mlp_free deep"], seed, 1).freeze().jacobian(np.array([v]))[0, 0]
         for seed, v in itertools.product(range(5), (-2.0, 0.5, 2.0))
     ]
     assert min(slopes) < 0

@@ -3,7 +3,9 @@
 import pandas as pd
 import report_tables
 
-from ssm_study.report.answers import answers, parameters_line, swept
+from ssm_study.report.answers import answers, parameters_line
+from ssm_study.report.page.data import question
+from ssm_study.table.columns import swept
 
 QUESTIONS = ("Which run is best", "Where does feasibility end", "better fit", "mismatch margin", "What failed")
 
@@ -20,15 +22,15 @@ def row(**values: object) -> dict[str, object]:
 
 def test_every_question_is_answered_whatever_the_table() -> None:
     for table in (report_tables.table(40), report_tables.empty(), report_tables.failures()):
-        for question in QUESTIONS:
-            assert said(table, question)
+        for words in QUESTIONS:
+            assert said(table, words)
 
 
 def test_the_best_run_is_the_fastest_of_those_that_are_certified_and_settle() -> None:
     lost = row(run="lost", settling_time_mean_s=0.01, stable_fraction=0.5)
     text = said(pd.DataFrame([lost, row(run="slow", settling_time_mean_s=0.15), row(run="best")]), "best")
     assert text.startswith("best. Both certificates hold and every start settles. Of the 2 such runs")
-    assert "0.50 of the plant left alone" in text
+    assert "0.50 of the uncontrolled time" in text
     assert "at most 0.3 can be certified" in text
 
 
@@ -48,7 +50,7 @@ def test_the_prediction_by_frequency_takes_the_place_of_the_margin_where_it_is_k
     table = pd.DataFrame(runs)
     assert "yes. Both" in said(table, "best")
     assert "(margin 1.3 by frequency, controller's own radius 0.9)" in said(table, "best")
-    assert "stable by itself, 1 of 1 runs" in said(table, "margin")
+    assert "stable by itself, every start settles in 1 of 1 runs" in said(table, "margin")
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
@@ -87,15 +89,15 @@ def test_the_margin_is_scored_on_both_sides_of_one() -> None:
         [row(mismatch_margin=1.5), row(mismatch_margin=0.5), row(mismatch_margin=0.2, stable_fraction=0)]
     )
     text = said(table, "margin")
-    assert "above one, 1 of 1 runs" in text
-    assert "at or below one, 1 of 2 runs" in text
+    assert "above one, every start settles in 1 of 1 runs" in text
+    assert "at or below one, every start settles in 1 of 2 runs" in text
 
 
 def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:
     lost, broken = row(stable_fraction=0.5), row(status="failed", error_message="model.order = 0: too small; use 8.")
     text = said(pd.DataFrame([row(), lost, broken]), "What failed")
     assert "1 of 3 runs ended with an error, 1 of them with: model.order = 0" in text
-    assert "Certified, plant lost: 1;" in text
+    assert "Certified, does not settle: 1;" in text
     assert said(pd.DataFrame([row()]), "What failed") == "No run ended with an error."
 
 
@@ -103,3 +105,14 @@ def test_what_differs_between_runs_is_named_with_its_values() -> None:
     table = pd.DataFrame([row(order=4, seed=0), row(order=8, seed=0)])
     assert swept(table) == ["order"]
     assert parameters_line(table) == "Swept: model order (4, 8)."
+
+
+def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() -> None:
+    by_auto = {"synthesis_method": "auto", "rates_chosen": "controller, observer", "rate_observer": 0.2}
+    requested = by_auto | {"rates_chosen": "observer"}
+    rows = [row(**by_auto) | {"rate_controller": rate, "seed": k} for k, rate in enumerate((0.22, 0.31))]
+    assert swept(pd.DataFrame(rows)) == ["seed"], "what auto chose is a result"
+    rows += [row(**requested) | {"rate_controller": rate, "seed": 0, "rate_observer": rate} for rate in (0.1, 0.3)]
+    table = pd.DataFrame(rows)
+    assert parameters_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."
+    assert question(table) == "What changes with the controller rate?"

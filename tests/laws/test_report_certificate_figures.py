@@ -1,12 +1,16 @@
 """The committed certificate tables draw, and the figures say what the tables say."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from ssm_study.report import certificate_figures, style
+from ssm_study.report import style
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+import synthesis_figures
 
 TABLES = Path(__file__).resolve().parents[2] / "results" / "reference" / "certificates"
 NAMES = ("feasibility_map", "gain_norm", "contraction")
@@ -21,7 +25,7 @@ def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(name: s
     files = []
     for folder in (tmp_path / "once", tmp_path / "again"):
         with style.paper():
-            figure = getattr(certificate_figures, name)(table(name))
+            figure = getattr(synthesis_figures, name)(table(name))
             files.append([path.read_bytes() for path in style.save(figure, folder, name)])
     assert files[0] == files[1]
     (axes,) = figure.axes
@@ -31,7 +35,7 @@ def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(name: s
 
 def test_every_verdict_is_a_point_and_the_frontier_is_the_tables() -> None:
     rows = table("feasibility_map")
-    (axes,) = certificate_figures.feasibility_map(rows).axes
+    (axes,) = synthesis_figures.feasibility_map(rows).axes
     certified, none = (points.get_offsets() for points in axes.collections[1:])
     held = rows.solver_certified
     np.testing.assert_array_equal(certified, rows.loc[held, ["slope_floor", "rate"]])
@@ -46,8 +50,8 @@ def test_every_verdict_is_a_point_and_the_frontier_is_the_tables() -> None:
 @pytest.mark.parametrize("name", ["gain_norm", "contraction"])
 def test_every_method_of_the_table_has_its_line(name: str) -> None:
     rows = table(name)
-    (axes,) = getattr(certificate_figures, name)(rows).axes
+    (axes,) = getattr(synthesis_figures, name)(rows).axes
     drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
     for method, group in rows.groupby("method"):
-        label = certificate_figures.METHODS[str(method)][0]
+        label = synthesis_figures.METHODS[str(method)][0]
         np.testing.assert_array_equal(drawn[label], group["gain_norm" if name == "gain_norm" else "measured"])

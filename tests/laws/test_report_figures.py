@@ -11,8 +11,8 @@ from report_runs import random_run, write_recordings
 from ssm_study.refusal import BadRequest
 from ssm_study.report import figures, style
 from ssm_study.report.figures import learned_dead_zone
-from ssm_study.report.study_folder import Study
-from ssm_study.report.verdict import best_first
+from ssm_study.report.study_folder import RunFolder, StudyFolder
+from ssm_study.table.rank import best_first
 
 STUDIES = {"runs": report_tables.table(40), "empty": report_tables.empty(), "failures": report_tables.failures()}
 
@@ -35,27 +35,34 @@ def smoke_copy(smoke_study: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(style._PAPER, "savefig.dpi", 40)  # rendering pixels is most of the time
-
-
-@pytest.mark.parametrize("kind", STUDIES)
-@pytest.mark.parametrize("name", figures.names())
-def test_every_figure_draws_png_and_pdf(studies: dict[str, Path], name: str, kind: str) -> None:
-    png, pdf = figures.draw([name], studies[kind])
-    assert png.read_bytes().startswith(b"\x89PNG")
-    assert pdf.read_bytes().startswith(b"%PDF")
-
-
-NEEDS_A_COMPARISON = {"robustness"}  # which experiment=smoke does not make
+    monkeypatch.setitem(style._PAPER["savefig"], "dpi", 40)  # rendering pixels is most of the time
 
 
 @pytest.mark.parametrize("name", figures.names())
-def test_every_figure_draws_what_the_smoke_study_found(smoke_copy: Path, name: str) -> None:
-    png, pdf = figures.draw([name], smoke_copy)
+def test_every_figure_draws_png_and_pdf(studies: dict[str, Path], name: str) -> None:
+    png, pdf = figures.draw([name], studies["runs"])
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
-    drawn_something = any(axes.axison for axes in drawn(name, smoke_copy).axes)
-    assert drawn_something == (name not in NEEDS_A_COMPARISON), "the study holds what this figure needs"
+    assert f"![{name}]({name}.png)\n\n**{name}.** {figures.caption(name)}" in png.with_name("captions.md").read_text()
+
+
+@pytest.mark.parametrize("kind", ["empty", "failures"])
+def test_nothing_is_drawn_of_what_a_study_has_not_and_each_reason_is_a_sentence(
+    studies: dict[str, Path], kind: str
+) -> None:
+    told: list[str] = []
+    assert figures.draw(None, studies[kind], told.append) == []
+    assert [sentence.split(" ")[2].strip(".") for sentence in told] == figures.names()
+    assert all(sentence.endswith(".") for sentence in told)
+    assert not (studies[kind] / "figures").exists()
+
+
+NEEDS_SEVERAL = {"robustness", "peers", "rates", "fit_against_stability", "feasibility_map"}  # runs or controllers
+
+
+def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(smoke_copy: Path) -> None:
+    drawn = {path.stem for path in figures.draw(None, smoke_copy)}
+    assert drawn == set(figures.names()) - NEEDS_SEVERAL
 
 
 @pytest.mark.parametrize("name", ["rates", "closed_loop_responses"])
@@ -94,21 +101,24 @@ def test_a_folder_that_is_no_study_is_refused(tmp_path: Path) -> None:
         figures.draw(None, tmp_path)
 
 
-def test_figures_of_failures_say_why_they_are_empty(studies: dict[str, Path]) -> None:
-    (axes,) = drawn("rates", studies["failures"]).axes
-    assert "4 runs: 4 failed" in axes.texts[0].get_text()
-
-
 def drawn(name: str, folder: Path) -> Figure:
-    with style.paper():
-        return figures._module(name).draw(Study(folder=folder))
+    return figures.drawn(name, StudyFolder(folder=folder))
+
+
+def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_configured(tmp_path: Path) -> None:
+    """Beside recorded data the loop runs on the identified model, whose band is another than the group's default."""
+    run = RunFolder(path=write_recordings(tmp_path))
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_text("plant: {settling_band: 9.0}")
+    assert run.closed_loop is not None
+    assert run.closed_loop.settling_band == 0.5
+    assert 0.1 < run.closed_loop.rest_s < 0.5
 
 
 def test_a_recording_has_no_true_dead_zone() -> None:
     """The plant's group has a default beside recorded data too; its curve is nobody's truth there."""
-    plant = {"dead_zone_v": 0.4}
     simulated, recorded = (
-        {"data": {"_target_": f"x.{name}"}, "plant": plant} for name in ("SimulatedData", "Rehearsal")
+        {"data": {"_target_": f"x.{name}"}, "plant": {"dead_zone_v": 0.4}} for name in ("SimulatedData", "Rehearsal")
     )
-    assert learned_dead_zone._known_plant(simulated) == plant
-    assert learned_dead_zone._known_plant(recorded) == {}
+    assert learned_dead_zone.known_dead_zone(simulated) == (0.4, 0.0)
+    assert learned_dead_zone.known_dead_zone(recorded) == (None, 0.0)

@@ -1,10 +1,16 @@
 """The margin's figures: the curve is the one its area says, and both figures hold every design."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from ssm_study.report import margin_figures, style
+from ssm_study.report import style
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+import loop_margin_figures
 
 
 def designs(count: int = 60) -> pd.DataFrame:
@@ -26,7 +32,7 @@ def designs(count: int = 60) -> pd.DataFrame:
 def test_the_area_is_the_chance_that_a_good_design_scores_higher():
     table = designs()
     good, score = table["kind"].eq("settled").to_numpy(float), table["mismatch_margin"].to_numpy()
-    false, true = margin_figures.roc_points(score, good)
+    false, true = loop_margin_figures.roc_points(score, good)
     pairs = np.sign(score[good == 1][:, None] - score[good == 0][None, :])
     assert np.trapezoid(true, false) == pytest.approx((0.5 + 0.5 * pairs).mean(), rel=1e-12)
     assert (false[-1], true[-1]) == (1.0, 1.0)
@@ -34,7 +40,10 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
 
 def test_the_score_puts_stable_controllers_first_and_then_the_larger_margin():
     table = designs()
-    score, kept = margin_figures.prediction_score(table), (table.resolved_margin > 1) & (table.controller_radius < 1)
+    score, kept = (
+        loop_margin_figures.prediction_score(table),
+        (table.resolved_margin > 1) & (table.controller_radius < 1),
+    )
     assert ((score > 0.5) == kept).all()
     stable = table.controller_radius < 1
     assert score[stable].min() >= score[~stable].max()
@@ -44,7 +53,7 @@ def test_the_score_puts_stable_controllers_first_and_then_the_larger_margin():
 def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
     table = designs()
     with style.paper():
-        roc, settling = margin_figures.roc(table), margin_figures.settling(table)
+        roc, settling = loop_margin_figures.roc(table), loop_margin_figures.settling(table)
     drawn = sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections)
     assert drawn == len(table)
     assert len(settling.axes) == 2
@@ -57,6 +66,6 @@ def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
 def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
     table = designs().assign(kind="settled")
     with style.paper():
-        roc, settling = margin_figures.roc(table), margin_figures.settling(table)
+        roc, settling = loop_margin_figures.roc(table), loop_margin_figures.settling(table)
     assert len(roc.axes[0].lines) == 1  # the diagonal
     assert sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections) == len(table)

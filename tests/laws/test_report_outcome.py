@@ -42,15 +42,21 @@ def test_every_number_of_the_argument_is_there() -> None:
         assert words in text, words
 
 
+def test_it_says_who_chose_each_rate() -> None:
+    text = printed(a_run("ok") | {"synthesis_method": "auto", "rates_chosen": "observer", "rate_controller": 0.123})
+    assert "0.123 requested, at most" in text
+    assert "0.2 chosen by auto, at most" in text
+
+
 def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
     text = printed(a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21})
-    assert "the identified model; no plant was there to try it on" in " ".join(text.split())
+    assert "the identified model, which it was designed for" in " ".join(text.split())
     assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
 
 
 def test_the_prediction_says_what_it_rests_on_and_an_older_record_its_margin() -> None:
     known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
-    for stable, words in ((True, "stays stable"), (False, "not sure to stay stable")):
+    for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):
         text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
         assert f"Prediction for the plant {words} (margin 1.24 by frequency, controller's own radius 0.931)" in text
     assert "Mismatch margin" in printed(a_run("ok"))

@@ -4,13 +4,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 import report_tables
 from report_browser import axe_script, chromium, wait_for
 from report_runs import random_run, write_recordings
 
-from ssm_study.report.page import write_page
-from ssm_study.report.verdict import best_first
+from ssm_study.report.page.writing import write_page
+from ssm_study.table.rank import best_first
 
 RUNS = 150
 HOSTILE = '</script><script>hacked = 1</script><img src=x onerror="window.hacked = 1">'
@@ -21,6 +22,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = report_tables.table(RUNS)
     table["error_message"] = None
     table.loc[table.status == "failed", "error_message"] = HOSTILE
+    table["run"] = table["run"].where(table.index != best_first(table).index[0], "order8-width8-seed0-0123456789")
     folder = report_tables.write_study(tmp_path_factory.mktemp("study") / "sweep", table)
     best, second = best_first(table)["run"].head(2)
     write_recordings(random_run(folder / best, kind="mlp", channels=1, seed=1))
@@ -146,6 +148,85 @@ def test_the_best_run_of_the_answers_opens_by_its_name(opened: Any) -> None:
     assert opened.execute_script("return document.getElementById('run-title').textContent") == name
 
 
+def groups_shown(driver: Any) -> dict[str, list[str]]:
+    """The cells of each group's row by its label."""
+    cells = "row => Array.from(row.children, c => c.textContent)"
+    rows = driver.execute_script(f"return Array.from(document.querySelectorAll('#groups tbody tr'), {cells})")
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> None:
+    wait_for(opened, "document.querySelector('#groups tbody tr') !== null")
+    for name in ("synthesis_method", "order", *opened.execute_script("return DATA.parameters")):
+        box = opened.find_element("css selector", f"#group-form input[value={name}]")
+        if box.is_selected() != (name in ("synthesis_method", "order")):
+            opened.execute_script("arguments[0].click()", box)
+    wait_for(opened, "[...document.querySelectorAll('#groups tbody th')].every((c) => c.textContent.includes(' · '))")
+    head = opened.execute_script("return [...document.querySelectorAll('#groups thead th')].map(c => c.textContent)")
+    by, metric = opened.execute_script("return [state.group.by, state.group.metric]")
+    table = opened.execute_script("return COLUMNS")
+    place, groups = head.index(opened.execute_script("return DATA.words[arguments[0]]", metric)), groups_shown(opened)
+    assert head[0] == " · ".join(opened.execute_script("return arguments[0].map((n) => DATA.words[n])", by))
+    assert sum(int(row[0]) for row in groups.values()) == RUNS
+    assert len(groups) >= 9, "three orders by three methods"
+    for label, row in groups.items():
+        here = [
+            " · ".join(f"{table[n][i]:g}" if n != "synthesis_method" else table[n][i] for n in by) for i in range(RUNS)
+        ]
+        own = [v for v, s in zip(table[metric], here, strict=True) if s == label and v is not None]
+        assert int(row[0]) == here.count(label)
+        if own:
+            assert float(row[place - 1].split(" ")[0]) == pytest.approx(sum(own) / len(own), rel=6e-3)
+
+
+def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
+    table = report_tables.table(12).assign(synthesis_method="auto", rates_chosen="controller, observer")
+    table.loc[::2, ["rate_controller", "rates_chosen"]] = [0.1, "observer"]
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    browser.execute_script("state.group.by = ['rate_controller']; changed(true)")
+    wait_for(browser, "document.querySelectorAll('#groups tbody tr').length === 2")
+    assert {label: row[0] for label, row in groups_shown(browser).items()} == {"0.1": "6", "auto": "6"}
+
+
+def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_records_are(
+    browser: Any, tmp_path: Path
+) -> None:
+    table = report_tables.table(60)
+    table = table[table["status"] == "ok"].head(1).assign(predicted_stable=True, resolved_margin=2.04, evidence="doubt")
+    reasons = "note: One amplitude: the record shows no other. doubt: The record is short."
+    table = table.assign(stable_fraction=1.0, stable_count=10, evidence_reasons=reasons)
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    lines = browser.execute_script("return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)")
+    assert lines[0] == "Predicted for the plant\nIt stays stable; the margin by frequency is 2, and above 1 is enough."
+    assert lines[1].startswith("Seen on the plant\nIt settles in 0.")
+    assert lines[2:] == [
+        "Evidence: doubt\nThe records leave a doubt.",
+        "Note\nOne amplitude: the record shows no other.",
+        "Doubt\nThe record is short.",
+    ]
+    hidden = "return ['compare', 'filters', 'beside'].every((id) => document.getElementById(id).hidden)"
+    assert browser.execute_script(hidden), "a single run has nothing to compare"
+
+
+def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
+    boxes = opened.find_elements("css selector", "#body input[type=checkbox]")
+    for box in boxes[:2]:
+        opened.execute_script("arguments[0].click()", box)
+    opened.find_element("css selector", "[data-column=fit_test_percent]").click()
+    wait_for(opened, "document.querySelectorAll('#side thead th').length === 3")
+    wait_for(opened, "location.hash.includes('fit_test_percent')")
+    link, picked = opened.current_url, opened.execute_script("return [...state.picked].sort()")
+    opened.get("about:blank")
+    opened.get(link)
+    wait_for(opened, "document.body.dataset.ready === 'yes'")
+    assert opened.execute_script("return [...state.picked].sort()") == picked
+    assert opened.execute_script("return state.sort.column") == "fit_test_percent"
+    assert opened.execute_script("return document.querySelectorAll('#side thead th').length") == 3
+    opened.get(page.as_uri())
+
+
 def test_two_thousand_runs_follow_a_drag(browser: Any, tmp_path: Path) -> None:
     """Median of what a frame costs: filter, table and one plot. The bound leaves room for a loaded machine."""
     study = report_tables.write_study(tmp_path / "large", report_tables.table(2000))
@@ -184,13 +265,18 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
         painted = driver.execute_script("return VIEWS.map(view => view.background().toLowerCase())")
         assert set(painted) == {"#16181b" if where == "dark" else "white"}
         if where == "phone":
+            told = driver.execute_script("return document.querySelector('#body .settings')")
+            shown = driver.execute_script("return getComputedStyle(arguments[0]).display", told)
+            assert shown == "none", "the digits alone tell runs apart"
+            assert driver.execute_script("return arguments[0].nextSibling.textContent", told) == "0123456789"
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 
-def test_of_a_single_run_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:
-    """An axis around the run alone would leave the plant's own time, a limit or margin one far outside the figure."""
+def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:
+    """An axis around the runs alone would leave the plant's own time, a limit or margin one far outside the figure."""
     one = report_tables.table(60)
     one = one[one["settling_time_open_loop_s"].notna() & one["settling_time_mean_s"].notna()].head(1)
+    one = pd.concat([one, one.assign(run="again")], ignore_index=True)
     browser.get(write_page(report_tables.write_study(tmp_path / "one", one)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     heights = browser.execute_script(
@@ -198,6 +284,8 @@ def test_of_a_single_run_the_lines_lie_within_the_plots(browser: Any, tmp_path: 
     )
     assert len(heights) >= len(browser.execute_script("return DATA.panels"))
     assert max(heights) < 400
+    bars = "const n = DATA.panels.findIndex((panel) => panel.tick); return VIEWS[n].scale('x').domain()"
+    assert browser.execute_script(bars)[0] > 0, "the bars stand on the axis of the points"
 
 
 @pytest.mark.parametrize("table", [report_tables.empty(), report_tables.failures()], ids=["empty", "failures"])
@@ -206,3 +294,18 @@ def test_a_study_without_results_still_has_a_page(browser: Any, tmp_path: Path, 
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
     assert shown(browser) == len(table)
+
+
+def test_two_studies_stand_on_one_page(browser: Any, tmp_path: Path) -> None:
+    for name, runs in (("first", 5), ("second", 3)):
+        table = report_tables.table(runs).assign(study=name)
+        report_tables.write_study(tmp_path / name, table)
+    path = write_page(tmp_path / "first", (tmp_path / "second",))
+    assert path.name == "report_with_second.html"
+    browser.get(path.as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    assert shown(browser) == 8
+    wait_for(browser, "document.querySelector('#groups tbody tr') !== null")
+    assert "study" in browser.execute_script("return DATA.parameters"), "runs can be grouped by their study"
+    names = browser.execute_script("return COLUMNS.run")
+    assert sum(name.startswith("../second/") for name in names) == 3

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from ssm_study.engine.records import write_record
+from ssm_study.export.mlflow import export_mlflow
 from ssm_study.refusal import BadRequest
-from ssm_study.results.mlflow_export import export_mlflow
-from ssm_study.results.records import write_record
 
 RECORDS = (
     {"run": "a", "status": "ok", "order": 8, "fit_test_percent": 91.5, "controller_certified": True},

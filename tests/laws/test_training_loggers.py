@@ -1,7 +1,6 @@
 """Each logger, by its yaml alone, keeps one row per epoch of the record's own curve; a missing package is said."""
 
 import csv
-import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ from test_models_yaml import read
 from test_training_identify import spec
 
 from ssm_study.refusal import BadRequest
-from ssm_study.training import loggers
 
 NAME = "fit_validation_percent"
 
@@ -39,23 +37,13 @@ def test_tensorboard(tmp_path: Path) -> None:
     assert [event.value for event in events.Scalars(NAME)] == pytest.approx(curve, rel=1e-5)
 
 
-def test_mlflow(tmp_path: Path) -> None:
-    pytest.importorskip("mlflow", reason="the extra `mlflow` is not installed")
-    curve = logged("mlflow", tmp_path)
-    with sqlite3.connect(tmp_path / "mlflow.db") as database:
-        rows = database.execute("select value from metrics where key = ? order by step", (NAME,)).fetchall()
-    assert [value for (value,) in rows] == pytest.approx(curve, rel=1e-5)
-    with pytest.raises(BadRequest, match="the tracker refuses"):
-        logged("mlflow", tmp_path / "refused", f"training.logger.tracking_uri=file:{tmp_path / 'mlruns'}")
-
-
-@pytest.mark.parametrize(("choice", "kind"), [("tensorboard", "TensorBoardLogger"), ("mlflow", "MLFlowLogger")])
+@pytest.mark.parametrize(("choice", "kind"), [("tensorboard", "TensorBoardLogger")])
 def test_a_missing_package_says_what_to_install(
     choice: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def absent(*_: Any, **__: Any) -> Any:
         raise ModuleNotFoundError(choice)
 
-    monkeypatch.setattr(loggers, kind, absent)
+    monkeypatch.setattr(f"lightning.pytorch.loggers.{kind}", absent)
     with pytest.raises(BadRequest, match=rf"pip install 'ssm-study\[{choice}\]'"):
         logged(choice, tmp_path)

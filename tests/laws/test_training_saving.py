@@ -16,10 +16,10 @@ from models_cases import data_set
 from test_engine_faults import FailingDisk
 from test_training_identify import LBFGS, spec, training
 
-from ssm_study.training import training as room
-from ssm_study.training.checkpoint import DurableCheckpointIO
-from ssm_study.training.fit import Fit, Keeper
+from ssm_study.training import saving as room
+from ssm_study.training.fit import Fit
 from ssm_study.training.optimisers import Adam, OptimiserSpec
+from ssm_study.training.saving import DurableCheckpointIO, Keeper
 
 
 class Interrupt(Callback):
@@ -37,9 +37,9 @@ def test_a_killed_training_resumes_to_the_same_model(
 ) -> None:
     data, settings = data_set(noise=0.05), training(optimiser, max_epochs=8, checkpoint_every_s=0.0)
     whole = settings.identify(spec(), data, 0, tmp_path / "whole")
-    make = room.Training._trainer
+    make = room.trainer_of
     with monkeypatch.context() as patch:
-        patch.setattr(room.Training, "_trainer", lambda self, calls, folder: make(self, [*calls, Interrupt(3)], folder))
+        patch.setattr(room, "trainer_of", lambda told, calls, folder: make(told, [*calls, Interrupt(3)], folder))
         with pytest.raises(InterruptedError):
             settings.identify(spec(), data, 0, tmp_path / "broken")
     resumed = settings.identify(spec(), data, 0, tmp_path / "broken")

@@ -10,15 +10,16 @@ from models_cases import data_set
 from test_training_identify import LBFGS, spec, training
 from torch import Tensor
 
-from ssm_study.models.baseline_deep import DeepSSMSpec
-from ssm_study.models.baseline_dynonet import DynoNetSpec
-from ssm_study.models.baseline_recurrent import RecurrentSpec
-from ssm_study.models.scaffold_specs import Mlp, Monotone
+from ssm_study.models.baselines.deep import DeepSSMSpec
+from ssm_study.models.baselines.dynonet import DynoNetSpec
+from ssm_study.models.baselines.recurrent import RecurrentSpec
+from ssm_study.models.scaffolds.mlp import Mlp
+from ssm_study.models.scaffolds.monotone import Monotone
 from ssm_study.models.spec import ModelSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.training.fit import Fit
-from ssm_study.training.identification import mean_fit
+from ssm_study.training.metrics import mean_fit
 from ssm_study.training.optimisers import Levenberg, OptimiserSpec
 from ssm_study.training.saving import read
 from ssm_study.training.windows import Windows
@@ -43,7 +44,7 @@ def unequal(samples: int = 100) -> DataSet:
 
 
 def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any) -> Fit:
-    return training(**{"windows": windows or Windows(), **settings})._fit(model.build(data, 0), data)
+    return Fit(model.build(data, 0), data, training(**{"windows": windows or Windows(), **settings}))
 
 
 def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:

@@ -4,12 +4,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import worst_case
 
-from ssm_study.bounds import worst_case
-from ssm_study.bounds.hankel import balance, hankel_singular_values
-from ssm_study.bounds.networks import spectral_norm_bound
-from ssm_study.bounds.piecewise import slope_values
-from ssm_study.models.network import Network
+from ssm_study.bounds.gramians import balance, hankel_singular_values
+from ssm_study.bounds.network import Network, slope_values
+from ssm_study.bounds.slopes import spectral_norm_bound
 from ssm_study.refusal import BadRequest
 from ssm_study.systems import StateSpace
 
@@ -58,7 +57,7 @@ def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> 
     with pytest.raises(BadRequest, match="at most 2") as refused:
         balance(linear)
     assert refused.value.value == pytest.approx(values[2], rel=1e-3)
-    assert balance(linear, 2).linear.order == 2
+    assert balance(linear, 2).order == 2
 
 
 def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slopes() -> None:

@@ -7,23 +7,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from worst_case import worst_jacobian
 
 from ssm_study.bounds import lipsdp
-from ssm_study.bounds.absorb import absorbed
-from ssm_study.bounds.hankel import balance, hankel_singular_values
+from ssm_study.bounds.gramians import balance, gramian, hankel_singular_values
 from ssm_study.bounds.lipsdp import lipsdp_ball
-from ssm_study.bounds.piecewise import slope_interval
+from ssm_study.bounds.network import Network, slope_interval
 from ssm_study.bounds.reduction import Reduction
-from ssm_study.bounds.scaffolds import certified_balls, jacobian_ball
-from ssm_study.bounds.slopes import enclosing_ball
-from ssm_study.bounds.worst_case import worst_jacobian
+from ssm_study.bounds.slopes import certified_balls, enclosing_ball, jacobian_ball
 from ssm_study.models.identified import SSM
-from ssm_study.models.network import Network
-from ssm_study.models.scaffold_linear import LinearScaffold
-from ssm_study.models.scaffold_mlp import MlpScaffold
-from ssm_study.models.scaffold_monotone import MonotoneScaffold
-from ssm_study.models.scaffold_residual import ResidualScaffold
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.mlp import MlpScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.models.scaffolds.residual import ResidualScaffold
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace
 
 
@@ -173,15 +171,11 @@ def two_channel(inner, outer=None) -> SSM:
     linear = StateSpace(
         a=np.diag([0.9, -0.5, 0.3]), b=rng.normal(size=(3, 2)), c=rng.normal(size=(2, 3)), d=rng.normal(size=(2, 2))
     )
-    ones, zeros = np.ones(2), np.zeros(2)
     return SSM(
         linear=linear,
         scaffold_in=inner,
         scaffold_out=outer or LinearScaffold.identity(2),
-        input_scale=ones,
-        output_scale=ones,
-        input_equilibrium=zeros,
-        output_equilibrium=zeros,
+        scale=Scale.unit(2, 2),
         step_s=0.1,
     )
 
@@ -211,10 +205,9 @@ SIGNS = MonotoneScaffold(breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array(
 def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
     """Singular values alone would pass these as they are; the ball around alpha I refuses them until absorbed."""
     model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
-    index = 0 if side == "in" else 1
-    assert certified_balls(model)[index].relative_radius >= 1
-    turned = absorbed(model)
-    assert certified_balls(turned)[index].relative_radius < 0.6
+    assert getattr(certified_balls(model), f"{side}put").relative_radius >= 1
+    turned = model.absorbed()
+    assert getattr(certified_balls(turned), f"{side}put").relative_radius < 0.6
     u = np.random.default_rng(1).normal(size=(200, 2))
     np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
 
@@ -227,15 +220,15 @@ def test_channels_of_different_gain_keep_their_map(side: str) -> None:
     )
     for scaffold in (inner, replace(inner, slopes=np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]]))):
         model = two_channel(scaffold) if side == "in" else two_channel(LinearScaffold.identity(2), scaffold)
-        turned = absorbed(model)
-        assert turned is not model
+        turned = model.absorbed()
+        assert turned.linear is not model.linear
         u = np.random.default_rng(2).normal(size=(200, 2))
         np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
 
 
 def test_reduction_absorbs_unless_told_not_to() -> None:
     model = two_channel(LinearScaffold(gain=np.array([[0.0, -2.0], [2.0, 0.0]])))
-    assert certified_balls(Reduction(balanced=False).reduce(model))[0].relative_radius == 0
+    assert certified_balls(Reduction(balanced=False).reduce(model)).input.relative_radius == 0
     assert Reduction(balanced=False, absorb=False).reduce(model) is model
 
 
@@ -247,7 +240,7 @@ def test_a_scalar_gain_is_an_exact_bound() -> None:
 
 def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
     folding = MonotoneScaffold(breakpoints=np.zeros((2, 1)), slopes=np.array([[-1.0, 1.0], [1.0, 1.0]]))
-    assert certified_balls(absorbed(two_channel(folding)))[0].relative_radius >= 1
+    assert certified_balls(two_channel(folding).absorbed()).input.relative_radius >= 1
 
 
 def test_a_scaffolding_that_is_not_square_is_refused() -> None:
@@ -270,9 +263,10 @@ def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) ->
     if hankel[-1] < 1e-6 * hankel[0]:
         return
     balanced = balance(linear)
-    np.testing.assert_allclose(balanced.t_inverse @ balanced.t, np.eye(order), atol=1e-6)
-    np.testing.assert_allclose(hankel_singular_values(balanced.linear), hankel, rtol=1e-5)
-    reduced = balance(linear, order - 1).linear
+    np.testing.assert_allclose(hankel_singular_values(balanced), hankel, rtol=1e-5)
+    for w in (gramian(balanced.a, balanced.b), gramian(balanced.a.T, balanced.c.T)):
+        np.testing.assert_allclose(w, np.diag(hankel), atol=1e-5 * hankel[0])
+    reduced = balance(linear, order - 1)
     z = np.exp(1j * np.linspace(0, np.pi, 200))
     gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
     assert max(gaps) <= 2 * hankel[-1] * (1 + 1e-6) + 1e-9

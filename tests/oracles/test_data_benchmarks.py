@@ -10,9 +10,9 @@ from hydra.errors import InstantiationException
 from plants_cases import from_yaml
 from scipy.io import loadmat, savemat
 
-from ssm_study.data.csv_columns import read_csv
+from ssm_study.data.metrics import benchmark_rmse, position_rmse_mm
+from ssm_study.data.readers.csv import CsvReader
 from ssm_study.data.recording import Recording
-from ssm_study.data.scores import benchmark_rmse, position_rmse_mm
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -74,6 +74,17 @@ def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
     assert (tanks.start_up_samples, drives.start_up_samples, servo.start_up_samples) == (5, 10, 2)
 
 
+def test_the_silverbox_is_cut_where_its_loader_cuts_it(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
+    """Multisine: 86,750 samples, three quarters of them before the test; the arrow's first 32,000 stay in range."""
+    data, raw = built("silverbox"), loadmat(benchmark_data / "silverbox" / "SNLS80mV.mat")["V2"][0]
+    trained = np.concatenate([record.y[:, 0] for record in (*data.training, *data.validation)])
+    np.testing.assert_array_equal(trained, raw[40650:127400][: round(0.75 * 86750)])
+    tests = [record.y[:, 0] for record in data.test]
+    np.testing.assert_array_equal(tests[0], raw[40650:127400][round(0.75 * 86750) :])
+    np.testing.assert_array_equal(tests[1][:32000], tests[2])
+    assert benchmark_rmse(data, tuple(record.y + 1e-3 for record in data.test)) == pytest.approx((1.0, 1.0, 1.0))
+
+
 def test_the_servo_velocity_integrates_to_the_measured_position(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
     record = built("emps").test[0]
     position = loadmat(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")["qm"][:, 0][:24840:10]
@@ -101,9 +112,9 @@ def test_decimation_keeps_what_a_hold_would_have_applied(benchmark_data: Path) -
 
 def test_scales_and_equilibria_of_records(built) -> None:  # type: ignore[no-untyped-def]
     tanks, servo = built("cascaded_tanks"), built("emps")
-    np.testing.assert_allclose(tanks.output_equilibrium, tanks.training[0].y.mean(axis=0))
-    np.testing.assert_array_equal(servo.input_equilibrium, [-0.0923])
-    np.testing.assert_array_equal(servo.output_equilibrium, [0.0])
+    np.testing.assert_allclose(tanks.scale.output_equilibrium, tanks.training[0].y.mean(axis=0))
+    np.testing.assert_array_equal(servo.scale.input_equilibrium, [-0.0923])
+    np.testing.assert_array_equal(servo.scale.output_equilibrium, [0.0])
 
 
 def test_several_experiments_of_different_lengths(built) -> None:  # type: ignore[no-untyped-def]
@@ -121,7 +132,7 @@ class TestWhereRecordsLie:
     def test_downloaded_as_mat(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, benchmark_data: Path) -> None:
         """The official package keeps MAT files; the yaml names the CSV twin."""
         names = ["u11", "u12", "z11", "z12"]
-        table = read_csv(benchmark_data / "ced" / "DATAUNIF.csv", names)
+        table = CsvReader().read(benchmark_data / "ced" / "DATAUNIF.csv", names)
         savemat(tmp_path / "DATAUNIF.MAT", {n: table.columns[n][:, None] for n in names}, appendmat=False)
         monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
         monkeypatch.chdir(tmp_path)
@@ -161,7 +172,7 @@ def test_a_fold_opens_no_test_file_and_scores_what_it_held_out(built, name: str)
         np.testing.assert_array_equal(np.concatenate([fold.test[i].y for fold in folds]), record.y)
     for fold in folds:
         assert sum(map(len, (*fold.training, *fold.test))) == sum(map(len, whole.training))
-        assert fold.validation == fold.training
+        assert all(a.y is b.y for a, b in zip(fold.validation, fold.training, strict=True))
 
 
 def test_a_fold_that_is_none() -> None:
@@ -198,6 +209,6 @@ def as_tuples(parts):  # type: ignore[no-untyped-def]
 
 def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> None:
     """The MAT twin of a record that is at hand as CSV."""
-    columns = {name: values[:, None] for name, values in read_csv(source, names).columns.items()}
+    columns = {name: values[:, None] for name, values in CsvReader().read(source, names).columns.items()}
     target.parent.mkdir(exist_ok=True)
     savemat(target, columns | more, appendmat=False)

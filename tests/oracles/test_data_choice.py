@@ -45,7 +45,8 @@ def test_the_chosen_settings_are_those_that_are_scored(benchmark: str) -> None:
 
 def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
     scored = composed("experiment=benchmarks", "data=emps_position", "model=ssm")
-    rehearsed = composed("experiment=benchmark_rehearsal")
+    folder = ROOT / "benchmarks" / "rehearsal" / "conf"
+    rehearsed = composed("experiment=benchmark_rehearsal", f"hydra.searchpath=[file://{folder}]")
     assert scored.training == rehearsed.training
     assert (scored.model.ring_radius, scored.model.ring_frequency) == ([0.9, 0.9999], [0.003, 0.1])
     assert scored.data.training == rehearsed.data.experiments.training

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.signals import Channel
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "plants_foxglove.cjs"

@@ -1,17 +1,21 @@
 """MCAP: what is written is read back bit for bit, by our reader and by the reference reader Foxglove builds on."""
 
+import resource
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 
@@ -107,3 +111,22 @@ def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) 
     with pytest.raises(BadRequest, match="share a topic"):
         write_mcap(recording, (group("/a", np.ones((2, 1))), group("/a", np.ones((2, 1)))), {})
     assert recording.read_bytes() == before
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    """A few kilobytes that would unpack to a gigabyte: what the chunk claims does not matter, its frame says it."""
+    press = zstandard.ZstdCompressor().compressobj(size=2**30)
+    packed = b"".join([*(press.compress(bytes(2**20)) for _ in range(2**10)), press.flush()])
+    for claimed in (2**30, 100):
+        path = tmp_path / f"{claimed}.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file, use_chunking=False)
+            writer.start()
+            chunk = records.Chunk("zstd", packed, 0, 0, 0, claimed)
+            chunk.write(builder := RecordBuilder())
+            file.write(builder.end())
+            writer.finish()
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with pytest.raises(BadRequest, match="unpacks to more than 256 MiB; split the recording"):
+            read_mcap(path)
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**17  # kilobytes

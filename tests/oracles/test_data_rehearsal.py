@@ -1,5 +1,7 @@
 """The servo of the rehearsals: its exact step against an integrator, its parameters found again, test files closed."""
 
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +10,24 @@ from hydra.errors import InstantiationException
 from plants_cases import from_yaml
 from scipy.integrate import solve_ivp
 
-from ssm_study.data.servo import Servo, fitted, tracked
+from ssm_study import extensions
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "rehearsal"
+sys.path.append(str(FOLDER.parent))
+from rehearsal.servo import Servo, fitted, tracked  # noqa: E402 - of a folder that `--with` names
 
 SERVO = Servo(mass=95.0, viscous=200.0, coulomb=20.0, offset=-3.0, force_per_volt=35.0)
 STEP_S, GAINS = 1e-3, (160.0, 243.0)
+
+
+@pytest.fixture(autouse=True)
+def _trusted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As `--with benchmarks/rehearsal` has it, for one test."""
+    monkeypatch.setenv(extensions.FOLDER, str(FOLDER))
+    extensions.packages.cache_clear()
+    yield
+    monkeypatch.undo()
+    extensions.packages.cache_clear()
 
 
 @pytest.fixture

@@ -9,15 +9,15 @@ from loop_cases import motor_design, motor_model, motor_record, random_model
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas, release
-from ssm_study.synthesis.integral import output_gain
-from ssm_study.systems import StateSpace
+from ssm_study.synthesis.theorems.integral_action import output_gain
+from ssm_study.systems import Pair, StateSpace
 
 PAIR = np.zeros((1, 2), dtype=int)
 
 
 def record(model: SSM, samples: int = 240, seed: int = 0) -> Trajectory:
-    u = model.input_equilibrium + np.random.default_rng(seed).normal(size=(samples, len(model.input_scale)))
-    return Trajectory(u=u, y=np.zeros((samples, len(model.output_scale))), step_s=0.01)
+    u = model.scale.input_equilibrium + np.random.default_rng(seed).normal(size=(samples, model.scale.inputs))
+    return Trajectory(u=u, y=np.zeros((samples, model.scale.outputs)), step_s=0.01)
 
 
 def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
@@ -26,23 +26,21 @@ def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
         x = np.zeros(model.order)
         for u in one.u:
             states.append(x)
-            x = model.linear.a @ x + model.linear.b @ model.scaffold_in(
-                (u - model.input_equilibrium) / model.input_scale
-            )
+            x = model.linear.a @ x + model.linear.b @ model.scaffold_in(model.scale.scaled_input(u))
     return np.array(states)
 
 
 def test_twelve_states_of_the_records_evenly_spaced() -> None:
     model = random_model(3, inputs=2, outputs=2)
     records = record(model), record(model, 110, 1)
-    start = release(model, records, loaded=False)
+    x0, load, _ = release(model, records, loaded=False)
     states = visited(model, records)
-    found = [int(np.abs(states - x).max(axis=1).argmin()) for x in start.x0]
-    np.testing.assert_allclose(start.x0, states[found], atol=1e-12)
+    found = [int(np.abs(states - x).max(axis=1).argmin()) for x in x0]
+    np.testing.assert_allclose(x0, states[found], atol=1e-12)
     assert len(found) == 12
     gaps = np.diff([0, *found, len(states) - 1])
     assert gaps.max() - gaps.min() <= 1  # neither end of the record: there the model rests, or nothing follows
-    assert not start.load.any()
+    assert not load.any()
 
 
 @pytest.mark.parametrize(
@@ -52,7 +50,7 @@ def test_the_horizon_is_four_time_constants_between_50_and_150_samples(modulus: 
     """A mode `lambda^k` falls by e in `-1 / ln |lambda|` samples."""
     model = motor_model()
     linear = StateSpace(a=np.diag([modulus, 0.0]), b=model.linear.b, c=model.linear.c, d=model.linear.d)
-    assert release(model.with_linear(linear), (motor_record(),), loaded=False).horizon == samples
+    assert release(model.with_linear(linear), (motor_record(),), loaded=False)[2] == samples
 
 
 def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_acts() -> None:
@@ -60,9 +58,9 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     idle = model.linear.b.copy()
     idle[:, 1] = 0.0
     model = model.with_linear(replace(model.linear, b=idle))
-    start = release(model, (record(model),), loaded=True)
-    loads, states = start.load[12:], start.x0[12:]
-    assert not start.load[:12].any()
+    x0, load, _ = release(model, (record(model),), loaded=True)
+    loads, states = load[12:], x0[12:]
+    assert not load[:12].any()
     assert not states.any()
     assert len(loads) == 4 * 2
     rest = np.linalg.solve(np.eye(4) - model.linear.a, model.linear.b @ loads.T)
@@ -97,15 +95,15 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     ks, ls = 0.05 * rng.normal(size=(2, 2, n + integrators)), 0.05 * rng.normal(size=(2, n, 2))
     pairs = np.array([[1, 0], [0, 1]])
     given = record(model)
-    start = release(model, (given,), loaded=integrators > 0)
-    found = relative_areas(model, ks, ls, pairs, (given,))
+    x0s, loads, horizon = release(model, (given,), loaded=integrators > 0)
+    found = relative_areas(model, Pair(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (given,))
     none = np.zeros((2, n)), np.zeros((n, 2))
-    cases = list(zip(start.x0, start.load, strict=True))
-    alone = np.array([by_hand(model, *none, x0, load, start.horizon) for x0, load in cases])
+    cases = list(zip(x0s, loads, strict=True))
+    alone = np.array([by_hand(model, *none, x0, load, horizon) for x0, load in cases])
     counts = alone > 0.1 * alone.max()  # what rests already is no measure of a controller
     assert not counts.all()
     for (i, j), area in zip(pairs, found, strict=True):
-        each = np.array([by_hand(model, ks[i], ls[j], x0, load, start.horizon) for x0, load in cases])
+        each = np.array([by_hand(model, ks[i], ls[j], x0, load, horizon) for x0, load in cases])
         assert area == pytest.approx((each / alone)[counts].mean(), rel=1e-9)
 
 
@@ -114,7 +112,7 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
     k, gain = design.state_feedback.k, design.observer.l
     ks, ls = np.stack([0 * k, k, 1e3 * k]), np.stack([gain, -1e3 * gain])
     pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
-    none, own, wild, blind = relative_areas(model, ks, ls, pairs, (motor_record(),))
+    none, own, wild, blind = relative_areas(model, Pair(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (motor_record(),))
     assert none == pytest.approx(1.0)
     assert own < 0.9
     assert np.isfinite([wild, blind]).all()

@@ -8,21 +8,20 @@ from loop_cases import random_model
 
 from ssm_study.loop.certified_bound import certified_bound, decay_rate, distances, excess, violations
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.loop.rollout import Rollouts, close_loop
 from ssm_study.models.identified import SSM
-from ssm_study.signals import Channel
 from ssm_study.synthesis.certificate import Observer, StateFeedback
-from ssm_study.synthesis.frontier import rate_limit
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.systems import JacobianBall
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, Pair
 
 IDENTITY = JacobianBall(alpha=1.0, beta=0.0)
 
 
 def certified(model: SSM) -> tuple[StateFeedback, Observer]:
     ball = JacobianBall.from_slopes(float(model.scaffold_in.slopes.min()), float(model.scaffold_in.slopes.max()))
-    limit = rate_limit(model.linear, ball, IDENTITY)[0]
+    limit = controller_frontier(model.linear, ball).rate_limit
     synthesis = RiccatiSynthesis(rate_controller=0.9 * limit, rate_observer=0.5, input_weight=0.1)
     feedback, observer = synthesis.state_feedback(model.linear, ball), synthesis.observer(model.linear, IDENTITY)
     assert feedback.certified
@@ -31,17 +30,12 @@ def certified(model: SSM) -> tuple[StateFeedback, Observer]:
 
 
 def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int) -> Rollouts:
-    m, p = len(model.input_scale), len(model.output_scale)
-    plant = IdentifiedPlant(
-        model=model,
-        input_channels=tuple(Channel(name=f"u{i}", unit="V") for i in range(m)),
-        output_channels=tuple(Channel(name=f"y{i}", unit="m") for i in range(p)),
-    )
+    m, p = model.scale.inputs, model.scale.outputs
     return close_loop(
-        plant,
-        ObserverFeedback(model=model, k=feedback.k, l=observer.l),
+        IdentifiedPlant.of(model),
+        ObserverFeedback(model=model, gains=Pair(k=feedback.k, l=observer.l)),
         x0=np.random.default_rng(seed).standard_normal((20, model.order)),
-        reference=np.tile(model.output_equilibrium, (120, 1)),
+        reference=np.tile(model.scale.output_equilibrium, (120, 1)),
         noise=np.zeros((20, 120, p)),
         disturbance=np.zeros((20, 120, m)),
         bound=np.full(p, 1e6),

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loop_cases import INPUT_BALL, OUTPUT_BALL, motor, motor_model, motor_record, random_model
+from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record, random_model
+from synthesis_ratio import ratio_limit
 
 from ssm_study.loop.certified_bound import excess
-from ssm_study.loop.controller import ObserverFeedback, parts
+from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.reference import RampReference, StepReference
 from ssm_study.loop.regulation import Loop
@@ -15,13 +16,13 @@ from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.synthesis.exact import is_positive_definite, theorem_one
-from ssm_study.synthesis.frontier import ratio_limit
-from ssm_study.synthesis.hinf_norm import gains
-from ssm_study.synthesis.integral import IntegralSynthesis, controlled_system, with_integrators
-from ssm_study.synthesis.mismatch import mismatch, predict
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.synthesis.sensitivity import peaks_on_grid, sensitivity
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.prediction import predict
+from ssm_study.synthesis.sensitivity import gains, peaks_on_grid, sensitivity
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system, with_integrators
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import Pair
 
 LOADED = Loop(
     horizon_s=4.0,
@@ -37,7 +38,7 @@ def inner(rate: float = 0.02) -> RiccatiSynthesis:
 
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return IntegralSynthesis(synthesis=inner(), integral_weight=1e-3).design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    return IntegralSynthesis(synthesis=inner(), integral_weight=1e-3).design(motor_model(), BALLS)
 
 
 def test_the_augmented_pair_is_the_equations_written_out():
@@ -53,11 +54,10 @@ def test_the_certificate_is_the_theorem_on_the_augmented_pair(design):
     part, system = design.state_feedback, controlled_system(motor_model(), design.state_feedback.k)
     assert system.order == motor_model().order + 1
     np.testing.assert_array_equal(part.a, system.a)
-    lmi = theorem_one(
-        system.a, system.b, INPUT_BALL.alpha, INPUT_BALL.beta, part.rate, part.p, part.y, part.k, part.sigma
-    )
+    ball = {"alpha": INPUT_BALL.alpha, "beta": INPUT_BALL.beta}
+    numbers = {name: getattr(part, name) for name in ("rate", "p", "y", "k", "sigma")}
     assert part.certified
-    assert is_positive_definite(lmi)
+    assert StateFeedbackOfBall.holds(a=system.a, b=system.b, **ball, **numbers)
 
 
 def test_an_integrator_costs_rate_as_the_frontier_says():
@@ -66,9 +66,9 @@ def test_an_integrator_costs_rate_as_the_frontier_says():
     r = 0.97
     alone, with_it = ratio_limit(model.linear.a, model.linear.b, r), ratio_limit(*_pair(model), r)
     assert with_it == pytest.approx(alone * r / 1.0, rel=1e-6)
-    limit = IntegralSynthesis(synthesis=inner()).design(model, INPUT_BALL, OUTPUT_BALL).state_feedback.rate_limit
-    beyond = IntegralSynthesis(synthesis=inner(limit * 1.001)).design(model, INPUT_BALL, OUTPUT_BALL).state_feedback
-    within = IntegralSynthesis(synthesis=inner(limit * 0.98)).design(model, INPUT_BALL, OUTPUT_BALL).state_feedback
+    limit = IntegralSynthesis(synthesis=inner()).design(model, BALLS).state_feedback.rate_limit
+    beyond = IntegralSynthesis(synthesis=inner(limit * 1.001)).design(model, BALLS).state_feedback
+    within = IntegralSynthesis(synthesis=inner(limit * 0.98)).design(model, BALLS).state_feedback
     assert isinstance(beyond, Infeasible)
     assert beyond.proved
     assert within.certified
@@ -86,7 +86,7 @@ def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
 
 
 def test_without_integral_action_the_load_leaves_an_error():
-    plain = inner().design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+    plain = inner().design(motor_model(), BALLS)
     columns = behaviour(LOADED.run(motor(), motor_model(), plain, seed=0))
     assert columns["final_error_worst"] > 0.2
 
@@ -96,7 +96,7 @@ def test_the_certified_bound_holds_with_integrators(design):
     columns = certified(result, design)
     assert columns["certified_bound_violations"] == 0
     assert columns["estimate_decay_rate"] >= design.observer.rate * (1 - 1e-9)
-    assert excess(result.on_model.estimate, result.on_model.states[:, 0], *parts(design)) == 0.0
+    assert excess(result.on_model.estimate, result.on_model.states[:, 0], *design.parts()) == 0.0
     assert columns["certified_bound_excess_plant"] is None  # the plant follows a reference, the model none
     assert result.on_model.estimate.shape[2] == motor_model().order + 1
 
@@ -116,10 +116,10 @@ def test_the_margin_with_integrators_by_two_routes(design):
     model, k, gain = motor_model(), design.state_feedback.k, design.observer.l
     angles = np.geomspace(1e-3, np.pi, 200)
     by_space = max(
-        gains(sensitivity(model.linear, k, gain, i, 1.0), angles).max()
+        gains(sensitivity(model.linear, Pair(k=k, l=gain), i, 1.0), angles).max()
         for i in (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     )
-    by_factors = peaks_on_grid(model.linear, k[None], gain[None], INPUT_BALL, OUTPUT_BALL, angles)[0, 0]
+    by_factors = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
     assert by_factors == pytest.approx(by_space, rel=1e-9)
 
 
@@ -131,12 +131,11 @@ def test_auto_chooses_with_integral_action():
         output_noises=(0.01, 0.1, 1.0),
         integral_weights=(1e-4, 1e-3),
     )
-    chosen = auto.design(motor_model(), INPUT_BALL, OUTPUT_BALL, (motor_record(),))
+    chosen = auto.design(motor_model(), BALLS, (motor_record(),))
     assert chosen.certified
     assert chosen.state_feedback.k.shape == (1, 3)
     shown = mismatch(motor_model(), (motor_record(),))
-    balls = INPUT_BALL, OUTPUT_BALL
-    assert predict(motor_model(), chosen.state_feedback.k, chosen.observer.l, *balls, shown).keeps_the_plant()
+    assert predict(motor_model(), chosen.pair, BALLS, shown).keeps_the_plant()
     columns = behaviour(LOADED.run(motor(), motor_model(), chosen, seed=0))
     assert columns["final_error_worst"] < 1e-2
 
@@ -148,7 +147,7 @@ def test_more_outputs_than_inputs_are_refused():
 
 def test_a_gain_of_the_wrong_width_is_refused():
     with pytest.raises(BadRequest, match="k = "):
-        ObserverFeedback(model=motor_model(), k=np.zeros((1, 4)), l=np.zeros((2, 1)))
+        ObserverFeedback(model=motor_model(), gains=Pair(k=np.zeros((1, 4)), l=np.zeros((2, 1))))
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
@@ -168,7 +167,7 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     gains_on_z = [
         np.abs(
             IntegralSynthesis(synthesis=inner(), integral_weight=weight)
-            .design(motor_model(), INPUT_BALL, OUTPUT_BALL)
+            .design(motor_model(), BALLS)
             .state_feedback.k[0, -1]
         )
         for weight in weights

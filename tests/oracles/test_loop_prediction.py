@@ -9,20 +9,29 @@ import scipy.signal
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_design, motor_model, motor_record
+from loop_cases import BALLS, motor_design, motor_model
 
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.identified import SSM
-from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
-from ssm_study.signals import Trajectory
-from ssm_study.synthesis.mismatch import Mismatch, mismatch, predict
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.synthesis.sensitivity import controller_radius, weighted_peak
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.signals import Scale, Trajectory
+from ssm_study.synthesis.mismatch import ANGLES, Mismatch, View, mismatch
+from ssm_study.synthesis.prediction import predict, worst
+from ssm_study.synthesis.sensitivity import (
+    FINE_ANGLES,
+    Responses,
+    controller_radius,
+    ends,
+    frequency_response,
+    sensitivity,
+    sizes,
+)
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace
 
-ONE = JacobianBall(alpha=1.0, beta=0.0)
+ONES = Balls(input=JacobianBall(alpha=1.0, beta=0.0), output=JacobianBall(alpha=1.0, beta=0.0))
 
 
 def linear_model(seed: int, order: int = 3) -> SSM:
@@ -39,8 +48,8 @@ def linear_model(seed: int, order: int = 3) -> SSM:
         linear=linear,
         scaffold_in=unit,
         scaffold_out=unit,
-        input_scale=np.ones(1),
-        output_scale=np.ones(1),
+        scale=Scale.unit(1, 1),
+        step_s=0.01,
     )
 
 
@@ -77,10 +86,10 @@ def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> flo
 def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(seed, size, length):
     """Small gain by frequency: `g(w) sigma_max(T_ue(w)) < 1` at all w keeps every linear mismatch of gain g(w)."""
     model = linear_model(seed)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONE, ONE)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
     k, gain = design.state_feedback.k, design.observer.l
     taps = size * np.random.default_rng(seed).standard_normal(length + 1)
-    found = predict(model, k, gain, ONE, ONE, mismatch(model, (recorded(model, taps),)))
+    found = predict(model, Pair(k=k, l=gain), ONES, mismatch(model, (recorded(model, taps),)))
     if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
         assert closed(model, k, gain, taps) < 1
 
@@ -88,35 +97,39 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
 @pytest.mark.parametrize("seed", range(5))
 def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     model = linear_model(seed)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONE, ONE)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
     record = recorded(model, np.array([0.0, 0.3]))
-    found = predict(model, design.state_feedback.k, design.observer.l, ONE, ONE, mismatch(model, (record,)))
-    assert found.resolved_margin == pytest.approx(found.margin, rel=0.1)
+    found = predict(model, design.pair, ONES, mismatch(model, (record,)))
+    assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_pairs_share_changes_no_number(seed):
+    """Two pairs one after the other, each with slopes and modes of its own, against each by itself."""
+    model, shared = linear_model(seed), Responses(angles=FINE_ANGLES)
+    shown = mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
+    for rate in (0.1, 0.3):
+        pair = RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(model, BALLS).pair
+        alone = worst(model, pair, BALLS, shown)
+        assert worst(model, pair, BALLS, shown, shared) == pytest.approx(alone, rel=1e-9)
+        assert 0 < alone < np.inf
 
 
 def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     """The record's mismatch sits in a tenth of the band, where the loop is most sensitive."""
     model, design = motor_model(), motor_design()
     k, gain = design.state_feedback.k, design.observer.l
-    angles = np.linspace(0, np.pi, 63)
-    sensitive = np.array([weighted_peak(model.linear, k, gain, INPUT_BALL, OUTPUT_BALL, near(w)) for w in angles])
-    worst = angles[sensitive.argmax()]
-    shown = Mismatch(gain=0.1, angles=angles, by_frequency=0.1 + 0.9 * near(worst)(angles))
-    found = predict(model, k, gain, INPUT_BALL, OUTPUT_BALL, shown)
-    assert found.resolved_margin == pytest.approx(0.1 * found.margin, rel=0.05)
+    angles = ANGLES
+    loops = [sensitivity(a, Pair(k=k, l=l), *at) for a, l, *at in ends(model.linear, Pair(k=k, l=gain), BALLS)]  # noqa: E741
+    largest = np.max([sizes(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0)
+    sensitive = np.array([(near(w)(FINE_ANGLES) * largest).max() for w in angles])
+    shown = Mismatch.flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)
+    found = predict(model, Pair(k=k, l=gain), BALLS, shown)
+    assert found.resolved_margin == pytest.approx(0.1 * found.mismatch_margin, rel=0.05)
 
 
 def near(centre: float):
     return lambda angles: np.clip(1 - np.abs(angles - centre) / 0.1, 0, 1)
-
-
-def test_where_the_record_does_not_excite_the_total_gain_stands_in():
-    model, record = motor_model(), motor_record()
-    slow = scipy.signal.sosfiltfilt(scipy.signal.butter(8, 0.2, output="sos"), record.u, axis=0)
-    y = model.simulate(slow) + 0.01 * np.random.default_rng(0).standard_normal(record.y.shape)
-    shown = mismatch(model, (Trajectory(u=slow, y=y, step_s=0.01),))
-    assert shown.by_frequency[-1] == shown.gain
-    assert shown.by_frequency[0] < shown.gain * 2
 
 
 @settings(max_examples=10)
@@ -126,25 +139,37 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
     model = linear_model(seed)
     rng = np.random.default_rng(seed)
     k, gain = rng.standard_normal((1, 3)), rng.standard_normal((3, 1))
-    law = ObserverFeedback(model=model, k=k, l=gain)
+    law = ObserverFeedback(model=model, gains=Pair(k=k, l=gain))
     memory, still = 1e-8 * rng.standard_normal((1, 3)), np.zeros((1, 1))
     target, grown = law.targets(still)[0], []
     for _ in range(200):
         following = law.advance(memory, law.input(memory, still, target), still, target)
         grown.append(np.log(np.linalg.norm(following) / np.linalg.norm(memory)))
         memory = following * np.linalg.norm(memory) / np.linalg.norm(following)
-    radius = controller_radius(model.linear, k[None], gain[None], ONE, ONE)[0]
+    radius = controller_radius(model.linear, Pair(k=k, l=gain), ONES)
     assert np.mean(grown[100:]) == pytest.approx(np.log(radius), abs=0.05)
 
 
 def test_the_integrator_does_not_count():
     model, design = motor_model(), motor_design()
     k, gain = design.state_feedback.k[None], design.observer.l[None]
-    balls = INPUT_BALL, OUTPUT_BALL
     with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
-    assert controller_radius(model.linear, with_integral, gain, *balls) == controller_radius(
-        model.linear, k, gain, *balls
+    assert controller_radius(model.linear, Pair(k=with_integral, l=gain), BALLS) == controller_radius(
+        model.linear, Pair(k=k, l=gain), BALLS
     )
+
+
+def test_an_integrator_holds_where_the_plant_does():
+    """Held by friction, the plant gives it no error: the view says nothing of it. A plant that answers does."""
+    model = motor_model()
+    pair = Pair(k=np.hstack([motor_design().state_feedback.k, [[-0.02]]]), l=motor_design().observer.l)
+    ones = np.ones(len(ANGLES))
+    large = View(amplitude=1.0, gain=0.01, by_frequency=0.01 * ones, linear=0j * ones, rest=0.01 * ones)
+    held = View(amplitude=0.1, gain=0.5, by_frequency=9 * ones, linear=-1.02 * ones + 0j, rest=0 * ones, response=0.01)
+    alone = worst(model, pair, BALLS, Mismatch(views=(large,)))
+    assert 0 < alone <= worst(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
+    answers = replace(held, response=0.5)
+    assert worst(model, pair, BALLS, Mismatch(views=(answers, large))) > 1
 
 
 def drive() -> StribeckDrive:
@@ -166,7 +191,7 @@ def drive_model() -> SSM:
             c=np.array([[0.0, 1.0]]),
             d=np.zeros((1, 1)),
         ),
-        scaffold_in=unit, scaffold_out=unit, input_scale=np.ones(1), output_scale=np.ones(1),
+        scaffold_in=unit, scaffold_out=unit, scale=Scale.unit(1, 1),
     )  # fmt: skip
 
 
@@ -177,10 +202,10 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
     input never dies out."""
     model, plant = drive_model(), drive()
     weights = {"input_weight": 1.0, "output_noise": 1.0} if stable else {"input_weight": 1e-5, "output_noise": 1e-6}
-    design = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights).design(model, ONE, ONE)
+    design = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights).design(model, ONES)
     assert design.certified
     law = ObserverFeedback.of(model, design)
-    radius = controller_radius(model.linear, law.k[None], law.l[None], ONE, ONE)[0]
+    radius = controller_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
     run = Loop(initial_conditions=1, horizon_s=6.0).simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))
     assert (np.abs(run.u[0, -100:]).max() < 1e-12) == stable

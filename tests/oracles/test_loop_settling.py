@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ssm_study.loop.rollout import STAYED, Rollouts
-from ssm_study.loop.settling import empirical_rate, overshoots, settling_times_s
+from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
 
 
 def rollouts(
@@ -28,6 +27,32 @@ def rollouts(
 def test_settled_is_entering_and_staying():
     run = rollouts([3, 1, 0.1, 0.1], [3, 0.1, 1, 0.1], [3, 0.1, 0.1, 1], [0.1, 0, 0, 0], [3, 3, 3, 3])
     assert settling_times_s(run, 0.2) == (1.0, 1.5, None, 0.0, None)
+
+
+def test_the_last_tenth_of_the_horizon_is_the_least_that_counts():
+    """A pure oscillation passes through the band; only one that has stayed there counts."""
+    run = rollouts([3.0] * 36 + [0.1] * 4, [3.0] * 37 + [0.1] * 3)
+    assert settling_times_s(run, 0.2) == (18.0, None)
+    phases = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    swinging = rollouts(*[list(np.sin(0.7 * np.arange(150) + phase)) for phase in phases])
+    assert settling_times_s(swinging, 0.2) == (None,) * 200
+    assert set(motions(swinging, 0.2)) == {"oscillating"}
+
+
+def test_what_does_not_settle_is_told_apart():
+    k = np.arange(200.0)
+    signals = {
+        "settled": 4 * 0.9**k,
+        "slow": 4 * 0.994**k,
+        "oscillating": 0.6 * np.cos(0.9 * k),
+        "drifting": 0.01 * k,
+        "lost": 0.01 * k,
+    }
+    left = (*(STAYED,) * 4, 100)
+    assert motions(rollouts(*[list(y) for y in signals.values()], left=left), 0.2) == tuple(signals)
+    offset, ringing, growing = 0.5 + 0 * k, 3 + np.cos(k), 0.3 * 1.01**k * np.cos(k)
+    run = rollouts(list(offset), list(ringing), list(growing))
+    assert motions(run, 0.2) == ("drifting", "oscillating", "oscillating")
 
 
 def test_settled_is_measured_from_the_reference():

@@ -1,17 +1,18 @@
 """Set points and trajectories: what is planned is a trajectory of the model, and the loop converges to it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from loop_cases import motor, motor_design, motor_model, random_model
 
-from ssm_study.loop.identified_plant import IdentifiedPlant
+from ssm_study.bounds.network import Network
 from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.trajectory import equilibrium, feasible_trajectory, inverse, set_points
-from ssm_study.models.network import Network
-from ssm_study.models.scaffold_mlp import MlpScaffold
+from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.refusal import BadRequest
 
 
@@ -43,7 +44,7 @@ def test_a_value_the_map_does_not_reach_is_refused():
 @pytest.mark.parametrize("seed", range(4))
 def test_an_equilibrium_is_one(seed):
     model = random_model(seed, inputs=1 + seed // 2, outputs=1)
-    y = model.output_equilibrium + 0.7 * model.output_scale
+    y = model.scale.output_equilibrium + 0.7 * model.scale.output_scale
     x, u = equilibrium(model, y)
     lifted = model.scaffold_in(u)
     np.testing.assert_allclose(model.advance(x, lifted), x, atol=1e-9)
@@ -66,10 +67,10 @@ def test_no_other_trajectory_costs_less():
     model = random_model(2, inputs=2, outputs=2)
     rng = np.random.default_rng(0)
     walk = np.cumsum(0.1 * rng.standard_normal((60, 2)), axis=0)
-    reference = model.output_equilibrium + np.concatenate([walk, np.tile(walk[-1], (150, 1))])  # ends at rest
+    reference = model.scale.output_equilibrium + np.concatenate([walk, np.tile(walk[-1], (150, 1))])  # ends at rest
     plan = feasible_trajectory(model, reference)
     v = model.scaffold_in(plan[:, model.order :])
-    target = (reference - model.output_equilibrium) / model.output_scale
+    target = model.scale.scaled_output(reference)
 
     def cost(inputs: np.ndarray) -> float:
         y, _ = model.linear.simulate(inputs, plan[0, : model.order])
@@ -85,9 +86,7 @@ def test_no_other_trajectory_costs_less():
 
 def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     model = motor_model()
-    plant = IdentifiedPlant(
-        model=model, input_channels=motor().inputs, output_channels=motor().outputs, initial_offset=4.0
-    )
+    plant = replace(IdentifiedPlant.of(model), initial_range=(-4.0, 4.0))
     loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=SineReference(amplitude=4.0, frequency_hz=1.0))
     run = loop.run(plant, model, motor_design(), seed=0).controlled
     plan = feasible_trajectory(model, run.reference)
@@ -116,18 +115,18 @@ def test_set_points_hold_each_value():
 
 def test_reference_signals(tmp_path):
     time_s = np.array([0.0, 0.5, 1.0, 1.5])
-    np.testing.assert_allclose(StepReference(before=1.0, after=3.0, at_s=0.5).offset(time_s), [1, 3, 3, 3])
-    np.testing.assert_allclose(RampReference(slope_per_s=2.0, from_s=0.5, until_s=1.0).offset(time_s), [0, 0, 1, 1])
-    np.testing.assert_allclose(SineReference(amplitude=2.0, frequency_hz=0.5).offset(time_s), [0, 2, 0, -2], atol=1e-12)
+    np.testing.assert_allclose(StepReference(before=1.0, after=3.0, at_s=0.5).signal(time_s), [1, 3, 3, 3])
+    np.testing.assert_allclose(RampReference(slope_per_s=2.0, from_s=0.5, until_s=1.0).signal(time_s), [0, 0, 1, 1])
+    np.testing.assert_allclose(SineReference(amplitude=2.0, frequency_hz=0.5).signal(time_s), [0, 2, 0, -2], atol=1e-12)
     path = tmp_path / "reference.csv"
     path.write_text("# time, offset\n0.25,1\n\n0.75,3\n")
-    np.testing.assert_allclose(FileReference(path=str(path)).offset(time_s), [1, 2, 3, 3])
+    np.testing.assert_allclose(FileReference(path=str(path)).signal(time_s), [1, 2, 3, 3])
 
 
 def test_a_reference_without_equilibrium_is_refused():
     model = random_model(0, inputs=1, outputs=2)
     with pytest.raises(BadRequest, match="no constant input"):
-        equilibrium(model, model.output_equilibrium + np.array([1.0, -1.0]))
+        equilibrium(model, model.scale.output_equilibrium + np.array([1.0, -1.0]))
 
 
 def test_rest_is_planned_as_rest():

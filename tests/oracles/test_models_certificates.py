@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ssm_study.models.scaffold_residual import ResidualScaffold
-from ssm_study.models.scaffold_specs import Frame, Mlp, Residual
-from ssm_study.models.torch_scalar_mlp import TorchScalarMlp
+from ssm_study.models.scaffolds.mlp import Mlp
+from ssm_study.models.scaffolds.residual import Residual, ResidualScaffold
+from ssm_study.models.scaffolds.scaffold import Frame
 
 
 def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
@@ -42,10 +42,8 @@ def test_the_perceptron_of_one_channel_can_saturate() -> None:
     """Both outer slopes at the floor, steep in the middle: out of reach of positive weights, whatever their values."""
     frame = Frame(width=8, slopes=(0.1, 1.0), samples=np.linspace(-1, 1, 50)[:, None])
     scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(frame, np.random.default_rng(0))
-    assert isinstance(scaffold, TorchScalarMlp)
-    layer = scaffold._kinks()[0]
-    layer.base.data.fill_(-30.0)
-    layer.jumps.data[0], layer.jumps.data[-1] = 200.0, -200.0
+    scaffold.base_0.data.fill_(-30.0)
+    scaffold.jumps_0.data[0], scaffold.jumps_0.data[-1] = 200.0, -200.0
     frozen = scaffold.freeze()
     slopes = [frozen.jacobian(np.array([v]))[0, 0] for v in (-5.0, 0.0, 5.0)]
     np.testing.assert_allclose(slopes, [0.1, 1.0, 0.1], atol=1e-9)

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
 from torch import Tensor
 
-from ssm_study.models.start import on_ring
-from ssm_study.models.torch_hankel import gramians, hankel_singular_values
-from ssm_study.models.torch_lru import LRU
-from ssm_study.models.torch_scaffold import TorchIdentity
-from ssm_study.models.torch_ssm import TorchSSM
-from ssm_study.training.penalties import Penalties
+from ssm_study.models.scaffolds.linear import Linear
+from ssm_study.models.scaffolds.scaffold import Frame
+from ssm_study.models.spec import on_ring
+from ssm_study.models.torch_recurrence import gramians, hankel_singular_values
+from ssm_study.models.torch_ssm import LRU, TorchSSM
+from ssm_study.training.fit import penalty as weighed
 
 
 def unit(seed: int, order: int, real_modes: int, m: int, p: int) -> LRU:
@@ -52,8 +52,10 @@ def summed(lru: LRU) -> Tensor:
 
 def penalty(lru: LRU) -> Tensor:
     """What a line search relies on: a gradient that leaves out the division by the largest value misleads it."""
-    model = TorchSSM(TorchIdentity(1), lru, TorchIdentity(1))
-    return Penalties(roughness_weight=0.0, hankel_weight=0.1).of(model)
+    frame = Frame(width=1, slopes=(1.0, 1.0), samples=np.zeros((1, 1)))
+    through = Linear().build(frame, np.random.default_rng(0))
+    model = TorchSSM(through, lru, through)
+    return weighed(model, roughness_weight=0.0, hankel_weight=0.1)
 
 
 @pytest.mark.parametrize("value", [summed, penalty])

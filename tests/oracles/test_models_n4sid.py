@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssm_study.data.assembly import assemble
-from ssm_study.models.baseline_solved import N4SID, input_matrix
+from ssm_study.models.baselines.solved import N4SID, input_matrix
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
@@ -31,10 +31,13 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
         y = system.simulate(u)[0]
         records.append((Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name),))
     data = assemble(
-        training=records[0], validation=records[1], test=records[2], inputs=(Channel(name="u", unit="V"),),
-        outputs=(Channel(name="y", unit="m"),), input_equilibrium=np.zeros(1), output_equilibrium=np.zeros(1),
-        start_up_samples=0, metadata={},
-    )  # fmt: skip
+        (records[0], records[1], records[2]),
+        (np.zeros(1), np.zeros(1)),
+        inputs=(Channel(name="u", unit="V"),),
+        outputs=(Channel(name="y", unit="m"),),
+        start_up_samples=0,
+        metadata={},
+    )
     model = N4SID(order=2, block_rows=10).solve(data)
     assert not model.linear.d.any()
     u, y = data.test[0].u, system.simulate(data.test[0].u)[0]

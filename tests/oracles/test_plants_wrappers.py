@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from plants_cases import choices, from_yaml
 
-from ssm_study.plants.actuator import DelayedInput, SaturatedInput
 from ssm_study.plants.disturbance import Disturbance, PeriodicDisturbance, RandomDisturbance, StepDisturbance
-from ssm_study.plants.disturbed import Disturbed
 from ssm_study.plants.plant import Plant
-from ssm_study.plants.sensor import NoisyOutput, QuantisedOutput
+from ssm_study.plants.wrapper import DelayedInput, Disturbed, NoisyOutput, QuantisedOutput, SaturatedInput
 from ssm_study.refusal import BadRequest
 
 PLAIN = ["dc_motor", "cascaded_tanks", "stribeck_drive", "quadruple_tank"]

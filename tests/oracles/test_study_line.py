@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,12 +12,12 @@ import pandas as pd
 import pytest
 import torch
 
-from ssm_study.cli import main
-from ssm_study.data.mcap_reading import read_mcap
+from ssm_study.cli.main import main
+from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
-from ssm_study.models.torch_recurrence import Modes, by_convolution
-from ssm_study.results.recordings import read_rollouts
-from ssm_study.results.verify import verify
+from ssm_study.models.torch_recurrence import ModalForm, by_convolution
+from ssm_study.study.recordings import read_rollouts
+from ssm_study.study.verify import verify
 
 CONTRACT_FILES = ("record.json", "model.json", "certificate.json", "validation.mcap", "closed_loop.mcap", ".hydra")
 
@@ -48,7 +50,8 @@ def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
     assert record["observer_certified"]
     assert record["stable_count"] == record["initial_conditions"] == 4
     assert record["certified_bound_violations"] == 0
-    assert record["mismatch_margin"] > 1
+    assert record["resolved_margin"] > 1
+    assert record["predicted_stable"] is True
 
 
 def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
@@ -56,14 +59,14 @@ def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
     model = SSM.from_json(json.loads((smoke_run / "model.json").read_text()))
     groups = {group.topic: group.values for group in read_mcap(smoke_run / "validation.mcap")[0]}
     eigenvalues, vectors = np.linalg.eig(model.linear.a.astype(complex))
-    modes = Modes(
+    modes = ModalForm(
         decay=torch.from_numpy(np.log(eigenvalues)),
         b=torch.from_numpy(np.linalg.solve(vectors, model.linear.b.astype(complex))),
         c=torch.from_numpy(model.linear.c @ vectors),
         d=torch.from_numpy(model.linear.d),
     )
     ybar = by_convolution(modes, torch.from_numpy(model.lift(groups["/input"]))[None])[0].numpy()
-    y = model.output_equilibrium + model.output_scale * model.scaffold_out(ybar)
+    y = model.scale.output_equilibrium + model.scale.output_scale * model.scaffold_out(ybar)
     assert np.abs(y - groups["/simulated"]).max() < 1e-9 * np.abs(y).max()
 
 
@@ -115,6 +118,7 @@ def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
     assert len(pd.read_csv(smoke_study / "runs.csv")) == 1
 
 
+STAGES = ("model", "synthesis")
 TINY = ["experiment=smoke", "study=sweep", "progress=false", "synthesis=riccati", "training.max_epochs=2"]
 
 
@@ -122,12 +126,12 @@ def test_inputs_cut_at_limits_are_replayed(tmp_path: Path) -> None:
     limits = ["loop.input_lower=-0.2", "loop.input_upper=0.3"]
     assert main(["run", *TINY, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"]) == 0
     (run,) = (path.parent for path in tmp_path.glob("sweep/*/record.json"))
-    u = read_rollouts(run / "closed_loop.mcap").run.u
+    u = read_rollouts(run / "closed_loop.mcap")[0].u
     assert u.min() == -0.2
     assert u.max() == 0.3
     assert [finding for finding in verify(run) if not finding.holds] == []
     edit_text(run / ".hydra" / "config.yaml", "input_upper: 0.3", "input_upper: 0.29")
-    assert "closed_loop.mcap input" in failing(run)
+    assert {"run", "closed_loop.mcap input"} <= failing(run)
 
 
 def edit_text(path: Path, old: str, new: str) -> None:
@@ -146,8 +150,8 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
     assert table["infeasible_reason"].iloc[2].count("frontier") == 1
     (refused,) = tmp_path.glob(f"sweep/{table['run'].iloc[2]}")
     assert failing(refused) == set()  # an observer without a controller closes no loop and claims none
-    assert len(list((tmp_path / ".store" / "model").iterdir())) == 1
-    assert len(list((tmp_path / ".store" / "synthesis").iterdir())) == 3
+    computed = {name: [path for path in (tmp_path / ".store" / name).iterdir() if path.is_dir()] for name in STAGES}
+    assert {name: len(found) for name, found in computed.items()} == {"model": 1, "synthesis": 3}
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")}
     assert main(asked) == 0  # nothing to do, nothing touched
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")} == before
@@ -181,3 +185,22 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     assert record["fit_test_percent"] > 90
     assert record["stable_count"] == 10
     assert failing(path.parent) == set()
+
+
+def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(smoke_run: Path, tmp_path: Path) -> None:
+    """Word for word as the first time; another run beside it, and the study is read again."""
+    study = tmp_path / "smoke"
+    shutil.copytree(smoke_run.parent, study)
+    program = "import sys; from ssm_study.cli.main import main; print(main(sys.argv[1:]), 'pandas' in sys.modules)"
+    words = ["run", "experiment=smoke", f"results_dir={tmp_path}", "progress=false"]
+
+    def told() -> str:
+        command = [sys.executable, "-c", program, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    first, again = told(), told()
+    assert first.endswith("0 True\n")
+    assert again == first.replace("0 True", "0 False")
+    assert "certified" in again
+    shutil.copytree(study / smoke_run.name, study / "another")
+    assert told().endswith("0 True\n")

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
+from flint import arb, arb_mat, ctx, fmpz_mat
 
-from ssm_study.synthesis import exact
-from ssm_study.synthesis.closed_form import ClosedFormSynthesis, fast_gain
+from ssm_study.synthesis.exact import Exact
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.modes import split_modes
+from ssm_study.synthesis.modes import _scale, split_modes
 from ssm_study.synthesis.problem import Problem
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.synthesis.whole_metric import _scale
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis, fast_gain
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -34,7 +34,7 @@ def long_numbers() -> Iterator[None]:
 
 def hard_problem(gap: float) -> Problem:
     (case,) = [case for case in trained(gap, 200) if case.kind == HARD]
-    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).controller_problem(case.linear, case.ball)
+    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(case.linear, case.ball)
 
 
 def longer(matrix: np.ndarray) -> arb_mat:
@@ -42,7 +42,7 @@ def longer(matrix: np.ndarray) -> arb_mat:
 
 
 def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.ndarray) -> arb_mat:
-    """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`synthesis.whole_metric`), by doubling in 400 bits."""
+    """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`modes.whole_metric`), by doubling in 400 bits."""
     r, n = arb(contraction), len(problem.a)
     closed = (longer(problem.a) + arb(problem.ball.alpha) * longer(problem.b) * longer(k)) / r
     a, b, identity = closed.transpose(), longer(problem.b) / r, longer(np.eye(n))
@@ -58,27 +58,24 @@ def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.
     return (h + h.transpose()) / 2
 
 
-def rounded(value: arb, bits: int) -> fmpq:
+def rounded(metric: arb_mat, bits: int) -> Exact:
+    """The entries of the upper triangle, each rounded to so many bits."""
     before, ctx.prec = ctx.prec, bits
-    mantissa, exponent = (+value).mid().man_exp()
+    parts = [
+        [(+metric[min(i, j), max(i, j)]).mid().man_exp() for j in range(metric.ncols())] for i in range(metric.nrows())
+    ]
     ctx.prec = before
-    return fmpq(mantissa) * fmpq(2) ** int(exponent)
+    shift = max(0, *(-int(exponent) for row in parts for _, exponent in row))
+    return Exact(
+        fmpz_mat([[int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts]), shift
+    )
 
 
 def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:
     """Theorem 1 with `Y = P`, `sigma = 1` and the metric's entries rounded to so many bits."""
-    n, rows = len(problem.a), p.tolist()
-    metric = fmpq_mat(n, n, [rounded(rows[max(i, j)][min(i, j)], bits) for i in range(n) for j in range(n)])
-    a, b = exact.rational(problem.a), exact.rational(problem.b)
-    x = exact.rational(k) * metric
-    blocks = exact._blocks(
-        corner=(1 - exact._number(problem.rate)) * metric - b * b.transpose(),
-        coupling=a * metric + exact._number(problem.ball.alpha) * (b * x),
-        middle=metric,
-        border=exact._number(problem.ball.beta) * x.transpose(),
-        scale=fmpq(1),
-    )
-    return exact.is_positive_definite(blocks)
+    metric, ball = rounded(p, bits), {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
+    numbers = {"a": problem.a, "b": problem.b, "p": metric, "y": metric, "k": k, "sigma": 1.0}
+    return StateFeedbackOfBall.holds(**numbers, **ball, rate=problem.rate)
 
 
 def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -> None:  # noqa: ARG001

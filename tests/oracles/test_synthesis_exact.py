@@ -5,16 +5,19 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from flint import fmpq_mat, fmpz_mat
+from flint import fmpz_mat
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.synthesis import exact
 from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.closed_form import ClosedFormSynthesis
+from ssm_study.synthesis.exact import Exact
 from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
+from ssm_study.synthesis.theorems.observer import ObserverOfBall
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 
 class Model:
@@ -30,6 +33,7 @@ class Model:
 
 INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
 OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
+BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 
 
 def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
@@ -45,20 +49,20 @@ def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
 
 
 @given(st.integers(1, 6), st.integers(0, 10_000), st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3]))
-def test_the_three_exact_routes_agree_with_textbook_elimination(size: int, seed: int, shift: float) -> None:
+def test_the_exact_routes_agree_with_textbook_elimination(size: int, seed: int, shift: float) -> None:
     factor = np.random.default_rng(seed).normal(size=(size, size))
     gram = factor @ factor.T
     gram = (gram + gram.T) / 2
     matrix = gram + (shift - np.linalg.eigvalsh(gram)[0]) * np.eye(size)
     fractions = [[Fraction(float(value)) for value in row] for row in matrix]
-    verdict = exact.is_positive_definite(exact.rational(matrix))
+    verdict = exact.is_positive_definite(Exact.of(matrix))
     assert verdict == plain_ldl_is_positive(fractions)
-    assert verdict == exact.has_positive_leading_minors(exact.rational(matrix).numer_denom()[0])
+    assert verdict == exact.has_positive_leading_minors(Exact.of(matrix).integer)
 
 
 @pytest.mark.parametrize("synthesis", [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis])
 def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) -> None:
-    design = synthesis(rate_controller=0.3, rate_observer=0.3).design(Model(), INPUT_BALL, OUTPUT_BALL)
+    design = synthesis(rate_controller=0.3, rate_observer=0.3).design(Model(), BALLS)
     assert design.certified
     design.save(tmp_path / "certificate.json")
     again = Design.load(tmp_path / "certificate.json")
@@ -71,14 +75,14 @@ def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) ->
 
 def test_riccati_and_lmi_agree_on_the_guaranteed_cost_gain() -> None:
     rates = {"rate_controller": 0.2, "rate_observer": 0.2}
-    riccati = RiccatiSynthesis(**rates).design(Model(), INPUT_BALL, OUTPUT_BALL)
-    lmi = LmiSynthesis(**rates, objective="guaranteed_cost").design(Model(), INPUT_BALL, OUTPUT_BALL)
+    riccati = RiccatiSynthesis(**rates).design(Model(), BALLS)
+    lmi = LmiSynthesis(**rates, objective="guaranteed_cost").design(Model(), BALLS)
     np.testing.assert_allclose(riccati.state_feedback.k, lmi.state_feedback.k, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(riccati.observer.l, lmi.observer.l, rtol=1e-3, atol=1e-3)
 
 
 def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
-    design = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.3).design(Model(), INPUT_BALL, OUTPUT_BALL)
+    design = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.3).design(Model(), BALLS)
     assert not design.state_feedback.certified
     assert design.state_feedback.proved
     assert design.state_feedback.rate_limit < 0.9
@@ -92,10 +96,6 @@ def test_minors_of_one_and_of_zero() -> None:
     assert not exact.has_positive_leading_minors(fmpz_mat([[0, 1], [1, 0]]))
 
 
-def as_floats(matrix) -> np.ndarray:
-    return np.array([[int(value.p) / int(value.q) for value in row] for row in matrix.tolist()])
-
-
 def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     """Theorems 1 and 2 written out in NumPy, entry by entry, with Y different from P."""
     rng = np.random.default_rng(0)
@@ -105,45 +105,58 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     coupling, border = a @ y + 0.7 * b @ x, 0.2 * x.T
     corner, middle = 0.6 * p - 1.3 * b @ b.T, y + y.T - p
     one = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
-    np.testing.assert_allclose(as_floats(exact.theorem_one(a, b, 0.7, 0.2, 0.4, p, y, k, 1.3)), one, atol=1e-13)
+    asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
+    exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
+    np.testing.assert_allclose(exactly["inequality"].rounded(), one, atol=1e-13)
     c, gain = b.T.copy(), k.T.copy()
     v = y @ gain
     coupling, border = (y @ a + 0.7 * v @ c).T, 0.2 * v
     two = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
-    np.testing.assert_allclose(as_floats(exact.theorem_two(a, c, 0.7, 0.2, 0.4, p, y, gain, 1.3)), two, atol=1e-13)
+    exactly = ObserverOfBall.exactly(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
+    np.testing.assert_allclose(exactly["inequality"].rounded(), two, atol=1e-13)
 
 
-def test_a_poor_factor_proves_nothing() -> None:
-    """The dominance proof with the identity for G: `[[1, 2], [2, 1]]` has a positive diagonal and is indefinite."""
-    assert not exact._proved_by_dominance(fmpz_mat([[1, 2], [2, 1]]), np.eye(2))
-    assert exact._proved_by_dominance(fmpz_mat([[2, 1], [1, 2]]), np.eye(2))
+def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows and columns in units that are `2^40` apart, one of them indefinite by its last bit."""
+    monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
+    assert exact.is_positive_definite(Exact(fmpz_mat([[2, 2**40], [2**40, 2 * 2**80]])))
+    assert not exact.is_positive_definite(Exact(fmpz_mat([[1, 2**41], [2**41, 2**80]])))
+    assert not exact.is_positive_definite(Exact(fmpz_mat([[2**400, 2**200], [2**200, 1]]) - fmpz_mat([[0, 0], [0, 1]])))
 
 
-def test_each_cheap_route_decides_alone_what_it_is_for() -> None:
-    """Rows and columns in units that are `2^40` apart; a singular matrix is refuted by its null vector."""
-    apart = fmpz_mat([[2, 2**40], [2**40, 2 * 2**80]])
-    assert exact._proved_by_dominance(apart, exact._scaled_floats(apart))
-    assert not exact._refuted_by_vector(apart, exact._scaled_floats(apart))
-    for refuted in (fmpz_mat([[1, 1], [1, 1]]), fmpz_mat([[1, 2], [2, 1]]), fmpz_mat([[1, 2**41], [2**41, 2**80]])):
-        assert exact._refuted_by_vector(refuted, exact._scaled_floats(refuted))
-        assert not exact._proved_by_dominance(refuted, exact._scaled_floats(refuted))
+def test_what_is_singular_exactly_is_left_to_the_elimination(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No number of digits shows the sign of a zero."""
+    asked: list[fmpz_mat] = []
+    monkeypatch.setattr(exact, "has_positive_leading_minors", lambda integer: bool(asked.append(integer)))
+    third = fmpz_mat([[3, 1, 4], [1, 3, 4], [4, 4, 8]])  # the last row is the sum of the others
+    assert not exact.is_positive_definite(Exact(third))
+    assert asked == [third]
 
 
 @pytest.mark.parametrize(
     "rows", [[[0]], [[-1]], [[0, 0], [0, 1]], [[1, 0], [0, 0]], [[0, 1], [1, 0]], [[-1, 0], [0, 1]]]
 )
 def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
-    assert not exact.is_positive_definite(fmpq_mat(rows))
+    assert not exact.is_positive_definite(Exact(fmpz_mat(rows)))
 
 
-def test_an_inverse_factor_beyond_the_floats_proves_nothing() -> None:
-    """`L L^T` with `2^-20` beside ones, exact in floats: L's inverse grows by `2^20` a row; elimination decides."""
+@pytest.mark.parametrize("size", [3, 40])
+@pytest.mark.parametrize("smallest", [1e-17, -1e-17, 1e-30, -1e-30, 1e-60, -1e-60])
+def test_what_floats_cannot_see_needs_no_elimination(
+    size: int, smallest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the resolution of floats."""
+    lower = Exact.of(np.tril(0.1 * np.random.default_rng(size).normal(size=(size, size)), -1) + np.eye(size))
+    matrix = lower @ np.diag([*np.geomspace(1, 1e-3, size - 1), smallest]) @ lower.T
+    monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
+    assert exact.is_positive_definite(matrix) is (smallest > 0)
+
+
+def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
+    """`L L^T` with `2^-20` beside ones, exact in floats: L's inverse grows by `2^20` a row."""
     factor = 2.0**-20 * np.eye(56) + np.diag(np.ones(55), -1)
     floats = factor @ factor.T
-    integer, _ = exact.rational(floats).numer_denom()
     np.testing.assert_array_equal(np.linalg.cholesky(floats), factor)
-    with np.errstate(over="ignore", invalid="ignore"):
-        assert not exact._proved_by_dominance(integer, floats)
-        assert exact.is_positive_definite(exact.rational(floats))
-        floats[-1, -1] = 1.0  # the last pivot is zero
-        assert not exact.is_positive_definite(exact.rational(floats))
+    assert exact.is_positive_definite(Exact.of(floats))
+    floats[-1, -1] = 1.0  # the last pivot is zero
+    assert not exact.is_positive_definite(Exact.of(floats))

@@ -9,24 +9,24 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
+from synthesis_modal import ModalLmiSynthesis, modal_energy, modal_gain, solve_on_fast_modes
+from synthesis_ratio import ratio_limit
 
-from ssm_study.synthesis import exact, modal_lmi
 from ssm_study.synthesis.certificate import Infeasible, StateFeedback
-from ssm_study.synthesis.closed_form import (
+from ssm_study.synthesis.frontier import fast_part, frontier, minimum_energy
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
+from ssm_study.synthesis.modes import doubled, solve_riccati
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.theorem import condition
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, _tau_min, at_tau, guaranteed_cost
+from ssm_study.synthesis.theorems.minimum_energy import (
     SHARES,
     ClosedFormSynthesis,
     minimum_energy_gain,
     minimum_energy_solution,
     whole_solution,
 )
-from ssm_study.synthesis.doubling import doubled, solve_riccati
-from ssm_study.synthesis.frontier import fast_part, frontier, minimum_energy, ratio_limit
-from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
-from ssm_study.synthesis.modal_gain import modal_energy, modal_gain
-from ssm_study.synthesis.modal_lmi import ModalLmiSynthesis
-from ssm_study.synthesis.paper_lmis import paper_lmis
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, condition
-from ssm_study.synthesis.riccati import RiccatiSynthesis, _tau_min, at_tau, guaranteed_cost
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall, StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -57,13 +57,11 @@ def test_one_percent_inside_every_method_certifies(seed: int, method: type, inpu
 
 
 def holds(problem: Problem, found: Solution) -> bool:
-    ball = problem.ball
-    matrices = (problem.a, problem.b, ball.alpha, ball.beta, problem.rate, found.p, found.y, found.k, found.sigma)
-    return exact.is_positive_definite(exact.theorem_one(*matrices))
+    return StateFeedbackOfBall.holds(**StateFeedbackOfBall.numbers_of(problem, found))
 
 
 def asked(case: Instance) -> Problem:
-    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).controller_problem(case.linear, case.ball)
+    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(case.linear, case.ball)
 
 
 @given(SEEDS, st.integers(1, 2))
@@ -110,7 +108,7 @@ def test_without_fast_modes_there_is_nothing_to_couple() -> None:
     problem = replace(cost_problem(), a=0.1 * np.eye(len(cost_problem().a)))
     with pytest.raises(NoSolution, match="no fast modes"):
         whole_solution(problem, 0.5, 1.0)
-    for found in (minimum_energy_solution(problem), modal_lmi.solve_on_fast_modes(problem, 0.5, "feasibility", "SCS")):
+    for found in (minimum_energy_solution(problem), solve_on_fast_modes(problem, 0.5, "feasibility", "SCS")):
         assert not found.k.any()  # the model contracts by itself
         assert holds(problem, found)
 
@@ -122,7 +120,7 @@ def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(s
     assert isinstance(refused, Infeasible)
     assert refused.proved
     assert refused.rate > refused.rate_limit
-    opinion, _ = paper_lmis(case.linear, case.ball, JacobianBall(alpha=1.0, beta=0.0), case.rate, 0.5)
+    opinion = paper_lmi(case.linear, case.ball, case.rate)
     assert not opinion.certified
 
 
@@ -131,7 +129,7 @@ def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
     """The verdict of the LMI, where it is one, against the closed form: ten percent inside and beyond."""
     for gap in (0.1, -0.1):
         case = instance(seed, gap, (1, 5))
-        opinion, _ = paper_lmis(case.linear, case.ball, JacobianBall(alpha=1.0, beta=0.0), case.rate, 0.5)
+        opinion = paper_lmi(case.linear, case.ball, case.rate)
         assert not (opinion.certified and gap < 0)
         if gap > 0 and not opinion.certified:  # false "infeasible" happens; the closed form shows that it is false
             assert design(ClosedFormSynthesis, case).certified
@@ -140,9 +138,9 @@ def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
 @given(SEEDS, st.integers(1, 3), st.floats(0.3, 0.95))
 def test_the_ratio_limit_by_product_and_by_riccati(seed: int, inputs: int, contraction: float) -> None:
     linear = random_model(np.random.default_rng(seed), 5, "marginal", mixed=True, inputs=inputs)
-    part = fast_part(linear.a, linear.b, contraction)
+    _, fast, _ = fast_part(linear.a, linear.b, contraction)
     ah, bh = linear.a / contraction, linear.b / contraction
-    if part.order == 0 or np.abs(np.abs(np.linalg.eigvals(linear.a)) - contraction).min() < 0.02:
+    if not len(fast) or np.abs(np.abs(np.linalg.eigvals(linear.a)) - contraction).min() < 0.02:
         return
     s = scipy.linalg.solve_discrete_are(ah, bh, 1e-13 * np.eye(5), np.eye(inputs))
     expected = 1 / np.sqrt(1 + np.linalg.eigvalsh(bh.T @ s @ bh)[-1])
@@ -195,9 +193,9 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     fast = np.abs(values) > r
     w = modal_energy(values[fast], b[fast], r)
     left = np.linalg.inv(vectors)[fast]
-    part = fast_part(linear.a, linear.b, r)
-    into = left @ np.linalg.pinv(part.basis.T)  # both are left invariant coordinates of the same space
-    expected = into @ minimum_energy(part.a / r, part.b / r) @ into.conj().T if part.order else w
+    basis, a, b = fast_part(linear.a, linear.b, r)
+    into = left @ np.linalg.pinv(basis.T)  # both are left invariant coordinates of the same space
+    expected = into @ minimum_energy(a / r, b / r) @ into.conj().T if len(a) else w
     np.testing.assert_allclose(w, expected, rtol=1e-5, atol=1e-8 * np.abs(w).max(initial=1e-9))
 
 
@@ -278,13 +276,15 @@ def test_the_cost_is_of_output_state_and_input() -> None:
     """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that users rely on."""
     linear, ball = random_model(np.random.default_rng(2), 4, "stable", mixed=True), JacobianBall(alpha=1.0, beta=0.3)
     rates = {"rate_controller": 0.1, "rate_observer": 0.1}
-    asked = RiccatiSynthesis(**rates).controller_problem(linear, ball)
+    asked = RiccatiSynthesis(**rates).problem(linear, ball)
     np.testing.assert_allclose(asked.state_weight, linear.c.T @ linear.c + 1e-4 * np.eye(4))
     other = RiccatiSynthesis(**rates, output_weight=3.0, state_weight=0.5, input_weight=7.0)
-    asked = other.controller_problem(linear, ball)
+    asked = other.problem(linear, ball)
     np.testing.assert_allclose(asked.state_weight, 3.0 * linear.c.T @ linear.c + 0.5 * np.eye(4))
     assert asked.input_weight == 7.0
-    told = RiccatiSynthesis(**rates, input_noise=3.0, state_noise=0.5, output_noise=7.0).observer_problem(linear, ball)
+    told = RiccatiSynthesis(**rates, input_noise=3.0, state_noise=0.5, output_noise=7.0).problem(
+        linear, ball, observes=True
+    )
     np.testing.assert_allclose(told.state_weight, 3.0 * linear.b @ linear.b.T + 0.5 * np.eye(4))
     assert told.input_weight == 7.0
 

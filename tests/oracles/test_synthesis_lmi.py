@@ -5,11 +5,10 @@ import pytest
 
 from ssm_study.synthesis import lmi
 from ssm_study.synthesis.certificate import StateFeedback
-from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
 from ssm_study.synthesis.modes import energy_root, split_modes
-from ssm_study.synthesis.paper_lmis import theorem_one_alone
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.riccati import guaranteed_cost
+from ssm_study.synthesis.theorems.guaranteed_cost import guaranteed_cost
 from ssm_study.systems import JacobianBall, StateSpace
 
 A = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
@@ -104,7 +103,7 @@ def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(lmi.CompiledLmi, "solve", noted)
     linear = StateSpace(a=asked.a, b=asked.b, c=np.ones((1, 3)), d=np.zeros((1, 1)))
-    assert theorem_one_alone(linear, asked.ball, asked.rate).certified
+    assert paper_lmi(linear, asked.ball, asked.rate).certified
     (found,) = kept
     assert np.abs(found.y - found.p).max() > 1e-3 * np.abs(found.p).max()
 

@@ -60,7 +60,7 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
     ("edit", "says"),
     [
         (lambda rows: [*rows[:50], rows[50].replace(",", ",x", 1), *rows[51:]], r"column u, line 51 = x.*: no number"),
-        (lambda rows: rows[1:], r"log.csv \(column\) = u: the header has 0.0, .*; write the names"),
+        (lambda rows: rows[1:], r"log.csv \(column\) = u: the file without names has 0, 1, 2; count the col"),
         (lambda rows: [*rows[:50], rows[50] + ",1.0", *rows[51:]], r"Row #51: Expected 3 columns, got 4"),
         (lambda rows: [*rows[:50], rows[50].rsplit(",", 1)[0], *rows[51:]], r"Row #51: Expected 3 columns, got 2"),
         (lambda rows: [rows[0]] + [row + ",7" for row in rows[1:]], r"Expected 3 columns, got 4"),
@@ -83,6 +83,81 @@ def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore
     assert "\n" not in str(refusal.value)
 
 
+def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> None:
+    """As Hydra gives them: integers. The first line is a row; a bad cell is found in the line where it stands."""
+    path, bare = csv(tmp_path), tmp_path / "bare.csv"
+    bare.write_text("\n".join(lines()[1:]))
+    numbered = data(bare, input=1, output=2, time=0, step_s=None).build(0)
+    named = data(path, time="t", step_s=None).build(0)
+    np.testing.assert_array_equal(numbered.training[0].u, named.training[0].u)
+    np.testing.assert_array_equal(numbered.test[0].y, named.test[0].y)
+    assert (numbered.inputs[0].name, numbered.outputs[0].name) == ("input_1", "output_2")
+    bare.write_text("\n".join([*lines()[1:50], "0.49,slow,1.0", *lines()[51:]]))
+    with pytest.raises(BadRequest, match=r"column 1, line 50 = slow: no number"):
+        data(bare, input=1, output=2).build(0)
+    bare.write_text("\n".join([*lines()[1:50], "0.49,1.0,nan", *lines()[51:]]))
+    with pytest.raises(BadRequest, match=r"column 2, line 50 = nan"):
+        data(bare, input=1, output=2).build(0)
+    with pytest.raises(BadRequest, match=r"bare.csv \(column\) = 3: the file without names has 0, 1, 2"):
+        data(bare, input=1, output=3).build(0)
+    with pytest.raises(BadRequest, match=r"log.csv \(column\) = 1: the header has t, u, y"):
+        data(path, input=1, output=2).build(0)
+
+
+def test_names_that_count_are_names(tmp_path: Path) -> None:
+    """As pandas writes an array."""
+    pd.DataFrame(np.stack([GOOD["u"], GOOD["y"]], axis=1)).to_csv(tmp_path / "log.csv", index=False)
+    built = data(tmp_path / "log.csv", input=0, output=1).build(0)
+    assert len(built.training[0]) == 120
+
+
+def apart(folder: Path, u: pd.DataFrame, y: pd.DataFrame, **changes: object) -> RecordedData:
+    u.to_csv(folder / "in.csv", index=False)
+    y.to_csv(folder / "out.csv", index=False)
+    fields = {"output_path": str(folder / "out.csv"), "input": "value", "output": "value"} | changes
+    return data(folder / "in.csv", **fields)
+
+
+def test_input_and_output_in_two_files(tmp_path: Path) -> None:
+    """Equal names tell the sides apart; every file counts as one that the data set rests on."""
+    u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in ("u", "y"))
+    source = apart(tmp_path, u, y, time="t", step_s=None)
+    built, one = source.build(0), data(csv(tmp_path), time="t", step_s=None).build(0)
+    np.testing.assert_array_equal(built.validation[0].u, one.validation[0].u)
+    np.testing.assert_array_equal(built.validation[0].y, one.validation[0].y)
+    assert (built.inputs[0].name, built.outputs[0].name) == ("input_value", "output_value")
+    assert [path.name for path in source.files()] == ["in.csv", "out.csv"]
+    files = [str(path) for path in source.files()]
+    y.rename(columns={"value": "speed"}).to_csv(files[1], index=False)
+    both = data(csv(tmp_path), path=files, input="value", output="speed").build(0)
+    assert (len(both.training), both.inputs[0].name, both.outputs[0].name) == (1, "value", "speed")
+    np.testing.assert_array_equal(both.test[0].y, one.test[0].y)
+    tested = apart(tmp_path, u, y, test_path=source.path, test_output_path=source.output_path).build(0)
+    np.testing.assert_array_equal(tested.test[0].y[:, 0], GOOD["y"])
+
+
+def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
+    u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in ("u", "y"))
+    with pytest.raises(BadRequest, match=r"data.output_path = .*out.csv: has 199 rows, in.csv 200; cut them alike"):
+        apart(tmp_path, u, y[:-1]).build(0)
+    with pytest.raises(BadRequest, match=r"its rows are up to 0.2 s away from those of the inputs; log both on one"):
+        apart(tmp_path, u, y.assign(t=y.t + 0.2), time="t").build(0)
+    with pytest.raises(BadRequest, match=r"data.output_path = \['a.csv', 'b.csv'\]: 2 files of outputs, 1 expected"):
+        apart(tmp_path, u, y, output_path=["a.csv", "b.csv"])
+    with pytest.raises(BadRequest, match=r"data.test_output_path = \[\]: 0 files of outputs, 1 expected"):
+        apart(tmp_path, u, y, test_path="test.csv")
+    with pytest.raises(BadRequest, match=r"data.output = \['value'\]: is an input too"):
+        apart(tmp_path, u, y, output_path=None)
+    recordings = []
+    for name, side in (("in", u), ("out", y)):
+        group = (Channel(name="value", unit=""),)
+        group = SignalGroup(topic="/log", time_s=GOOD["t"], channels=group, values=side[["value"]].to_numpy())
+        write_mcap(tmp_path / f"{name}.mcap", (group,), {})
+        recordings.append(str(tmp_path / f"{name}.mcap"))
+    with pytest.raises(BadRequest, match=r"log times count from each recording's own start; put both signals into one"):
+        data(Path(recordings[0]), output_path=recordings[1], input="value", output="value").build(0)
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -93,8 +168,12 @@ def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore
         ({"output": "u"}, r"is an input too"),
         ({"validation_fraction": 0.6, "test_fraction": 0.6}, r"nothing is left"),
         ({"test_fraction": 0.0}, r"not inside"),
-        ({"equilibrium": "median"}, r"none of zero, mean"),
+        ({"equilibrium": "median"}, r"use zero or mean"),
         ({"decimate": 0}, r"at least 1"),
+        ({"fold": 5}, r"data.fold = 5: there are 5 folds; count them from 0"),
+        ({"folds": 1}, r"data.folds = 1: must be at least 2"),
+        ({"fold": 0, "split": "blocks"}, r"data.fold = 0: the parts are named too; leave out data.split"),
+        ({"fold": 0, "test_path": "test.csv"}, r"data.fold = 0: the parts are named too"),
     ],
 )
 def test_wrong_requests(tmp_path: Path, changes: dict[str, object], says: str) -> None:
@@ -168,5 +247,5 @@ def test_a_clock_shorter_than_the_sampling_time() -> None:
 
 def test_an_unknown_suffix(tmp_path: Path) -> None:
     (tmp_path / "log.xlsx").write_bytes(b"PK")
-    with pytest.raises(BadRequest, match=r"the suffix is none of \.csv, \.mat, \.parquet, \.mcap"):
+    with pytest.raises(BadRequest, match=r"the suffix is none of \.csv, \.mat, \.mcap, \.parquet"):
         data(tmp_path / "log.xlsx").build(0)

@@ -11,15 +11,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from ssm_study.data.columns import Wanted, read_table
-from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.data.mcap_reading import read_mcap
-from ssm_study.data.table import Table
+from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
+from ssm_study.data.readers.reader import Table, read_table
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 
 COLUMNS = {"u": np.linspace(-1, 1, 40), "y": np.sin(np.arange(40.0))}
-WANTED = Wanted(names=("u", "y"), units=("", ""))
+WANTED = {"u": "", "y": ""}
 
 
 def whole(suffix: str, folder: Path) -> bytes:

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from ssm_study.cli import main
+from ssm_study.cli.main import main
+from ssm_study.cli.request import check_request, translate
+from ssm_study.engine.records import parse_record
 from ssm_study.refusal import BadRequest
-from ssm_study.results.allow_list import PLUGINS, is_ours, refuse_foreign_targets
-from ssm_study.results.records import parse_record
-from ssm_study.sweeps.request import check_request, translate
+from ssm_study.study.allow_list import PLUGINS, is_ours, refuse_foreign_targets
 
 ROOT = Path(__file__).resolve().parents[2]
 EVIL_TARGETS = [
@@ -28,8 +28,8 @@ EVIL_TARGETS = [
     "ssm_study.plants.dc_motor.np.save",
     "ssm_study.plants.dc_motor.dataclass",
     "ssm_study.plants.dc_motor",
-    "ssm_study.results.store.Store",
-    "ssm_study.cli.main",
+    "ssm_study.engine.store.Store",
+    "ssm_study.cli.main.main",
     "ssm_study.data.mcap.write_mcap",
     "torch.optim.os.system",
     "torch.optim.adam.torch.load",
@@ -68,7 +68,6 @@ def test_foreign_targets_are_refused_wherever_they_stand(target: object) -> None
         "b: {_target_x: 1}\na: {c: '${oc.env:SECRET,none}'}",
         "hydra: {job_logging: {handlers: {x: {'()': os.system}}}}",
         "hydra: {job_logging: {handlers: {x: {class: subprocess.Popen}}}}",
-        "hydra: {launcher: {preload: [evil_module]}}",
         "hydra: {job: {env_set: {LD_PRELOAD: evil.so}}}",
         "hydra: {sweeper: {_target_: hydra_plugins.evil}}",
     ],
@@ -100,7 +99,11 @@ defaults: [_self_]
 study: x
 results_dir: results
 part: {_target_: pathlib.Path.touch, _args_: [{_target_: pathlib.Path, _args_: [%s]}]}
+run: y
 hydra:
+  output_subdir: null
+  run: {dir: "${results_dir}/${study}/${run}"}
+  sweep: {dir: "${results_dir}/${study}", subdir: "${run}"}
   callbacks: {evil: {_target_: pathlib.Path.touch, _args_: [{_target_: pathlib.Path, _args_: [%s]}]}}
 """
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from report_runs import random_run
 
+from ssm_study.export.targets import export
 from ssm_study.refusal import BadRequest
-from ssm_study.report.export import export
 
 
 def test_a_run_without_controller(tmp_path: Path) -> None:
@@ -19,7 +19,7 @@ def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="linear", channels=1, seed=0)
     certificate = json.loads((run / "certificate.json").read_text())
     certificate["state_feedback"] = {
-        "side": "controller", "alpha": 0.5, "beta": 0.4, "rate": 0.9, "rate_limit": 0.2, "proved": True,
+        "theorem": "state_feedback", "alpha": 0.5, "beta": 0.4, "rate": 0.9, "rate_limit": 0.2, "proved": True,
         "reason": "rate 0.9 lies beyond the frontier 0.2", "method": "frontier", "solver_status": "none",
         "seconds": 0.0, "feasible": False, "certified": False,
     }  # fmt: skip

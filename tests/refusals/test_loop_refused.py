@@ -7,15 +7,14 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.identified_plant import IdentifiedPlant
 from ssm_study.loop.metrics import behaviour
 from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, Pair, StateSpace
 
 LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)
 
@@ -37,25 +36,23 @@ def test_values_out_of_range(values, names):
 
 def test_a_controller_for_other_dimensions():
     model = random_model(0, inputs=2, outputs=1)
-    controller = ObserverFeedback(model=model, k=np.zeros((2, 4)), l=np.zeros((4, 1)))
+    controller = ObserverFeedback(model=model, gains=Pair(k=np.zeros((2, 4)), l=np.zeros((4, 1))))
     with pytest.raises(BadRequest, match="controller inputs, outputs"):
-        LOOP.compare(motor(), {"wrong": controller}, seed=0)
+        LOOP.on_plant(motor(), controller, seed=0)
 
 
 def test_a_controller_for_another_sampling_time():
     design = motor_design()
-    controller = ObserverFeedback(
-        model=replace(motor_model(), step_s=0.02), k=design.state_feedback.k, l=design.observer.l
-    )
+    controller = ObserverFeedback(model=replace(motor_model(), step_s=0.02), gains=design.pair)
     with pytest.raises(BadRequest, match="step_s"):
-        LOOP.compare(motor(), {"slow": controller}, seed=0)
+        LOOP.on_plant(motor(), controller, seed=0)
 
 
 def test_gains_of_another_model():
     with pytest.raises(BadRequest, match=r"k = .*shape"):
-        ObserverFeedback(model=motor_model(), k=np.zeros((1, 5)), l=np.zeros((5, 1)))
+        ObserverFeedback(model=motor_model(), gains=Pair(k=np.zeros((1, 5)), l=np.zeros((5, 1))))
     with pytest.raises(BadRequest, match=r"l = .*shape"):
-        ObserverFeedback(model=motor_model(), k=np.zeros((1, 2)), l=np.zeros((2, 2)))
+        ObserverFeedback(model=motor_model(), gains=Pair(k=np.zeros((1, 2)), l=np.zeros((2, 2))))
 
 
 def test_an_infeasible_design_closes_no_loop():
@@ -69,36 +66,37 @@ def test_an_infeasible_design_closes_no_loop():
 def test_a_model_with_feedthrough_in_the_plants_place():
     model = motor_model()
     linear = StateSpace(a=model.linear.a, b=model.linear.b, c=model.linear.c, d=np.ones((1, 1)))
-    one = (Channel(name="x", unit="1"),)
     with pytest.raises(BadRequest, match="feedthrough"):
-        IdentifiedPlant(model=model.with_linear(linear), input_channels=one, output_channels=one)
+        IdentifiedPlant.of(model.with_linear(linear))
+    with pytest.raises(BadRequest, match="name each of its signals"):
+        IdentifiedPlant.of(model, (Channel(name="x", unit="1"),) * 2)
 
 
 def test_a_diverging_loop_is_stopped_and_labelled():
     """Gains with the wrong sign: every case leaves the bound, no overflow, no NaN, and the record says when."""
     design = motor_design()
-    wrong = ObserverFeedback(model=motor_model(), k=-5 * design.state_feedback.k, l=design.observer.l)
+    wrong = ObserverFeedback(model=motor_model(), gains=Pair(k=-5 * design.state_feedback.k, l=design.observer.l))
     loop = Loop(horizon_s=1.0, measurement_noise_variance=0.02)  # noise carries the slowest case out of the dead-zone
-    result = loop.compare(motor(), {"wrong": wrong}, seed=0)["wrong"]
+    result = loop.on_plant(motor(), wrong, seed=0)
     columns = behaviour(result)
     assert columns["stable_count"] == 0
     assert columns["left_bound_count"] == 10
     assert 0 < columns["left_bound_first_s"] < 1.0
     assert columns["settling_time_mean_s"] is None
     assert columns["settling_time_worst_s"] is None
-    assert all(value is None or np.isfinite(value) for value in columns.values())
+    assert columns["unsettled_as"] == "10 lost"
+    assert all(isinstance(value, str | None) or np.isfinite(value) for value in columns.values())
     run = result.controlled
     assert (np.abs(run.y) <= run.bound).all()
-    for case, left_s in enumerate(run.left_at_s):
-        at = round(left_s / run.step_s)
+    for case, at in enumerate(run.left_at_sample):
         assert (run.y[case, at:] == run.y[case, at - 1]).all()
 
 
 def test_an_unstable_observer_is_stopped_before_it_overflows():
     design = motor_design()
-    wild = ObserverFeedback(model=motor_model(), k=0 * design.state_feedback.k, l=1e3 * design.observer.l)
+    wild = ObserverFeedback(model=motor_model(), gains=Pair(k=0 * design.state_feedback.k, l=1e3 * design.observer.l))
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
-    run = loop.compare(motor(), {"wild": wild}, seed=0)["wild"].controlled
+    run = loop.on_plant(motor(), wild, seed=0).controlled
     assert not run.stayed.any()
     assert np.isfinite(run.estimate).all()
 
@@ -115,12 +113,12 @@ def test_a_malformed_reference_file(tmp_path, content):
     path = tmp_path / "reference.csv"
     path.write_text(content)
     with pytest.raises(BadRequest, match=r"loop\.reference\.path"):
-        FileReference(path=str(path)).offset(np.arange(3.0))
+        FileReference(path=str(path)).signal(np.arange(3.0))
 
 
 def test_a_missing_reference_file(tmp_path):
     with pytest.raises(BadRequest, match=r"loop\.reference\.path"):
-        FileReference(path=str(tmp_path / "none.csv")).offset(np.arange(3.0))
+        FileReference(path=str(tmp_path / "none.csv")).signal(np.arange(3.0))
 
 
 def test_a_reference_that_needs_more_than_the_limits_allow():

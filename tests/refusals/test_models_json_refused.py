@@ -6,24 +6,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ssm_study.models.identified import SSM, scaffold_from_json
-from ssm_study.models.scaffold_linear import LinearScaffold
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace
 
 
 def stored() -> dict[str, Any]:
     linear = StateSpace(a=np.eye(2) * 0.5, b=np.ones((2, 1)), c=np.ones((1, 2)), d=np.zeros((1, 1)))
-    one, zero = np.ones(1), np.zeros(1)
     identity = LinearScaffold.identity(1)
     return SSM(
         linear=linear,
         scaffold_in=identity,
         scaffold_out=identity,
-        input_scale=one,
-        output_scale=one,
-        input_equilibrium=zero,
-        output_equilibrium=zero,
+        scale=Scale.unit(1, 1),
         step_s=0.01,
     ).to_json()
 
@@ -54,7 +52,7 @@ def test_a_malformed_entry_is_named(key: str, value: Any) -> None:
 
 def test_an_unknown_scaffolding_is_refused() -> None:
     with pytest.raises(BadRequest, match="kind = spline"):
-        scaffold_from_json({"kind": "spline"})
+        Scaffold.from_json({"kind": "spline"})
 
 
 def test_a_scaffolding_that_does_not_fit_the_linear_part_is_refused() -> None:
@@ -66,10 +64,10 @@ def test_a_scaffolding_that_does_not_fit_the_linear_part_is_refused() -> None:
 
 def test_a_monotone_scaffolding_with_crossed_break_points_is_refused() -> None:
     with pytest.raises(BadRequest, match="breakpoints"):
-        scaffold_from_json({"kind": "monotone", "breakpoints": [[1.0, 0.0]], "slopes": [[1.0, 1.0, 1.0]]})
+        Scaffold.from_json({"kind": "monotone", "breakpoints": [[1.0, 0.0]], "slopes": [[1.0, 1.0, 1.0]]})
 
 
 def test_a_residual_scaffolding_without_its_certificate_is_refused() -> None:
     layer = {"weights": [[[1.0]], [[1.0]]], "biases": [[0.0]], "negative_slopes": [[0.0]], "positive_slopes": [[1.0]]}
     with pytest.raises(BadRequest, match="multipliers"):
-        scaffold_from_json({"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": [[-1.0]], **layer})
+        Scaffold.from_json({"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": [[-1.0]], **layer})

@@ -4,17 +4,18 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ssm_study.advice import meant
-from ssm_study.cli import _warned, configuration_folder, main
-from ssm_study.data.coverage import SlopesNotIdentifiable
+from ssm_study.cli.explained import meant
+from ssm_study.cli.main import _warned, configuration_folder, main
+from ssm_study.data.metrics import SlopesNotIdentifiable
+from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.results.folders import run_folder, study_folder
-from ssm_study.results.records import write_record
+from ssm_study.table.folders import run_folder, study_folder
 
 RECORDED = ("experiment=paper", "data=recorded", "data.input=u", "data.output=y")
 WRONG = {
@@ -40,6 +41,8 @@ WRONG = {
     "add -m to sweep": ["model.order=4,8"],
     "write model.order=VALUE": ["--model.order", "4"],
     "write seed=VALUE": ["--seed=4"],
+    "use `ssm-study reproduce RUN`": ["--experimental-rerun", "config.pickle"],
+    "--experimental-r=config.pickle": ["--experimental-r=config.pickle"],
     "seed": ["seed=-1"],
     "study": ["study=../elsewhere"],
     "data.input": ["data=recorded", "data.path=somewhere.csv"],
@@ -48,6 +51,19 @@ WRONG = {
     "training.optimiser.nonsense": ["+training.optimiser.nonsense=1"],
     "plant._target_": ["plant._target_=os.system"],
     "retry_failed": ["experiment=smoke", "--retry-failed"],
+    "model.hidden_width = 10000000": ["model.hidden_width=10000000"],
+    "model.order = 1000000": ["model.order=1000000"],
+    "data.trajectories = 1000000000": ["data.trajectories=1000000000"],
+    "data.samples = 1000000000": ["data.samples=1000000000"],
+    "data.trajectories * samples = 200000000": ["data.trajectories=20000", "data.samples=10000"],
+    "loop.initial_conditions * horizon_s / step_s": ["loop.horizon_s=1e12"],
+    "reduction.truncate_to = 99: the model has 4": ["reduction.truncate_to=99"],
+    "synthesis.rate_observer = 0.9999999999999999": ["synthesis.rate_observer=0.9999999999999999"],
+    "synthesis.rate_controller = 0.9999999999999999": [
+        "synthesis=riccati",
+        "synthesis.rate_controller=0.9999999999999999",
+    ],
+    "excitation.path": ["excitation=file"],
     "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
 }
 
@@ -71,7 +87,10 @@ class _NoExit:
 
 @pytest.mark.parametrize(("names", "overrides"), WRONG.items(), ids=list(WRONG))
 def test_one_sentence(names: str, overrides: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    said = refused(overrides, tmp_path / "results", capfd)
+    small = [] if any(word.startswith(("experiment=", "exp=")) for word in overrides) else ["experiment=smoke"]
+    started = time.process_time()
+    said = refused([*small, *overrides], tmp_path / "results", capfd)
+    assert time.process_time() - started < 5  # imports and all, on any machine: nothing was computed
     assert names in said
     if "--nonsense" not in overrides:
         assert len(said.splitlines()) == 1
@@ -91,6 +110,8 @@ MALFORMED = {
     "NaN": {"time": TIME, "u": EXCITED, "y": np.where(TIME[77] == TIME, np.nan, ANSWER)},
     "non-uniform sampling": {"time": TIME + (TIME > 2) * 0.007, "u": EXCITED, "y": ANSWER},
     "constant input": {"time": TIME, "u": np.ones(400), "y": ANSWER},
+    "huge": {"time": TIME, "u": 1e300 * EXCITED, "y": ANSWER},
+    "tiny": {"time": TIME, "u": EXCITED, "y": 1e-300 * ANSWER},
 }
 
 
@@ -121,7 +142,7 @@ def test_more_threads_than_cores(
 def test_one_thread_unless_asked(tmp_path: Path) -> None:
     """What torch itself says in a fresh process, after a request that is refused before any work."""
     program = (
-        "import sys; from ssm_study.cli import main\n"
+        "import sys; from ssm_study.cli.main import main\n"
         "try: status = main(['run', 'experiment=smoke', 'model.order=-1', *sys.argv[1:]])\n"
         "except SystemExit as end: status = end.code\n"
         "import torch, numpy\n"
@@ -176,7 +197,7 @@ def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
 def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
     """No traceback, yet the process ends by the signal, so that the loop of a script around it ends too."""
     program = (
-        "import sys, ssm_study.cli as cli\n"
+        "import sys, ssm_study.cli.main as cli\n"
         "def interrupted(_): raise KeyboardInterrupt\n"
         "cli.run = interrupted\n"
         "sys.exit(cli.main(['run']))"
@@ -190,3 +211,73 @@ def test_our_own_warning_is_a_sentence() -> None:
     told = _warned(SlopesNotIdentifiable("two levels only"), SlopesNotIdentifiable, "facts.py", 28)
     assert told == "ssm-study: two levels only\n"
     assert "facts.py:28" in _warned("of a library", UserWarning, "facts.py", 28)
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("results_dir=null", "results_dir = None: is no name"),
+        ("study=null", "study = None: is no name"),
+        ("+foo=1", "foo = 1: is no part of a study"),
+        ("hydra.output_subdir=../../../x", "hydra.output_subdir"),
+        ("hydra.sweep.subdir=same", "hydra.sweep.subdir"),
+    ],
+)
+@pytest.mark.parametrize("many", [[], ["-m"]])
+def test_what_was_silently_accepted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], word: str, said: str, many: list[str]
+) -> None:
+    words = ["experiment=smoke", f"results_dir={tmp_path / 'r'}", word, *many]
+    try:
+        status = main(["run", *words])
+    except SystemExit as stop:
+        status = stop.code
+    assert status == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_single_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "experiment=smoke", f"results_dir={tmp_path / 'r'}", "dry_run=true"]) == 0
+    said = capsys.readouterr().out
+    assert "1 runs: 0 finished, 1 to do" in said
+    assert not list(tmp_path.rglob("*.json"))
+
+
+def test_a_finished_run_says_that_its_data_have_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    log = tmp_path / "log.csv"
+
+    def write(scale: float) -> None:
+        u, y = np.repeat(rng.uniform(-3, 3, 100), 8), np.zeros(801)
+        for k in range(800):
+            y[k + 1] = 0.9 * y[k] + 0.2 * scale * u[k]
+        log.write_text("u,y\n" + "\n".join(f"{a!r},{b!r}" for a, b in zip(u.tolist(), y[:800].tolist(), strict=True)))
+
+    words = [
+        "data=recorded",
+        f"data.path={log}",
+        "data.input=u",
+        "data.output=y",
+        "data.step_s=0.1",
+        "model.slope_lower=0.5",
+    ]
+    words += ["model.order=2", "synthesis=riccati", "loop.initial_conditions=2", "study=log"]
+    words += ["synthesis.rate_controller=0.5", "synthesis.rate_observer=0.6"]
+    write(1.0)
+    assert main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"]) == 0
+    assert main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"]) == 0
+    write(2.0)
+    with pytest.raises(SystemExit) as refused:
+        main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"])
+    assert refused.value.code == 2
+    assert "log.csv changed since this run was done; give study a new name" in capsys.readouterr().err
+
+
+def test_a_broken_pipe_that_is_not_our_output_is_no_good_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: list[str]) -> int:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("ssm_study.cli.main.run", broken)
+    monkeypatch.setattr("ssm_study.cli.main._reader_is_gone", lambda: False)
+    assert main(["run"]) == 2

@@ -6,23 +6,26 @@ import time
 
 import numpy as np
 import pytest
-from flint import fmpq, fmpq_mat
-from hypothesis import given
+from flint import fmpz_mat
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthesis_ratio import ratio_limit
 
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis import exact
 from ssm_study.synthesis.certificate import Design, Infeasible, StateFeedback, digest
-from ssm_study.synthesis.frontier import frontier, ratio_limit, unreached_modulus
+from ssm_study.synthesis.design import Request, broken_claims
+from ssm_study.synthesis.exact import Exact
+from ssm_study.synthesis.frontier import frontier, unreached_modulus
 from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.problem import Problem, Solution
-from ssm_study.synthesis.riccati import RiccatiSynthesis
-from ssm_study.synthesis.verdict import CONTROLLER, Request
-from ssm_study.synthesis.verify import broken_claims
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 RATES = {"rate_controller": 0.3, "rate_observer": 0.3}
-BALLS = (JacobianBall.from_slopes(0.3, 1.0), JacobianBall.from_slopes(0.8, 1.2))
+BALLS = Balls(input=JacobianBall.from_slopes(0.3, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
 
 
 def system(a: list[list[float]], b: list[float], c: list[float]) -> StateSpace:
@@ -39,7 +42,7 @@ class Model:
 
 @pytest.fixture(scope="module")
 def stored() -> dict:
-    return json.loads(json.dumps(RiccatiSynthesis(**RATES).design(Model(), *BALLS).to_json()))
+    return json.loads(json.dumps(RiccatiSynthesis(**RATES).design(Model(), BALLS).to_json()))
 
 
 def test_an_untouched_certificate_has_no_broken_claim(stored: dict) -> None:
@@ -92,30 +95,30 @@ def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, 
 
 def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
     """Determinant about `-0.375 2^-53`; in floats the matrix reads `[[1, 1], [1, 1 + 2^-52]]`, which is definite."""
-    off, last = 1 + fmpq(15, 2**57), 1 + fmpq(3, 2**54)
+    one, off, last = 2**57, 2**57 + 15, 2**57 + 3 * 2**3
     assert np.linalg.cholesky(np.array([[1.0, 1.0], [1.0, 1 + 2.0**-52]]))[1, 1] > 0
-    assert not exact.is_positive_definite(fmpq_mat([[fmpq(1), off], [off, last]]))
-    assert exact.is_positive_definite(fmpq_mat([[fmpq(1), off], [off, last + fmpq(1, 2**53)]]))
+    assert not exact.is_positive_definite(Exact(fmpz_mat([[one, off], [off, last]]), 57))
+    assert exact.is_positive_definite(Exact(fmpz_mat([[one, off], [off, last + 2**4]]), 57))
 
 
 def test_one_unit_in_the_last_place_decides() -> None:
     """`P = [[1, p], [p, 1]]` with p one ulp below one is positive definite; at one it is not."""
     below = np.nextafter(1.0, 0.0)
-    assert exact.is_positive_definite(exact.rational(np.array([[1.0, below], [below, 1.0]])))
-    assert not exact.is_positive_definite(exact.rational(np.array([[1.0, 1.0], [1.0, 1.0]])))
-    assert not exact.is_positive_definite(exact.rational(np.array([[1.0, below], [1.0, 1.0]])))  # not symmetric
+    assert exact.is_positive_definite(Exact.of(np.array([[1.0, below], [below, 1.0]])))
+    assert not exact.is_positive_definite(Exact.of(np.array([[1.0, 1.0], [1.0, 1.0]])))
+    assert not exact.is_positive_definite(Exact.of(np.array([[1.0, below], [1.0, 1.0]])))  # not symmetric
 
 
 def test_a_scalar_certificate_at_the_last_representable_sigma() -> None:
     """`a = 0, b = 1, beta = 0`: the inequality is `(1-rho) p > sigma`; equality is refused, one ulp less is not."""
     one = np.ones((1, 1))
     for sigma, verdict in ((0.5, False), (np.nextafter(0.5, 0.0), True)):
-        lmi = exact.theorem_one(0 * one, one, 1.0, 0.0, 0.5, one, one, 0 * one, float(sigma))
-        assert exact.is_positive_definite(lmi) is verdict
+        numbers = {"a": 0 * one, "b": one, "k": 0 * one, "p": one, "y": one, "sigma": float(sigma)}
+        assert StateFeedbackOfBall.holds(**numbers, alpha=1.0, beta=0.0, rate=0.5) is verdict
 
 
 def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
-    wider = (JacobianBall.from_slopes(0.29, 1.0), BALLS[1])
+    wider = Balls(input=JacobianBall.from_slopes(0.29, 1.0), output=BALLS.output)
     assert any("alpha, beta" in claim for claim in broken_claims(stored, PLANT, wider))
 
 
@@ -176,7 +179,7 @@ def test_slopes_that_include_zero_are_refused_with_the_open_loops_rate() -> None
 
 def test_an_uncontrollable_unstable_mode_is_refused_by_its_modulus() -> None:
     plant = system([[1.2, 0.0], [0.3, 0.5]], [0.0, 1.0], [1.0, 1.0])
-    part = RiccatiSynthesis(**RATES).state_feedback(plant, BALLS[0])
+    part = RiccatiSynthesis(**RATES).state_feedback(plant, BALLS.input)
     assert isinstance(part, Infeasible)
     assert part.rate_limit == pytest.approx(1 - 1.2**2)
     assert "out of reach" in part.reason
@@ -185,7 +188,7 @@ def test_an_uncontrollable_unstable_mode_is_refused_by_its_modulus() -> None:
 
 def test_an_unobservable_slow_mode_is_refused_by_its_modulus() -> None:
     plant = system([[0.9, 0.0], [0.0, 0.5]], [1.0, 1.0], [0.0, 1.0])
-    part = RiccatiSynthesis(**RATES).observer(plant, BALLS[1])
+    part = RiccatiSynthesis(**RATES).observer(plant, BALLS.output)
     assert isinstance(part, Infeasible)
     assert part.rate_limit == pytest.approx(1 - 0.9**2)
 
@@ -228,10 +231,10 @@ def test_the_same_model_with_fewer_states_is_certified() -> None:
 
 def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -> None:
     """Far beyond the frontier the method's matrices are no certificate, whatever its status says."""
-    ball = BALLS[0]
-    problem = RiccatiSynthesis(**RATES).controller_problem(PLANT, ball)
+    ball = BALLS.input
+    problem = RiccatiSynthesis(**RATES).problem(PLANT, ball)
     request = Request(
-        side=CONTROLLER,
+        theorem=StateFeedbackOfBall,
         rate=problem.rate,
         ball=ball,
         frontier=frontier(PLANT.a, PLANT.b, ball),
@@ -247,7 +250,43 @@ def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -
 
 def test_matrices_that_are_not_finite() -> None:
     with pytest.raises(BadRequest, match="a"):
-        frontier(np.array([[np.nan]]), np.ones((1, 1)), BALLS[0])
+        frontier(np.array([[np.nan]]), np.ones((1, 1)), BALLS.input)
+
+
+ILL = st.sampled_from([1e-12, 1e-9, 1e-3, 1.0, 1e6])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), ILL, ILL, ILL, ILL, st.sampled_from([1e-9, 0.3, 1 - 1e-12]))
+def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
+    seed: int, gain: float, slope: float, state: float, effort: float, rate: float
+) -> None:
+    """Weights, gains and slopes at the edge of floats: a singular matrix ends the attempt and not the run."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
+    linear = StateSpace(
+        a=np.diag(rng.choice([0.0, 0.5, 0.9, 1.0, 1.1], size=n)),
+        b=gain * rng.normal(size=(n, m)),
+        c=rng.normal(size=(m, n)),
+        d=np.zeros((m, m)),
+    )
+    ball = JacobianBall(alpha=slope, beta=0.5 * slope)
+    weights = {"state_weight": state, "input_weight": effort, "output_noise": effort}
+    for method in (RiccatiSynthesis, ClosedFormSynthesis):
+        part = method(rate_controller=rate, rate_observer=rate, **weights).state_feedback(linear, ball)
+        assert isinstance(part, Infeasible | StateFeedback)
+        if isinstance(part, StateFeedback) and part.certified:
+            assert StateFeedbackOfBall.holds(**part.numbers)
+
+
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_the_frontier_at_the_modulus_of_a_mode(inputs: int) -> None:
+    """A mode on the circle costs no energy: the ratio is that of the modes outside it, from either side."""
+    a, b = np.diag([1.2, 0.9, 0.5]), np.array([[1.0, 0.3], [0.7, 1.0], [0.2, 0.4]])[:, :inputs]
+    at, below, above = (ratio_limit(a, b, r) for r in (0.9, 0.9 * (1 - 1e-7), 0.9 * (1 + 1e-7)))
+    assert below == pytest.approx(at, rel=1e-5)
+    assert above == pytest.approx(at, rel=1e-5)
+    assert ratio_limit(a, np.zeros_like(b), 0.9) == 0.0
 
 
 def test_slopes_in_the_wrong_order() -> None:
@@ -257,4 +296,4 @@ def test_slopes_in_the_wrong_order() -> None:
 
 def test_exact_arithmetic_takes_no_nan() -> None:
     with pytest.raises((ValueError, OverflowError)):
-        exact.rational(np.array([[np.nan]]))
+        Exact.of(np.array([[np.nan]]))

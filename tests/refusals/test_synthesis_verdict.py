@@ -11,16 +11,16 @@ import pytest
 
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis import exact
-from ssm_study.synthesis import verify as verification
 from ssm_study.synthesis.certificate import Design, Infeasible, StateFeedback, digest
+from ssm_study.synthesis.design import Request, broken_claims
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, margin, theorem_matrix, unit_diagonal
-from ssm_study.synthesis.riccati import RiccatiSynthesis, guaranteed_cost
-from ssm_study.synthesis.verdict import CONTROLLER, Request
-from ssm_study.synthesis.verify import broken_claims
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.theorem import Known, margin, unit_diagonal
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import Balls, JacobianBall, StateSpace
 
-BALLS = (JacobianBall.from_slopes(0.3, 1.0), JacobianBall.from_slopes(0.8, 1.2))
+BALLS = Balls(input=JacobianBall.from_slopes(0.3, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
 PLANT = StateSpace(
     a=np.array([[0.95, 0.1], [-0.1, 0.9]]),
     b=np.array([[0.0], [1.0]]),
@@ -34,7 +34,7 @@ class Model:
 
 
 def designed(rate: float = 0.3) -> Design:
-    return RiccatiSynthesis(rate_controller=rate, rate_observer=0.3).design(Model(), *BALLS)
+    return RiccatiSynthesis(rate_controller=rate, rate_observer=0.3).design(Model(), BALLS)
 
 
 def stored(rate: float) -> dict:
@@ -42,9 +42,10 @@ def stored(rate: float) -> dict:
 
 
 def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
-    problem = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).controller_problem(PLANT, BALLS[0])
-    limit = frontier(PLANT.a, PLANT.b, BALLS[0])
-    request = Request(side=CONTROLLER, rate=0.3, ball=BALLS[0], frontier=limit, method="any", started=0.0)
+    problem = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).problem(PLANT, BALLS.input)
+    limit = frontier(PLANT.a, PLANT.b, BALLS.input)
+    asked = {"rate": 0.3, "ball": BALLS.input, "frontier": limit}
+    request = Request(theorem=StateFeedbackOfBall, **asked, method="any", started=0.0)
 
     def nothing() -> Solution:
         raise NoSolution("nothing")
@@ -109,8 +110,8 @@ def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
     design = designed()
     part, side = (design.state_feedback, "state_feedback") if name in "kpy" else (design.observer, "observer")
     object.__setattr__(part, name, np.ones((3, 3)))  # as a file may hold it: its shapes are checked here only
-    claims = verification._of_feedback if name in "kpy" else verification._of_observer
-    assert claims(part, PLANT) == [f"{side}: the matrices do not fit the model"]
+    known = Known(system=PLANT, controlled=PLANT, balls=BALLS, gains=design.gains)
+    assert part.broken(known) == [": the matrices do not fit the model"], side
 
 
 EDGE = {"p": 1.0, "y": 1.0, "sigma": float(np.nextafter(0.5, 0)), "rate": 0.5}
@@ -126,14 +127,14 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(name: str, start
     The digest is written anew and the products still fit: exact arithmetic alone can find it.
     """
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
-    linear, ball = StateSpace(a=zero, b=one, c=one, d=zero), BALLS[0]
+    linear, ball = StateSpace(a=zero, b=one, c=one, d=zero), BALLS.input
     limit = frontier(zero, one, ball).rate_limit
     scalar = replace(designed().state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
     content = json.loads(json.dumps(replace(designed(), state_feedback=scalar).to_json()))
 
     def claims(value: float) -> list[str]:
         part = content["state_feedback"] | EDGE | {name: value}
-        part |= {key: [[part[key]]] for key in "py"}
+        part |= {"certified_rate": part["rate"], **{key: [[part[key]]] for key in "py"}}
         said = broken_claims(content | {"state_feedback": part | {"digest": digest(part)}}, linear, BALLS)
         return [claim for claim in said if claim.startswith("state_feedback")]
 
@@ -149,17 +150,18 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
     linear = StateSpace(a=zero, b=one, c=one, d=zero)
     forged = replace(designed().state_feedback, a=zero, b=one, p=-one, y=zero, k=zero, x=zero, sigma=0.1, rate=rate)
-    assert exact.is_positive_definite(
-        exact.theorem_one(zero, one, forged.alpha, forged.beta, rate, -one, zero, zero, 0.1)
-    ) is (rate > 1)
+    conditions = StateFeedbackOfBall.exactly(**forged.numbers)
+    assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
     content = json.loads(json.dumps(replace(designed(), state_feedback=forged).to_json()))
     said = broken_claims(content, linear, BALLS)
     assert any("state_feedback.certified = True" in claim for claim in said)
 
 
 def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
-    limit = frontier(PLANT.a, PLANT.b, BALLS[0])
-    request = Request(side=CONTROLLER, rate=limit.rate_limit, ball=BALLS[0], frontier=limit, method="any", started=0.0)
+    limit = frontier(PLANT.a, PLANT.b, BALLS.input)
+    request = Request(
+        theorem=StateFeedbackOfBall, rate=limit.rate_limit, ball=BALLS.input, frontier=limit, method="any", started=0.0
+    )
     refused = request.refused()
     assert isinstance(refused, Infeasible)
     assert refused.proved
@@ -172,18 +174,18 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
 def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
     asked = {"rate": 0.1, "input_weight": 1.0, name: value}
     with pytest.raises(BadRequest, match=name):
-        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS[0], state_weight=np.eye(2), **asked)
+        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS.input, state_weight=np.eye(2), **asked)
 
 
 def test_the_margin_is_that_of_the_exact_inequality() -> None:
     """The smallest eigenvalue of what exact arithmetic decides on, rounded afterwards; Y is not P here."""
     part = designed().state_feedback
     y = part.y @ np.array([[1.0, 0.1], [0.0, 1.2]])
-    solution = Solution(p=part.p, y=y, k=part.k, sigma=part.sigma, status="")
-    lmi = exact.theorem_one(part.a, part.b, part.alpha, part.beta, part.rate, part.p, y, part.k, part.sigma)
-    rounded = np.array([[int(value.p) / int(value.q) for value in row] for row in lmi.tolist()])
-    ours = theorem_matrix(part.a, part.b, BALLS[0], part.rate, solution)
-    np.testing.assert_allclose(ours, unit_diagonal(rounded), atol=1e-13)
+    numbers = part.numbers | {"y": y}
+    ours, exactly = (conditions(**numbers)["inequality"] for conditions in (type(part).in_floats, type(part).exactly))
+    np.testing.assert_allclose(ours, unit_diagonal(exactly.rounded()), atol=1e-13)
+    known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
+    assert type(part).proved(numbers, **known).margin == margin(ours)
 
 
 def test_what_stands_beside_the_matrices() -> None:

@@ -12,11 +12,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "laws"))
 from models_cases import data_set
 from test_training_identify import LBFGS, spec, training
 
-from ssm_study.models.scaffold_specs import Mlp, Residual
+from ssm_study.models.scaffolds.mlp import Mlp
+from ssm_study.models.scaffolds.residual import Residual
 from ssm_study.refusal import BadRequest
-from ssm_study.training.checkpoint import DurableCheckpointIO
+from ssm_study.training.fit import Fit
 from ssm_study.training.optimisers import Adam, Lbfgs
-from ssm_study.training.saving import load_state
+from ssm_study.training.saving import DurableCheckpointIO, load_state
 
 
 @pytest.mark.parametrize(
@@ -85,7 +86,7 @@ def test_a_device_that_is_not_there_is_refused(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_architecture_is_refused(tmp_path: Path) -> None:
     data = data_set()
     training(max_epochs=1).identify(spec(), data, 0, tmp_path)
-    other = training()._fit(spec(order=5).build(data, 0), data)
+    other = Fit(spec(order=5).build(data, 0), data, training())
     with pytest.raises(BadRequest, match="another architecture"):
         load_state(tmp_path / "best.ckpt", other)
 

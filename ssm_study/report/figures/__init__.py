@@ -3,20 +3,32 @@
 A new figure is a new file here: `names()` finds it, and every command and test with it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
+from typing import TYPE_CHECKING
 
+from ssm_study.extensions import modules
 from ssm_study.refusal import require
 from ssm_study.report import style
-from ssm_study.report.study_folder import Study
+from ssm_study.report.study_folder import NothingToDraw, StudyFolder
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def names() -> list[str]:
     """Every figure that can be asked for."""
-    return sorted(module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
+    ours = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
+    return sorted({*modules("figures"), *ours})
+
+
+def _module(name: str) -> ModuleType:
+    """Of a name that another package has too, ours."""
+    ours = any((Path(place) / f"{name}.py").is_file() for place in __path__)
+    return import_module(f"{__name__}.{name}" if ours else modules("figures")[name])
 
 
 def caption(name: str) -> str:
@@ -24,22 +36,33 @@ def caption(name: str) -> str:
     return " ".join((_module(name).__doc__ or "").split())
 
 
-def draw(wanted: Sequence[str] | None, study_folder: Path) -> list[Path]:
+def drawn(name: str, study: StudyFolder) -> "Figure":
+    """The figure in the style of the paper. Raises `NothingToDraw` with the reason."""
+    with style.paper():
+        figure: Figure = _module(name).draw(study)
+    return figure
+
+
+def draw(
+    wanted: Sequence[str] | None, study_folder: Path, tell: Callable[[str], object] = lambda _: None
+) -> list[Path]:
     """Draw the named figures (None: all) of a study into `study_folder/figures`, each as PNG and PDF.
 
-    Pure functions of the gathered table and the run folders' files: the same files give the same bytes. Raises
-    `BadRequest` for a figure nobody wrote.
+    Pure functions of the gathered table and the run folders' files: the same files give the same bytes. A figure of
+    what the study does not have is not drawn, and `tell` hears why. Raises `BadRequest` for a figure nobody wrote.
+    `captions.md` beside them has the caption of each.
     """
+    study, paths = StudyFolder(folder=study_folder), []
     for name in wanted or ():
         require(name in names(), "only", name, "there is no such figure", f"choose among {', '.join(names())}")
-    study = Study(folder=study_folder)
-    return [path for name in wanted or names() for path in _drawn(name, study)]
-
-
-def _drawn(name: str, study: Study) -> list[Path]:
-    with style.paper():
-        return style.save(_module(name).draw(study), study.folder / "figures", name)
-
-
-def _module(name: str) -> ModuleType:
-    return import_module(f"{__name__}.{name}")
+    for name in wanted or names():
+        with style.paper():  # what is saved asks for the settings once more
+            try:
+                paths += style.save(drawn(name, study), study.folder / "figures", name)
+            except NothingToDraw as reason:
+                tell(f"not drawn: {name}. {reason}")
+    if paths:
+        there = {path.stem for path in (study.folder / "figures").glob("*.png")} & set(names())
+        told = "".join(f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there))
+        (study.folder / "figures" / "captions.md").write_text(told, encoding="utf-8")
+    return paths

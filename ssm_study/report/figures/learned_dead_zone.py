@@ -11,41 +11,33 @@ from matplotlib.figure import Figure
 
 from ssm_study.models.identified import SSM
 from ssm_study.report import style
-from ssm_study.report.study_folder import Study
+from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
 REACH_IN_DEAD_ZONES = 8  # how far to draw: far enough for the straight part, near enough to see the dead-zone
 REACH_IN_SCALES = 2.0  # how far training reached, in input scales: where the gain is compared, and drawn otherwise
+FRICTION = ("coulomb_torque_nm", "resistance_ohm", "torque_constant_nm_per_a")
+Range = Float[np.ndarray, "N"]
 
 
-def draw(study: Study) -> Figure:
-    run = study.best
-    if run is None or run.model is None:
-        return style.message("No run left a model.", style.PAGE_IN)
-    if run.model.scaffold_in.inputs != 1:
-        return style.message("S$_u$ has several inputs: there is no curve to draw.", style.PAGE_IN)
-    slopes = (run.record.get("input_slope_lower"), run.record.get("input_slope_upper"))
-    return figure(run.model, _known_plant(run.config), slopes)
-
-
-def _known_plant(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The numbers of the plant that was simulated; none for a recording, beside which the group's default stands."""
-    simulated = str((config.get("data") or {}).get("_target_", "")).endswith(".SimulatedData")
-    return (config.get("plant") or {}) if simulated else {}
-
-
-def figure(model: SSM, plant: Mapping[str, Any], slopes: tuple[float | None, float | None]) -> Figure:
+def draw(study: StudyFolder) -> Figure:
+    model, record, config = study.of_best("model", "record", "config", otherwise="No run left a model.")
+    if model.scaffold_in.inputs != 1:
+        raise NothingToDraw("S$_u$ has several inputs: there is no curve to draw.")
     fig = style.canvas(style.PAGE_IN, 2.5)
     value, slope = fig.subplots(1, 2)
-    threshold, scale = plant.get("dead_zone_v"), float(model.input_scale[0])
+    (threshold, held), scale = known_dead_zone(config), float(model.scale.input_scale[0])
+    voltage = _around_rest(model, REACH_IN_SCALES * scale if threshold is None else REACH_IN_DEAD_ZONES * threshold)
     gain = 1.0 if threshold is None else _gain_to_volts(model, threshold)
-    reach = REACH_IN_SCALES * scale if threshold is None else REACH_IN_DEAD_ZONES * threshold
-    voltage = model.input_equilibrium[0] + np.linspace(-reach, reach, 401)
-    value.plot(voltage, gain * model.lift(voltage[:, None])[:, 0], color=style.BLUE, label="learned S$_u$", zorder=3)
-    _true_curves(value, voltage, plant)
-    _slopes(slope, model, voltage, slopes)
+    value.plot(voltage, gain * _lifted(model, voltage), color=style.BLUE, label="learned S$_u$", zorder=3)
+    _slopes(slope, model, voltage, record)
     if threshold is not None:
-        true_slope = np.where(np.abs(voltage) < threshold, 0.0, scale / gain)
-        slope.step(voltage, true_slope, where="mid", color=style.INK, lw=0.9, ls="--", label="dead-zone")
+        true, line = np.where(np.abs(voltage) < threshold, 0.0, scale / gain), {"color": style.INK, "lw": 0.9}
+        value.plot(voltage, _dead_zone(voltage, threshold), ls="--", label="true dead-zone", **line)
+        slope.step(voltage, true, where="mid", ls="--", label="dead-zone", **line)
+        fig.suptitle(_said(model, voltage, threshold), size=8, x=0.01, ha="left")
+    if threshold is not None and held:
+        widened = _dead_zone(voltage, threshold + held)
+        value.plot(voltage, widened, color=style.GREY, lw=0.9, ls=":", label="with friction")
     for axes in (value, slope):
         style.above(axes)
         axes.set_xlabel("Input (physical unit)" if threshold is None else "Armature voltage (V)")
@@ -54,35 +46,50 @@ def figure(model: SSM, plant: Mapping[str, Any], slopes: tuple[float | None, flo
     return fig
 
 
+def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
+    """Of the plant that was simulated, in volts, and what both shafts' friction adds at rest.
+
+    None for a recording, beside which the group's default plant stands.
+    """
+    simulated = str((config.get("data") or {}).get("_target_", "")).endswith(".SimulatedData")
+    plant = (config.get("plant") or {}) if simulated else {}
+    torque, resistance, constant = (plant.get(name, 0.0) for name in FRICTION)
+    return plant.get("dead_zone_v"), 2 * torque * resistance / constant if constant else 0.0
+
+
+def _around_rest(model: SSM, reach: float) -> Range:
+    return model.scale.input_equilibrium[0] + np.linspace(-reach, reach, 401)
+
+
+def _lifted(model: SSM, voltage: Range) -> Range:
+    return model.lift(voltage[:, None])[:, 0]
+
+
+def _said(model: SSM, voltage: Range, threshold: float) -> str:
+    """How much of a dead-zone was learned: the mean slope inside it over the mean slope outside; zero would be all."""
+    rise = np.diff(_lifted(model, voltage)) / np.diff(voltage)  # per volt
+    inside = np.abs(voltage[1:] + voltage[:-1]) / 2 < threshold
+    share = float(rise[inside].mean() / rise[~inside].mean())
+    learned = "a dead-zone" if share < 0.1 else "no dead-zone, only a flatter middle" if share < 0.9 else "no dead-zone"
+    return f"Learned: {learned}. Inside the true one the slope is {100 * share:.0f} % of that outside."
+
+
 def _gain_to_volts(model: SSM, threshold: float) -> float:
     """S_u is free up to a factor that B takes up: the factor that brings it nearest to the dead-zone, least squares."""
-    reach = REACH_IN_SCALES * float(model.input_scale[0])
-    voltage = model.input_equilibrium[0] + np.linspace(-reach, reach, 401)
-    learned = model.lift(voltage[:, None])[:, 0]
+    voltage = _around_rest(model, REACH_IN_SCALES * float(model.scale.input_scale[0]))
+    learned = _lifted(model, voltage)
     return float(_dead_zone(voltage, threshold) @ learned / (learned @ learned))
 
 
-def _true_curves(axes: Axes, voltage: Float[np.ndarray, "N"], plant: Mapping[str, Any]) -> None:
-    threshold = plant.get("dead_zone_v")
-    if threshold is None:
-        return
-    axes.plot(voltage, _dead_zone(voltage, threshold), color=style.INK, lw=0.9, ls="--", label="true dead-zone")
-    try:  # both shafts' friction, seen as volts at the armature at rest
-        held = 2 * plant["coulomb_torque_nm"] * plant["resistance_ohm"] / plant["torque_constant_nm_per_a"]
-    except KeyError:
-        return
-    axes.plot(voltage, _dead_zone(voltage, threshold + held), color=style.GREY, lw=0.9, ls=":", label="with friction")
-
-
-def _dead_zone(voltage: Float[np.ndarray, "N"], threshold: float) -> Float[np.ndarray, "N"]:
+def _dead_zone(voltage: Range, threshold: float) -> Range:
     """`v - sgn(v) v_dz`, 0 inside (THEORY section 1)."""
     return np.sign(voltage) * np.maximum(np.abs(voltage) - threshold, 0.0)
 
 
-def _slopes(axes: Axes, model: SSM, voltage: Float[np.ndarray, "N"], slopes: tuple[float | None, float | None]) -> None:
-    scaled = (voltage - model.input_equilibrium[0]) / model.input_scale[0]
+def _slopes(axes: Axes, model: SSM, voltage: Range, record: Mapping[str, Any]) -> None:
+    scaled = (voltage - model.scale.input_equilibrium[0]) / model.scale.input_scale[0]
     local = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
-    lower, upper = slopes
+    lower, upper = record.get("input_slope_lower"), record.get("input_slope_upper")
     if lower is not None and upper is not None:
         axes.axhspan(lower, upper, color=style.SKY, alpha=0.2, lw=0, label=f"certified [{lower:.3g}, {upper:.3g}]")
     axes.step(voltage, local, where="post", color=style.BLUE, label="learned", zorder=3)

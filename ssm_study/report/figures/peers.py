@@ -1,48 +1,51 @@
-"""The ways to a controller beside each other: share of starts settled, settling time relative to the plant left alone,
-and peak input (one dot per run, a bar at the median of several). From the runs' own comparisons where they made one."""
+"""Controllers side by side: settling time relative to the plant left alone, on a logarithmic axis, peak input, and the
+share of starts settled where it is not the same for all (one dot per run, a bar at the median of several). From the
+runs' own comparisons where they made one."""
+
+from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from ssm_study.report import style
-from ssm_study.report.columns import column, spoken, text, words
-from ssm_study.report.study_folder import Study
-from ssm_study.report.verdict import counts
+from ssm_study.report.study_folder import NothingToDraw, StudyFolder
+from ssm_study.report.words import counts, spoken, words
+from ssm_study.table.columns import column, text
 
 
-def draw(study: Study) -> Figure:
-    compared = study.comparison
-    if "controller" not in compared:
-        return figure(study.table, text(study.table, "synthesis_method"))
-    nominal = compared[text(compared, "situation") == "nominal"]
-    return figure(nominal, text(nominal, "controller"))
-
-
-def figure(table: pd.DataFrame, method: pd.Series) -> Figure:
+def draw(study: StudyFolder) -> Figure:
+    compared = "controller" in study.comparison
+    table = study.comparison[text(study.comparison, "situation") == "nominal"] if compared else study.table
+    method = text(table, "controller" if compared else "synthesis_method")
     ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
-    panels = [
-        (column(table, "stable_fraction"), words("stable_fraction"), (-0.05, 1.05)),
-        (ratio, "Settling time / uncontrolled (–)", (0, None)),
-        (column(table, "input_peak_v"), words("input_peak_v"), (0, None)),
+    panels: list[tuple[pd.Series, str, dict[str, Any]]] = [
+        (column(table, "stable_fraction"), words("stable_fraction"), {"xlim": (-0.05, 1.05)}),
+        (ratio, "Settling time / uncontrolled (–)", {"xscale": "log"}),
+        (column(table, "input_peak_v"), words("input_peak_v"), {"xlim": (0, None)}),
     ]
     known = method.ne("") & pd.concat([values for values, _, _ in panels], axis=1).notna().any(axis=1)
-    if not known.any():
-        return style.message(f"No run reached the closed loop.\n{counts(table)}", style.PAGE_IN)
+    if method[known].nunique() < 2:
+        raise NothingToDraw(f"It takes two controllers in the closed loop ({counts(study.table)}).")
     methods = list(dict.fromkeys(method[known]))  # in the order of the table, which tells a story
+    panels = panels[panels[0][0][known].nunique() < 2 :]
     fig = style.canvas(style.PAGE_IN, 0.9 + 0.2 * len(methods))
-    for axes, (values, label, limits) in zip(fig.subplots(1, 3, sharey=True), panels, strict=True):
-        _dots(axes, method, values, methods)
-        axes.set(xlabel=label, xlim=limits, ylim=(len(methods) - 0.5, -0.5))
+    for axes, (values, label, scale) in zip(fig.subplots(1, len(panels), sharey=True), panels, strict=True):
+        for row, name in enumerate(methods):
+            _dots(axes, row, values[method == name].dropna())
+        axes.set(xlabel=label, ylim=(len(methods) - 0.5, -0.5), **scale)
+        if axes.get_xscale() == "log":
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
         axes.set_yticks(range(len(methods)), [spoken(name) for name in methods])
         axes.grid(axis="y", visible=False)
     return fig
 
 
-def _dots(axes: Axes, method: pd.Series, values: pd.Series, methods: list[str]) -> None:
-    for row, name in enumerate(methods):
-        own = values[method == name].dropna()
-        faint = 0.5 if len(own) > 1 else 1.0
-        axes.scatter(own, [row] * len(own), s=16, color=style.BLUE, alpha=faint, lw=0, zorder=3, clip_on=False)
-        if len(own) > 1:
-            axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)
+def _dots(axes: Axes, row: int, own: pd.Series) -> None:
+    several = len(own) > 1
+    faint = 0.5 if several else 1.0  # so that dots on one another are seen
+    axes.scatter(own, [row] * len(own), s=16, color=style.BLUE, alpha=faint, lw=0, zorder=3, clip_on=False)
+    if several:
+        axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)

@@ -1,32 +1,28 @@
-"""How each controller bears what it was not designed for: share of starts settled (%) as colour and number, and below
-it the mean settling time (s) of those that do; per controller and situation, mean over the runs that compared them."""
+"""How each controller copes with what it was not designed for: share of starts settled (%) as colour and number, and
+below it the mean settling time (s) of those that do; per controller and situation, mean over the runs that compared
+them."""
 
 import pandas as pd
 import seaborn as sns
 from matplotlib.figure import Figure
 
 from ssm_study.report import style
-from ssm_study.report.columns import column, spoken
-from ssm_study.report.study_folder import Study
+from ssm_study.report.study_folder import NothingToDraw, StudyFolder
+from ssm_study.report.words import spoken
+from ssm_study.table.columns import column
 
 
-def draw(study: Study) -> Figure:
-    return figure(study.comparison)
-
-
-def figure(compared: pd.DataFrame) -> Figure:
+def draw(study: StudyFolder) -> Figure:
+    compared = study.comparison
     if "situation" not in compared or column(compared, "stable_fraction").isna().all():
-        return style.message("No run compared controllers (experiment=robustness does).", style.PAGE_IN)
+        raise NothingToDraw("No run compared controllers in several situations (experiment=robustness does).")
     shares, times = 100 * _table(compared, "stable_fraction"), _table(compared, "settling_time_mean_s")
     said = shares.map("{:.0f} %".format) + times.map(lambda time: "" if pd.isna(time) else f"\n{time:.2g} s")
     fig = style.canvas(style.PAGE_IN, 0.9 + 0.32 * len(shares))
     axes = fig.add_subplot()
     axes.grid(False)
-    bar = {"label": "Starts settled (%)"}
-    sns.heatmap(
-        shares, ax=axes, cmap="viridis", vmin=0, vmax=100, linewidths=0.8, annot=said, fmt="", cbar_kws=bar,
-        annot_kws={"size": 6.5},
-    )  # fmt: skip
+    look = {"cmap": "viridis", "vmin": 0, "vmax": 100, "linewidths": 0.8, "cbar_kws": {"label": "Starts settled (%)"}}
+    sns.heatmap(shares, ax=axes, annot=said, fmt="", annot_kws={"size": 6.5}, **look)
     axes.set(xlabel="Situation", ylabel="Controller")
     axes.tick_params(axis="y", rotation=0)
     return fig

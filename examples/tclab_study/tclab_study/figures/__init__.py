@@ -1,0 +1,1 @@
+"""Figures that `ssm-study report` finds beside its own."""

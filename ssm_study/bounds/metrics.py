@@ -1,0 +1,58 @@
+"""The numbers of a record that describe the certified model: its linear part, slopes and local Gramians."""
+
+from typing import Any
+
+from ssm_study.bounds.gramians import hankel_singular_values, local_property
+from ssm_study.bounds.slopes import certified_balls, jacobian_ball
+from ssm_study.columns import ITERATED, Column
+from ssm_study.systems import StructuredSystem
+
+NOT_KEPT = "the model before its reduction is not kept in the run's folder"
+
+COLUMNS = (
+    Column("fit_test_before_reduction_percent", "Float64", "high", "", "Fit before reduction", "%", unchecked=NOT_KEPT),
+    Column("states", "Int64", word="States of the certified model"),
+    Column("hankel_largest", "Float64", word="Largest Hankel singular value", tolerance=ITERATED),
+    Column("hankel_smallest", "Float64", word="Smallest Hankel singular value", tolerance=ITERATED),
+    Column("spectral_radius", "Float64", "low", word="Spectral radius of A", unit="–", tolerance=ITERATED),
+    Column("input_slope_lower", "Float64", "high", word="Smallest slope of S_u", unit="–"),
+    Column("input_slope_upper", "Float64", "low", word="Largest slope of S_u", unit="–"),
+    Column("output_slope_lower", "Float64", "high", word="Smallest slope of S_y", unit="–"),
+    Column("output_slope_upper", "Float64", "low", word="Largest slope of S_y", unit="–"),
+    Column("bound_method", "string", word="Slope bound"),
+    Column("input_slope_lower_spectral", "Float64", word="Smallest slope of S_u from norms (unsound)"),
+    Column("input_slope_upper_spectral", "Float64", word="Largest slope of S_u from norms"),
+    Column("local_controllability", "boolean", "high", word="Locally controllable"),
+    Column("controllability_gramian_lower", "Float64", tolerance=ITERATED),
+    Column("controllability_gramian_upper", "Float64", tolerance=ITERATED),
+    Column("local_observability", "boolean", "high", word="Locally observable"),
+    Column("observability_gramian_lower", "Float64", tolerance=ITERATED),
+    Column("observability_gramian_upper", "Float64", tolerance=ITERATED),
+)
+
+
+def bound_facts(model: Any) -> dict[str, Any]:
+    """Everything that is proved of a model by itself: its linear part, certified slopes, and local Gramians.
+
+    Beside the slopes of `S_u` the paper's figure from spectral norms (unsound below). Local controllability and
+    observability hold along any trajectory, with the bounds of [Z26] on the Gramians; those are of a recurrence
+    without neurons.
+    """
+    hankel, facts = hankel_singular_values(model.linear), dict[str, Any]()
+    bounds = {"input": jacobian_ball(model.scaffold_in), "output": jacobian_ball(model.scaffold_out)}
+    for side, bound in bounds.items():
+        facts |= {f"{side}_slope_lower": bound.lower, f"{side}_slope_upper": bound.upper}
+    norms = jacobian_ball(model.scaffold_in, method="spectral")
+    facts |= {"input_slope_lower_spectral": norms.lower, "input_slope_upper_spectral": norms.upper}
+    facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
+    facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
+    facts |= {"spectral_radius": model.linear.spectral_radius}
+    if not isinstance(getattr(model, "system", None), StructuredSystem):
+        balls = certified_balls(model)
+        for name, local in (
+            ("controllability", local_property(model.linear.a, model.linear.b, balls.input)),
+            ("observability", local_property(model.linear.a.T, model.linear.c.T, balls.output)),
+        ):
+            facts |= {f"local_{name}": local.holds, f"{name}_gramian_lower": local.lower}
+            facts |= {f"{name}_gramian_upper": local.upper}
+    return facts

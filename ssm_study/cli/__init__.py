@@ -1,0 +1,1 @@
+"""The commands, and what they answer to a wrong request."""

@@ -1,0 +1,135 @@
+"""How a run and a sweep begin and end: refused, or gathered, drawn, and told in one table."""
+
+import io
+import json
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.text import Text
+
+from ssm_study import __version__
+from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
+from ssm_study.refusal import BadRequest
+from ssm_study.study.line import study_folder
+
+RUN_FIGURES = ("validation_trajectory", "closed_loop_responses")  # the paper's two
+WIDTH = 80  # of the outcome, where a terminal is not narrower
+
+
+def conclude_run(config: DictConfig) -> bool:
+    """Gather the study, draw the run's figures and print how it went; True if the run failed, or,
+    with `strict`, cannot be judged."""
+    study, console = study_folder(config), Console()
+    record = read_record(study / str(config.run)) or {}
+    width = min(WIDTH, console.width) if console.is_terminal else WIDTH
+    drawn = RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]  # a baseline closes no loop
+    figures = [study / "figures" / f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")]
+    # What was told of a study that has not changed is told again: reading it takes pandas, half a second to import.
+    told, about = study / ".told" / f"{config.run}.json", [__version__, str(Path.cwd()), str(study), width]
+    known = _told(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
+    if known[:-1] != about or record.get("status") != OK:
+        known = [*about, _outcome(study, record, drawn, figures, width)]
+        with suppress(OSError):  # a study that may only be read
+            told.parent.mkdir(exist_ok=True)
+            told.write_text(json.dumps(known), encoding="utf-8")  # last: it vouches for tables and figures
+    console.print(Text.from_ansi(known[-1]), soft_wrap=True)
+    return record.get("status") not in (OK, INFEASIBLE) or (config.strict and record.get("evidence") == "cannot judge")
+
+
+def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
+    """What the file holds, if it is younger than every record, every coming and going of a run, and `files` exist."""
+    with suppress(OSError, ValueError):
+        changed = max(path.stat().st_mtime_ns for path in (study, *study.glob(f"*/{RECORD}")))
+        if told.stat().st_mtime_ns > changed and all(path.is_file() for path in files):
+            return list(json.loads(told.read_text(encoding="utf-8")))
+    return []
+
+
+def _outcome(study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int) -> str:
+    """Of a study gathered and drawn: how the run went, as a coloured terminal of that width shows it."""
+    from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
+    from ssm_study.report.outcome import print_outcome
+    from ssm_study.report.study_folder import StudyFolder
+    from ssm_study.table.gather import gather
+
+    gather(study)
+    shown = figures if record.get("status") == OK else []
+    changed = max((path.stat().st_mtime for path in study.glob(f"*/{RECORD}")), default=0.0)
+    if shown and not all(path.is_file() and path.stat().st_mtime > changed for path in shown):
+        draw(drawn, study)
+    best = StudyFolder(folder=study).best if shown else None
+    page = Console(file=io.StringIO(), width=width, force_terminal=True, color_system="standard", no_color=False)
+    with page.capture() as said:
+        print_outcome(record, [path for path in shown if path.is_file()], page, best.path.name if best else None)
+    return said.get().rstrip("\n")
+
+
+def conclude_sweep(config: DictConfig) -> bool:
+    """Gather the study and print its table; True if any of its runs failed."""
+    from ssm_study.evidence.finding import CANNOT_JUDGE
+    from ssm_study.table.gather import gather
+    from ssm_study.table.show import show
+
+    study = study_folder(config)
+    show(study)
+    table = gather(study)
+    withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
+    return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)
+
+
+class StudyCallback(Callback):
+    """Before a run: refuse what is wrong. After it: note what remains to be done, for Hydra swallows what that raises.
+
+    `conclude()` gathers the study, draws its figures and says how it went; True if runs failed.
+    """
+
+    conclude: Callable[[], bool] | None = None
+    stop_watching: Callable[[], None] | None = None
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        from ssm_study.study import line as study
+
+        _refusing(lambda: study.STUDY.finished(config) or study.STUDY.request(config))  # built only if it is to run
+        _refusing(lambda: study.check_retry(config, str(config.run)))
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        from ssm_study.cli.request import check_sweep
+        from ssm_study.study import line as study
+
+        _refusing(lambda: study.check_retry(config))
+        if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
+            _refusing(lambda: self._watch([job.folder for job in check_sweep(config, study.STUDY)]))
+
+    def on_run_end(self, config: DictConfig, **_: Any) -> None:
+        if not config.dry_run:
+            StudyCallback.conclude = partial(conclude_run, config)
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        if StudyCallback.stop_watching:
+            StudyCallback.stop_watching()  # its last line comes before the table
+        if not config.dry_run:
+            StudyCallback.conclude = partial(conclude_sweep, config)
+
+    def _watch(self, folders: list[Path]) -> None:
+        from ssm_study.engine.progress import Watch
+
+        if folders:
+            watch = Watch(folders)
+            watch.start()
+            StudyCallback.stop_watching = watch.finish
+
+
+def _refusing(check: Callable[[], object]) -> None:
+    """Hydra swallows the exceptions of callbacks, but not an exit."""
+    try:
+        check()
+    except BadRequest as refusal:
+        print(f"ssm-study: {refusal}", file=sys.stderr)
+        raise SystemExit(2) from refusal

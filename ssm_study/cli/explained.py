@@ -1,0 +1,84 @@
+"""What Hydra refuses, said in one sentence with the request that was probably meant."""
+
+import re
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+
+import yaml  # type: ignore[import-untyped]
+from omegaconf import DictConfig, OmegaConf
+
+from ssm_study.refusal import BadRequest, require
+
+ASK = "see `ssm-study run --help`"
+
+
+def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
+    """The refusal of `overrides` over the configuration in `folder` that Hydra answered with `error`."""
+    asked, said = " ".join(overrides) or "(no override)", one_sentence(error)
+    if found := re.search(r"Could not find '(.+)/([^/']+)' Available options in '.+': (.+)", said):
+        group, name, choices = found[1], found[2], found[3].split()
+        near = get_close_matches(name, choices, n=1)
+        remedy = f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
+        return BadRequest("request", asked, f"there is no {group}/{name}", remedy)
+    if found := re.search(r"Ambiguous value for argument '(.+?)'", said):
+        return BadRequest("request", asked, f"{found[1]} are several values for one run", "add -m to sweep over them")
+    if found := re.search(r"Could not override '([^']+)'", said):
+        return BadRequest("request", asked, said, meant(found[1], overrides, folder) or ASK)
+    return BadRequest("request", asked, said, ASK)
+
+
+def one_sentence(error: BaseException) -> str:
+    """Hydra's and OmegaConf's messages without their appendices."""
+    text = str(error)
+    for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
+        text = text.split(appendix)[0]
+    return " ".join(text.split()).rstrip(".")
+
+
+def refuse_dashes(overrides: list[str], folder: Path) -> None:
+    """Raise `BadRequest` for a setting that is written like an option, `--model.order 4`, and for Hydra's rerun."""
+    settings = {"seed", "study", "results_dir", *(group.name for group in folder.iterdir() if group.is_dir())}
+    for word in overrides:
+        key = word.removeprefix("--").split("=")[0]
+        dashed = word.startswith("--") and ("." in key or key in settings)
+        require(not dashed, "request", word, "a setting has no dashes", f"write {key}=VALUE")
+        rerun = word.startswith("--e") and "experimental-rerun".startswith(key)  # it would load a pickle: foreign code
+        require(not rerun, "request", word, "a stored job is not run again", "use `ssm-study reproduce RUN`")
+
+
+def meant(key: str, overrides: list[str], folder: Path) -> str:
+    """For a key that is not there: the choice that has it, else the nearest key or group, else nothing."""
+    from hydra import compose, initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+
+    if owners := choices_with(key, folder):
+        return f"{' and '.join(owners)} {'have' if len(owners) > 1 else 'has'} it: add {owners[0]}"
+    GlobalHydra.instance().clear()  # of the request that failed
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        chosen = [word for word in overrides if (group := word.partition("=")[0]) and (folder / group).is_dir()]
+        config = compose("study", [word.split(",")[0] for word in chosen])  # of a sweep the first choice
+    groups = [path.name for path in folder.iterdir() if path.is_dir()]
+    known = [*keys_of(config), *groups]
+    near = get_close_matches(key, known, n=1) or [group for group in groups if len(key) > 2 and group.startswith(key)]
+    return f"did you mean {near[0]}?" if near else ""
+
+
+def choices_with(key: str, folder: Path) -> list[str]:
+    """`data.path` -> `[data=recorded]`: the choices of a group, not taken here, that have the key."""
+    parts, found = key.split("."), []
+    for cut in range(1, len(parts)):
+        rest = ".".join(parts[cut:])
+        for path in sorted(folder.joinpath(*parts[:cut]).glob("*.yaml")):
+            loaded = yaml.safe_load(path.read_text())
+            if isinstance(loaded, dict) and rest in keys_of(OmegaConf.create(loaded)):
+                found.append(f"{'/'.join(parts[:cut])}={path.stem}")
+    return found
+
+
+def keys_of(config: DictConfig, prefix: str = "") -> Iterator[str]:
+    """Every key of the configuration, dotted."""
+    for key in map(str, config):
+        yield prefix + key
+        if not OmegaConf.is_missing(config, key) and isinstance(config[key], DictConfig):
+            yield from keys_of(config[key], f"{prefix}{key}.")

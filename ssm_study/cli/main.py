@@ -1,0 +1,336 @@
+"""`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the request was wrong."""
+
+import argparse
+import gc
+import os
+import select
+import sys
+import warnings
+from collections.abc import Callable
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from ssm_study import __version__
+from ssm_study.extensions import taken_from
+from ssm_study.refusal import BadRequest, require
+
+PYTHONS_WARNING = warnings.formatwarning
+DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
+COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one `ssm-study` command; returns its exit status."""
+    limit_threads()  # first: the libraries read it once, when they are imported
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        arguments = taken_from(arguments)
+        if arguments[:1] == ["run"]:
+            return run(arguments[1:])
+        options = _parser().parse_args(arguments or ["--help"])
+        command: Callable[[argparse.Namespace], int] = options.command
+        return command(options)
+    except KeyboardInterrupt:
+        print("ssm-study: interrupted; the same command again does what is missing", file=sys.stderr)
+        sys.excepthook = lambda *_: None  # without a traceback, yet ended by the signal: a script's loop ends with it
+        raise
+    except Exception as error:  # the one guard: whatever a file holds, no command ends in a traceback
+        if isinstance(error, BrokenPipeError) and _reader_is_gone():  # `ssm-study show STUDY | head`
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return DONE
+        if "SSM_STUDY_TRACEBACK" in os.environ and not isinstance(error, (BadRequest, OSError)):
+            raise
+        print(f"ssm-study: {_told(error, arguments)}", file=sys.stderr)
+        return WRONG_REQUEST
+
+
+def _told(error: Exception, arguments: list[str]) -> BadRequest:
+    """What ended the command, in one sentence."""
+    if isinstance(error, BadRequest):
+        return error
+    if isinstance(error, OSError):
+        return _full_or_forbidden("file", error)
+    problem = f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
+    remedy = "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
+    return BadRequest("command", " ".join(arguments), problem, remedy)
+
+
+def _full_or_forbidden(field: str, error: OSError) -> BadRequest:
+    problem, remedy = error.strerror or type(error).__name__, "make room, or choose a folder that you may write to"
+    return BadRequest(field, error.filename or "not named", problem, remedy)
+
+
+def _reader_is_gone() -> bool:
+    """Whether nobody reads our output any more; another broken pipe is no good end."""
+    poll = select.poll()
+    poll.register(sys.stdout.fileno(), 0)
+    return bool(poll.poll(0))
+
+
+def limit_threads() -> None:
+    """Before torch is imported: one thread, unless the environment says otherwise (two processes with as many threads
+    as cores each are 20 times slower). Single runs and Hydra's basic launcher work in this very process."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads sleep instead of spinning
+    for variable in COUNTS:
+        os.environ.setdefault(variable, "1")
+
+
+def refuse_more_threads_than_cores() -> None:
+    """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
+    cores = len(os.sched_getaffinity(0))
+    for variable in COUNTS:
+        asked = os.environ[variable]
+        fits = asked.isdigit() and 1 <= int(asked) <= cores
+        require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
+
+
+def _warned(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Our own warnings are sentences for the user: without the line of code that gave them."""
+    ours = category.__module__.startswith("ssm_study")
+    return f"ssm-study: {message}\n" if ours else PYTHONS_WARNING(message, category, filename, lineno, line)
+
+
+def configuration_folder() -> Path:
+    """Where the configuration lies: inside the installed package, or beside it in a clone."""
+    package = Path(str(files("ssm_study")))
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def run(overrides: list[str]) -> int:
+    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
+    import hydra
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from ssm_study.cli.endings import StudyCallback
+    from ssm_study.cli.explained import advised, refuse_dashes
+    from ssm_study.cli.request import asks_only, check_request, translate
+    from ssm_study.engine.compose import Request
+
+    warnings.formatwarning = _warned
+    refuse_more_threads_than_cores()
+    refuse_dashes(overrides, configuration_folder())
+    overrides = translate(overrides)
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
+    sys.argv = ["ssm-study run", *overrides]
+    StudyCallback.conclude = StudyCallback.stop_watching = None  # of an earlier call in this process
+    try:
+        if any(word in ("--help", "-h") for word in overrides):
+            Request(overrides, configuration_folder(), "study").help()
+        elif asks_only(overrides):
+            hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(_nothing)()
+        else:
+            check_request(overrides, configuration_folder(), "study").do(_job())
+        # Here and not in the callback: Hydra swallows what a callback raises.
+        return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
+    except (HydraException, OmegaConfBaseException) as error:
+        raise advised(error, overrides, configuration_folder()) from error
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise _full_or_forbidden("results_dir", error) from error
+    finally:
+        GlobalHydra.instance().clear()  # a program that calls this may compose again
+
+
+def _nothing(_: DictConfig) -> None:
+    """For a request that Hydra answers by itself."""
+
+
+def _job() -> Callable[[DictConfig], Any]:
+    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
+    from ssm_study.study import line as study
+
+    gc.enable()
+    gc.freeze()  # the modules stay until the end: later collections pass over them
+    return study.STUDY.job
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ssm-study",
+        description="Identify a model from data, design a certified output-feedback controller, compare many runs.",
+        epilog="Every command takes --with FOLDER: it adds the parts of your own study folder to the choices.",
+    )
+    parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands.add_parser("run", help="do one run, or with -m a sweep; see `ssm-study run --help`", add_help=False)
+    made = commands.add_parser("new", help="write a study folder of your own: plant, theorem, figure, test, README")
+    made.add_argument("folder", type=Path, metavar="FOLDER", help="a folder that does not exist yet")
+    made.set_defaults(command=_new)
+    told = "write an input for your own plant: several amplitudes, each period twice, then rest"
+    excited = commands.add_parser("excite", help=told, description=told[0].upper() + told[1:] + ".")
+    for words, settings in EXCITE.items():
+        excited.add_argument(words, required="default" not in settings, **settings)
+    excited.set_defaults(command=_excite)
+    for name, (action, subject, told) in ACTIONS.items():
+        command = commands.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".")
+        command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
+        command.set_defaults(command=partial(_on_its_folder, action, subject))
+        for words, settings in OPTIONS.get(name, {}).items():
+            command.add_argument(words, **settings)
+    return parser
+
+
+def _on_its_folder(action: Callable[[argparse.Namespace], int], subject: str, options: argparse.Namespace) -> int:
+    from ssm_study.table import folders
+
+    found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
+    setattr(options, subject, found)
+    return action(options)
+
+
+def _new(options: argparse.Namespace) -> int:
+    from ssm_study.cli.new import new
+
+    for path in new(options.folder):
+        print(path)
+    return DONE
+
+
+def _excite(options: argparse.Namespace) -> int:
+    from ssm_study.data.excitations.own_plant import OwnPlantRecord
+
+    settings = {name: value for name, value in vars(options).items() if name not in ("command", "to")}
+    print(OwnPlantRecord(**settings).write(options.to))
+    return DONE
+
+
+# Each command imports what it takes when it is given, so that `--help` and refusals load no library of numerics.
+def _gather(options: argparse.Namespace) -> int:
+    from ssm_study.table.gather import gather
+
+    print(f"{len(gather(options.study))} runs in {options.study / 'runs.parquet'}")
+    return DONE
+
+
+def _show(options: argparse.Namespace) -> int:
+    from ssm_study.table.show import show
+
+    show(options.study, by=options.by, where=options.where, cost=options.cost, columns=options.columns)
+    return DONE
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from ssm_study.study.verify import verify
+
+    verified = verify(options.run)
+    print(verified.to_json() if options.json else "\n".join(verified.lines()))
+    return DONE if verified.holds else SOME_FAILED
+
+
+def _refine(options: argparse.Namespace) -> int:
+    from ssm_study.cli.refine import told
+
+    return SOME_FAILED if told(options) else DONE
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from ssm_study.study import line as study
+    from ssm_study.study.reproduce import reproduce
+
+    again = reproduce(options.run, study.STUDY.job)
+    print("\n".join(again.lines()))
+    return DONE if again.holds() else SOME_FAILED
+
+
+def _export(options: argparse.Namespace) -> int:
+    from ssm_study.export.targets import export
+    from ssm_study.study.verify import verify
+
+    verify(options.run).demand("run", options.run)  # what is exported claims to be certified: recompute it first
+    for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
+        print(path)
+    return DONE
+
+
+def _export_mlflow(options: argparse.Namespace) -> int:
+    from ssm_study.export.mlflow import export_mlflow
+
+    print(f"{export_mlflow(options.study, options.store)} runs written")
+    return DONE
+
+
+def _report(options: argparse.Namespace) -> int:
+    from ssm_study.report.figures import draw
+
+    for path in [] if options.others else draw(options.only, options.study, tell=print):
+        print(path)
+    if options.only is None:
+        from ssm_study.report.page.writing import write_page
+
+        print(write_page(options.study, tuple(options.others)))
+    return DONE
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from ssm_study.report.page.live import serve
+
+    with serve(options.study, options.port, announce=lambda address: print(address, flush=True)) as server:
+        server.serve_forever()
+    return DONE
+
+
+# Command: what it does, on what, and what its help says.
+ACTIONS: dict[str, tuple[Callable[[argparse.Namespace], int], str, str]] = {
+    "gather": (_gather, "study", "(re)build runs.parquet and runs.csv of a study folder"),
+    "show": (_show, "study", "print the study's table, best first; failures with reasons"),
+    "verify": (_verify, "run", "recompute every claim of a run from its files alone"),
+    "refine": (_refine, "run", "measure the mismatch in closed loop, choose the controller again, run it"),
+    "reproduce": (_reproduce, "run", "do a run again from its configuration and compare every number"),
+    "export": (_export, "run", "write the controller in C, as ONNX and for python-control"),
+    "report": (_report, "study", "draw the figures of a study into its folder and write its page, report.html"),
+    "watch": (_watch, "study", "serve the report page on a local port while a sweep runs; it reloads itself"),
+    "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
+}
+EXCITE: dict[str, dict[str, Any]] = {
+    "--to": {"type": Path, "metavar": "FILE", "help": "the CSV file to write: time_s, input"},
+    "--lower": {"type": float, "metavar": "U", "help": "smallest input, in its unit"},
+    "--upper": {"type": float, "metavar": "U", "help": "largest input"},
+    "--rest": {"type": float, "metavar": "U", "help": "the input at which the plant rests"},
+    "--step-s": {"type": float, "metavar": "S", "help": "sampling time, seconds"},
+    "--settle-s": {"type": float, "metavar": "S", "help": "how long the plant takes to come to rest, seconds"},
+    "--seed": {"type": int, "default": 0, "metavar": "N", "help": "seed of the random levels"},
+}
+SUBJECTS = {
+    "study": "the study folder, e.g. results/paper",
+    "run": "the run folder, or the study with the digits that `show` prints: results/paper/1a2b3c4d5e",
+}
+FIGURES = sorted(path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py"))
+OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
+    "show": {
+        "--by": {"metavar": "COLUMN", "help": "sort by this column of runs.csv, in its better direction"},
+        "--where": {"metavar": "EXPR", "help": "keep runs for which this holds, e.g. 'order == 8 and seed < 5'"},
+        "--columns": {"action": "store_true", "help": "list the columns that hold values, with unit and meaning"},
+        "--cost": {"action": "store_true", "help": "how long each stage took, and what reuse saved"},
+    },
+    "verify": {"--json": {"action": "store_true", "help": "for machines: every claim, and what was not checked"}},
+    "refine": {
+        "--record": {"type": Path, "metavar": "LOG", "help": "log of a trial, with the columns of the run's data"},
+        "--times": {"type": int, "default": 4, "metavar": "N", "help": "stop after N iterations, each a run (4)"},
+    },
+    "export": {
+        "--to": {"type": Path, "required": True, "metavar": "DIR", "help": "the folder to write into"},
+        "--real": {"default": "double", "metavar": "TYPE", "help": "floats of the C code: double (default) or float"},
+        "--prefix": {"default": "controller", "metavar": "NAME", "help": "what the names of the C code begin with"},
+    },
+    "report": {
+        "others": {"nargs": "*", "type": Path, "metavar": "STUDY", "help": "further studies to show on the same page"},
+        "--only": {
+            "action": "append",
+            "metavar": "NAME",
+            "help": f"draw only this figure (may be repeated): {', '.join(FIGURES)}",
+        },
+    },
+    "watch": {"--port": {"type": int, "default": 8420, "metavar": "PORT", "help": "local port (0: any free one)"}},
+    "export-mlflow": {
+        "--store": {"metavar": "ADDRESS", "help": "tracking address (default: sqlite:///STUDY/mlflow.db)"}
+    },
+}

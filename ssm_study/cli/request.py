@@ -1,0 +1,59 @@
+"""A request, checked before Hydra acts on it: our three options, and every configuration of a sweep."""
+
+from pathlib import Path
+from typing import Any
+
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig
+
+from ssm_study.engine.compose import Composer, Request, combinations
+from ssm_study.engine.jobs import Job, jobs_of
+from ssm_study.engine.task import Task
+from ssm_study.study.allow_list import refuse_foreign_targets
+
+OPTIONS = {
+    "--dry-run": ("hydra/launcher=processes", "dry_run=true"),
+    "--retry-failed": ("retry_failed=true",),
+    "--strict": ("strict=true",),
+}
+# With --dry-run nothing is launched, so what was said about another launcher does not matter.
+LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
+JUST_ASKING = ("--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
+
+
+def translate(arguments: list[str]) -> list[str]:
+    """Our own options of `ssm-study run` as Hydra's arguments; `-m` may stand anywhere."""
+    many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)  # only a launcher can plan
+    rest = [word for word in arguments if word not in ("-m", "--multirun")]
+    if "--dry-run" in rest:
+        rest = [word for word in rest if not word.startswith(LAUNCHER)]
+    return ["--multirun"] * many + [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
+
+
+def asks_only(arguments: list[str]) -> bool:
+    """Whether Hydra answers by itself: versions, the composed configuration."""
+    return any(word.split("=")[0] in JUST_ASKING for word in arguments)
+
+
+def check_request(arguments: list[str], folder: Path, name: str) -> Request:
+    """The request, composed; refused are foreign targets, Hydra's own section included.
+
+    Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes first.
+    Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
+    """
+    request = Request(arguments, folder, name)
+    refuse_foreign_targets(request.config)
+    return request
+
+
+def check_sweep(config: DictConfig, task: Task[Any]) -> list[Job]:
+    """Compose every job of the sweep, whatever its launcher, and refuse it whole if one of them is wrong.
+
+    For `on_multirun_start`, where `config` is the sweep's own configuration. A search does not know its jobs
+    beforehand; the launcher checks them as they come.
+    """
+    composer = Composer(GlobalHydra.instance().config_loader(), config, task.refuse)
+    jobs = jobs_of(composer, combinations(config))
+    for job in jobs:
+        job.check(task)
+    return jobs

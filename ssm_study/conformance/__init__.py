@@ -1,0 +1,32 @@
+"""The laws that every plant, scaffolding, theorem, model and experiment obeys: `pytest --pyargs ssm_study.conformance`.
+
+Judged is every yaml of a group, ours and those of trusted packages (`ssm_study.extensions`); `-k NAME` judges one.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ssm_study.cli.main import configuration_folder
+from ssm_study.engine.settings import plain
+from ssm_study.extensions import configurations
+
+
+def folders() -> list[Path]:
+    """Of yaml files by group: ours first, as the search goes."""
+    return [configuration_folder(), *configurations()]
+
+
+def choices(group: str) -> list[str]:
+    """Every yaml of the group that is complete: one that asks for a file (`???`) is its owner's to test."""
+    every = (path for folder in folders() for path in (folder / group).glob("*.yaml"))
+    return sorted({path.stem for path in every if ": ???" not in path.read_text(encoding="utf-8")})
+
+
+@cache
+def part(group: str, choice: str) -> Any:
+    """The object a study would get for `group=choice`."""
+    from ssm_study import library
+    from ssm_study.study import specification
+
+    return specification.part(group, plain(library.composed([f"{group}={choice}"]))[group])

@@ -1,0 +1,64 @@
+"""Every choice of a swappable part runs the whole line, without being listed here: a new yaml is a new test case."""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import jaxtyping
+import pytest
+
+from ssm_study.cli.main import main
+from ssm_study.conformance import choices, folders
+from ssm_study.extensions import configurations, modules
+from ssm_study.report import figures
+from ssm_study.study.verify import verify
+
+TINY = ["experiment=smoke", "progress=false", "data.samples=300", "data.test_samples=300", "training.max_epochs=2"]
+QUICK = "synthesis=riccati"  # without the search over rates: the case is another part
+
+
+OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
+EVERY = [
+    *[(QUICK, f"{option}={name}") for group, option in OPTIONS.items() for name in choices(group)],
+    *[(f"synthesis={name}",) for name in choices("synthesis")],
+    *[(f"experiment={path.stem}",) for folder in configurations() for path in folder.glob("experiment/*.yaml")],
+]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _shapes_unchecked() -> Iterator[None]:
+    """Without the check of every call that a test run may ask of jaxtyping: here whole lines run, step by step."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(scope="session")
+def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One store for all cases and workers: what two of them share is computed once."""
+    base = tmp_path_factory.getbasetemp()
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "every"
+
+
+@pytest.mark.parametrize("choice", EVERY, ids=lambda choice: choice[-1])
+def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
+    study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
+    tiny = TINY[choice[-1].startswith("experiment=") :]
+    assert main(["run", *tiny, *choice, f"results_dir={shared_results}", f"study={study}"]) == 0
+    (path,) = (shared_results / study).glob("*/record.json")
+    record = json.loads(path.read_text())
+    assert record["status"] in ("ok", "infeasible")
+    if record["status"] == "infeasible":
+        assert record["infeasible_reason"]
+    assert [finding for finding in verify(path.parent) if not finding.holds] == []
+    for name in modules("figures"):
+        assert figures.caption(name)
+        assert all(drawn.stat().st_size > 0 for drawn in figures.draw([name], shared_results / study))
+
+
+def test_no_choice_of_another_package_hides_behind_ours() -> None:
+    """Ours are found first: a yaml or figure of the same name would never be used."""
+    ours, *others = ([path.relative_to(folder) for path in folder.glob("*/*.yaml")] for folder in folders())
+    assert not {path for theirs in others for path in theirs} & set(ours)
+    assert not set(modules("figures")) & {path.stem for path in Path(figures.__file__).parent.glob("*.py")}

@@ -1,0 +1,70 @@
+"""The laws of `Plant`, for every yaml of the group."""
+
+import numpy as np
+import pytest
+
+from ssm_study.conformance import choices, part
+from ssm_study.plants.plant import Plant
+
+SAMPLES, HALF = 30, 15
+
+
+@pytest.fixture(params=choices("plant"))
+def plant(request: pytest.FixtureRequest) -> Plant:
+    made: Plant = part("plant", request.param)
+    return made
+
+
+def inputs(plant: Plant, cases: int) -> np.ndarray:
+    levels = np.random.default_rng(0).uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
+    return plant.equilibrium().u + levels * np.array(plant.input_amplitude)
+
+
+def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
+    rest = plant.equilibrium()
+    x, y = plant.simulate(np.tile(rest.u, (1, SAMPLES, 1)))
+    np.testing.assert_allclose(x[0], np.tile(rest.x, (SAMPLES, 1)), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(y[0], np.tile(rest.y, (SAMPLES, 1)), rtol=1e-9, atol=1e-12)
+
+
+def test_shapes_and_names_agree(plant: Plant) -> None:
+    x, y = plant.simulate(inputs(plant, 3))
+    assert x.shape == (3, SAMPLES, len(plant.states))
+    assert y.shape == (3, SAMPLES, len(plant.outputs))
+    assert len(plant.input_amplitude) == len(plant.inputs)
+    assert len(plant.noise_variance) == len(plant.outputs)
+    channels = (*plant.inputs, *plant.outputs, *plant.states, *plant.disturbances)
+    assert all(channel.name.isidentifier() and channel.unit for channel in channels)
+
+
+def test_a_batch_equals_its_rows(plant: Plant) -> None:
+    u = inputs(plant, 3)
+    alone = [plant.simulate(u[i : i + 1])[1] for i in range(3)]
+    np.testing.assert_array_equal(plant.simulate(u)[1], np.concatenate(alone))
+
+
+def test_two_halves_equal_the_whole(plant: Plant) -> None:
+    u = inputs(plant, 2)
+    x, _ = plant.simulate(u)
+    again, _ = plant.simulate(u[:, HALF:], x0=x[:, HALF])
+    np.testing.assert_allclose(again, x[:, HALF:], rtol=1e-12, atol=1e-14)
+
+
+def test_states_at_reads_back(plant: Plant) -> None:
+    offsets = np.linspace(*plant.initial_range, 5)[:, None] * np.ones(len(plant.outputs))
+    wanted = plant.equilibrium().y + offsets
+    np.testing.assert_allclose(plant.output(plant.states_at(wanted)), wanted, rtol=1e-12)
+
+
+def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> None:
+    changed = (u := inputs(plant, 1)).copy()
+    changed[:, HALF] = plant.equilibrium().u + np.array(plant.input_amplitude)
+    y, y_changed = plant.simulate(u)[1], plant.simulate(changed)[1]
+    np.testing.assert_array_equal(y[:, : HALF + 1], y_changed[:, : HALF + 1])
+    assert not np.array_equal(y[:, HALF + 1 :], y_changed[:, HALF + 1 :])
+
+
+def test_disturbances_act(plant: Plant) -> None:
+    still = plant.simulate(u := inputs(plant, 1))[0]
+    for pushed in 1e-3 * np.eye(len(plant.disturbances)):
+        assert not np.array_equal(plant.simulate(u, d=np.tile(pushed, (1, SAMPLES, 1)))[0], still)

@@ -1,0 +1,109 @@
+"""The numbers of a record that describe the data: where they come from, what they identify, how benchmarks score."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.columns import Column
+from ssm_study.refusal import require
+from ssm_study.signals import DataSet, Trajectory, rmse
+
+SCORES = ("rmse", "rmse_mm", "rmse_milli", "position_mm")  # rmse_mm: of an output in m; rmse_milli: of any unit
+BINS = 20
+RANK_TOLERANCE = 4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding
+SAMPLES_FOR_ORDER = 2000
+HIGHEST_ORDER = 50  # looked no further: a model of order 24 is identifiable by then
+
+COLUMNS = (
+    Column("seed", "Int64", word="Seed", setting="seed"),
+    Column("excitation", "string", word="Excitation", setting="excitation"),
+    Column("fold", "Int64", word="Fold that tests", setting="data.fold"),
+    Column("data_source", "string", word="Data"),
+    Column("benchmark", "string", word="Benchmark"),
+    Column("input_coverage", "Float64", "high", "coverage", "Input amplitude coverage", "–"),
+    Column("excitation_order", "Int64", "high", word="Order of persistent excitation"),
+    Column("excitation_warning", "string"),
+)
+
+
+def data_facts(data: DataSet) -> dict[str, Any]:
+    """Where the records come from and how much of the input's range they visit; no output enters."""
+    return {
+        "data_source": data.metadata.get("source"),
+        "benchmark": data.metadata.get("benchmark"),
+        "input_coverage": input_coverage(data),
+        "excitation_order": min(persistency_order(record.u) for record in data.training),
+        "excitation_warning": warn_if_two_level(data),
+    }
+
+
+def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
+    """One RMSE per test record, after the start-up samples: in the unit of `data.metadata["score"]`."""
+    require(len(y_hat) == len(data.test), "y_hat", len(y_hat), f"there are {len(data.test)} test records", "score all")
+    pairs, score = list(zip(data.test, y_hat, strict=True)), data.metadata.get("score", "rmse")
+    if score == "position_mm":
+        return tuple(position_rmse_mm(r, y, data.start_up_samples) for r, y in pairs)
+    factor = 1.0 if score == "rmse" else 1000.0
+    return tuple(factor * rmse(r.y, y, data.start_up_samples) for r, y in pairs)
+
+
+def position_rmse_mm(record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int) -> float:
+    """`1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured position `q[s]`.
+
+    The recorded velocity is the position's backward difference, so its running sum is the measured position exactly;
+    `s` is the last start-up sample. Velocities in m/s.
+    """
+    kept = slice(start_up_samples, None)
+    drift = np.cumsum(velocity_hat[kept] - record.y[kept]) * record.step_s
+    return float(1000.0 * np.sqrt(np.mean(drift**2)))
+
+
+class SlopesNotIdentifiable(UserWarning):
+    """The training inputs visit so few amplitudes that the slopes of S_u between them come from initialisation."""
+
+
+def input_coverage(data: DataSet) -> float:
+    """The share of `BINS` equal bins of the amplitude range that the training inputs visit, worst input channel.
+
+    The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In [0, 1].
+    """
+    training = np.concatenate([r.u for r in data.training])
+    everything = np.concatenate([r.u for r in (*data.training, *data.validation, *data.test)])
+    low, width = everything.min(axis=0), np.ptp(everything, axis=0)
+    if not width.all():
+        return 0.0
+    bins = np.minimum((BINS * (training - low) / width).astype(int), BINS - 1)
+    return min(len(np.unique(column)) / BINS for column in bins.T)
+
+
+def warn_if_two_level(data: DataSet) -> str | None:
+    """The warning's sentence if some input takes two levels at most over the training records, else None."""
+    training = np.concatenate([r.u for r in data.training])
+    for j, channel in enumerate(data.inputs):
+        levels = len(np.unique(training[:, j]))
+        if levels <= 2:
+            sentence = f"excitation of {channel.name}: {levels} levels only, so the slopes of a nonlinear S_u between "
+            sentence += "them are not identifiable; train on a multilevel signal (excitation=aprbs)."
+            warnings.warn(sentence, SlopesNotIdentifiable, stacklevel=2)
+            return sentence
+    return None
+
+
+def persistency_order(u: Float[np.ndarray, "T m"], highest: int = HIGHEST_ORDER) -> int:
+    """The largest L <= `highest` for which the block Hankel matrix of L rows of u has full row rank `m L`.
+
+    A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et al. 2005). Judged on
+    the first 2000 samples.
+    """
+    u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
+    order, too_deep = 0, min(highest, (len(u) + 1) // (u.shape[1] + 1)) + 1
+    while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
+        middle = (order + too_deep) // 2
+        columns = len(u) - middle + 1
+        hankel = np.concatenate([u[k : k + columns].T for k in range(middle)])
+        values = np.linalg.svd(hankel, compute_uv=False)
+        full = values[-1] > RANK_TOLERANCE * values[0]
+        order, too_deep = (middle, too_deep) if full else (order, middle)
+    return order

@@ -1,0 +1,1 @@
+"""One file a format: columns of a recording."""

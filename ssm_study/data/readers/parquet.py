@@ -1,0 +1,30 @@
+"""Parquet: number columns by name; a field's metadata may state its unit under the key `unit`."""
+
+from pathlib import Path
+
+import pyarrow as pa
+from pyarrow import parquet
+
+from ssm_study.data.readers.reader import Reader, Table, arrow_numbers, check_named
+from ssm_study.refusal import BadRequest, require
+
+
+class ParquetReader(Reader, names=(".parquet",)):
+    """The named columns; page checksums are verified where the file has them. Refuses a file that is not whole."""
+
+    def read(self, path: Path, names: list[str]) -> Table:
+        where = f"{path.name} (column)"
+        try:
+            schema = parquet.read_schema(path)
+            check_named(where, names, schema.names)
+            for kind, name in ((schema.field(name).type, name) for name in names):
+                numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind)
+                require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
+            table = parquet.read_table(path, columns=names, page_checksum_verification=True)
+            columns = arrow_numbers(path, table, {name: name for name in names}, "row", 0)
+        except BadRequest:
+            raise
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise BadRequest("data.path", path, f"not a complete Parquet file ({error})", "write it again") from error
+        units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode(errors="replace") for name in names}
+        return Table(columns=columns, units=units, row_word="row")

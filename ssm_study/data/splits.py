@@ -1,0 +1,69 @@
+"""Which part of a log trains, validates and tests: by time, named intervals, interleaved blocks, or folds."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Int
+
+from ssm_study.refusal import require
+from ssm_study.signals import Trajectory
+
+Pieces = tuple[list[Trajectory], list[Trajectory], list[Trajectory]]
+Intervals = Sequence[list[float]]
+
+BLOCKS = 10  # interleaved: of every five blocks three train, one validates, one tests
+FEWEST = 50  # samples a block needs beyond the start-up window
+UNLIKE = 1.0  # training deviations by which the output's mean at the end may differ; its deviation: a factor of two
+
+
+def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
+    """Contiguous pieces, in the order of time: training first."""
+    first, second = round(len(record) * (1 - validation - test)), round(len(record) * (1 - test))
+    return [record[:first]], [record[first:second]], [record[second:]]
+
+
+def in_blocks(record: Trajectory) -> Pieces:
+    """`BLOCKS` equal pieces: 1, 2, 3 train, 4 validates, 5 tests, and so on."""
+    blocks = [record[a:b] for a, b in pairwise(np.linspace(0, len(record), BLOCKS + 1).round().astype(int))]
+    return [b for k, b in enumerate(blocks) if k % 5 < 3], blocks[3::5], blocks[4::5]
+
+
+def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
+    """`named` holds intervals in seconds for `validation` and `test`; the rest, piece by piece, trains.
+
+    Raises `BadRequest` for an interval that is empty, outside the log, or shared by two parts.
+    """
+    part = np.zeros(len(record), dtype=int)
+    for number, name in enumerate(("validation", "test"), start=1):
+        for interval in named.get(name, ()):
+            start, end = (round(float(second) / record.step_s) for second in interval)
+            inside = 0 <= start < end <= len(record)
+            length = f"the log lasts {len(record) * record.step_s:g} s"
+            require(inside, f"data.{name}", list(interval), length, "give [from, to] in seconds, within it")
+            free = not part[start:end].any()
+            require(free, f"data.{name}", list(interval), "overlaps another interval", "give each sample to one part")
+            part[start:end] = number
+    return _cut(record, part)
+
+
+def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
+    """Of `folds` equal pieces number `fold` tests, the one before it validates (before the first: the last)."""
+    piece = folds * np.arange(len(record)) // len(record)
+    return _cut(record, np.select([piece == fold, piece == (fold - 1) % folds], [2, 1], 0))
+
+
+def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
+    """Samples of one part that follow each other are one record; 0 trains, 1 validates, 2 tests."""
+    pieces: Pieces = ([], [], [])
+    for a, b in pairwise(np.flatnonzero(np.diff(part, prepend=-1, append=-1))):
+        pieces[part[a]].append(record[a:b])
+    return pieces
+
+
+def end_is_unlike(parts: Pieces) -> bool:
+    """Whether the output of the last piece has another mean or deviation than the training's."""
+    trained, tested = parts[0][0].y, parts[2][0].y
+    spread, other = trained.std(axis=0) + np.finfo(float).tiny, tested.std(axis=0)
+    moved = np.abs(tested.mean(axis=0) - trained.mean(axis=0)) > UNLIKE * spread
+    return bool((moved | (other > 2 * spread) | (other < spread / 2)).any())

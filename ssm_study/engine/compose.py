@@ -1,0 +1,229 @@
+"""What is done behind Hydra's back, all in this file: composing a request once, and a thousand jobs with it.
+
+Hydra composes a request three times, and reads every file of every choice again for each job of a sweep: a quarter of
+a second each. Here a request is composed once; of the jobs of a sweep those are composed that differ in choices, and
+plain values (`model.order=8`) are put into copies. A test holds both against Hydra's own.
+"""
+
+import re
+from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from hydra import version
+from hydra._internal.config_loader_impl import ConfigLoaderImpl, get_overrides_dirname
+from hydra._internal.config_repository import IConfigRepository
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path, get_args_parser
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.core.utils import configure_log
+from hydra.types import RunMode, TaskFunction
+from omegaconf import AnyNode, DictConfig, OmegaConf, open_dict
+
+from ssm_study.engine.settings import Settings, plain, run_name, settled
+
+GRIDS = ("hydra_plugins.ssm_study_launcher.GridSweeper", "hydra._internal.core_plugins.basic_sweeper.BasicSweeper")
+NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
+
+
+class Loader(ConfigLoaderImpl):
+    """Lists the choices of a group without copying all that it has read, a hundred times for one `--help`."""
+
+    def get_group_options(
+        self,
+        group_name: str,
+        results_filter: ObjectType | None = ObjectType.CONFIG,
+        config_name: str | None = None,
+        overrides: list[str] | None = None,
+    ) -> list[str]:
+        del config_name, overrides
+        return self.repository.get_group_options(group_name, results_filter)
+
+
+class Request(Hydra):
+    """What `hydra.main` does with the arguments of a command, over the configuration `name` in `folder`.
+
+    `config` is composed when first asked for, and is what `do` then runs: it can be checked before Hydra makes the
+    callbacks, the launcher and the sweeper that it names.
+    """
+
+    def __init__(self, arguments: list[str], folder: Path, name: str) -> None:
+        version.setbase("1.3")
+        self.asked: Namespace = get_args_parser().parse_args(arguments)
+        self.name = self.asked.config_name or name
+        place = Path(self.asked.config_path).absolute() if self.asked.config_path else folder
+        search_path = create_config_search_path(str(place))
+        if self.asked.config_dir is not None:
+            search_path.prepend(provider="command-line", path=f"file://{Path(self.asked.config_dir).absolute()}")
+        super().__init__(task_name=name, config_loader=Loader(config_search_path=search_path))
+        GlobalHydra.instance().clear()
+        GlobalHydra.instance().initialize(self)
+
+    @cached_property
+    def config(self) -> DictConfig:
+        """Raises whatever Hydra raises for a request it cannot compose."""
+        mode, words = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN, list(self.asked.overrides)
+        if not any(word.startswith("hydra.mode=") for word in words):
+            words.append(f"hydra.mode={mode.name}")
+        config = self.config_loader.load_configuration(self.name, words, run_mode=mode)
+        adopt(config)
+        return config
+
+    def help(self) -> None:
+        self.app_help(self.name, get_args_parser(), self.asked)
+
+    def do(self, task: TaskFunction) -> None:
+        """The run, or the sweep."""
+        many = self.config.hydra.mode == RunMode.MULTIRUN
+        (self.multirun if many else self.run)(self.name, task, self.asked.overrides)
+
+    def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
+        if self.asked.help:
+            return super().compose_config(*asked, **further)
+        if further.get("with_log_configuration"):
+            configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
+        return self.config
+
+
+def adopt(config: DictConfig) -> None:
+    """`${hydra:...}` is read from this; Hydra's own `set_config` copies its whole section first (5 ms)."""
+    HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
+
+
+def combinations(config: DictConfig) -> list[list[str]]:
+    """`a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`, as Hydra's grid combines them; a search knows none beforehand."""
+    if config.hydra.sweeper._target_ not in GRIDS:
+        return []
+    words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
+    loader = GlobalHydra.instance().config_loader()
+    overrides = OverridesParser.create(config_loader=loader).parse_overrides(words)  # type: ignore[arg-type]
+    return BasicSweeper.split_arguments(overrides, max_batch_size=None)[0]
+
+
+@dataclass
+class Chosen:
+    """One composition of choices, into which the plain values of its jobs are put."""
+
+    config: DictConfig
+    held: dict[str, bool] = field(default_factory=dict)
+    sections: dict[tuple[Any, ...], Any] = field(default_factory=dict)
+
+    @cached_property
+    def tree(self) -> Settings:
+        tree = OmegaConf.to_container(self.config, resolve=False)
+        assert isinstance(tree, dict)
+        return Settings({str(key): settled(value) for key, value in tree.items() if key != "hydra"})
+
+    @cached_property
+    def shown(self) -> tuple[str, ...] | None:
+        """What the name of the run shows, where nothing else is interpolated: OmegaConf is slow at that."""
+        found = NAME.fullmatch(str(self.tree.get("run", "")))
+        others = any("${" in str(value) for key, value in self.tree.items() if key != "run")
+        return tuple(word.strip() for word in found[1].split(",")) if found and not others else None
+
+    def holds(self, path: str) -> bool:
+        """Whether a value of no declared type stands there."""
+        if path not in self.held:
+            node: Any = self.config
+            for word in path.split("."):
+                node = node._get_node(word) if isinstance(node, DictConfig) and not node._is_none() else None
+            self.held[path] = type(node) is AnyNode
+        return self.held[path]
+
+    def settings(self, values: dict[str, Any]) -> Settings:
+        """Those of the job with these values by their dotted path; unchanged sections are the same objects."""
+        assert self.shown is not None
+        found = Settings(self.tree)
+        for section in {path.partition(".")[0] for path in values}:
+            own = [(path, value) for path, value in values.items() if path.partition(".")[0] == section]
+            key = tuple((path, type(value), value) for path, value in own)
+            if key not in self.sections:
+                made = self.tree[section]
+                for path, value in own:
+                    made = placed(made, path.split(".")[1:], value)
+                self.sections[key] = settled(made)
+            found[section] = self.sections[key]
+        return found if "run" in values else Settings(found | {"run": run_name(found, *self.shown)})
+
+
+def placed(tree: Any, path: list[str], value: Any) -> Any:
+    """A copy of the tree with a value at the path."""
+    return {**tree, path[0]: placed(tree[path[0]], path[1:], value)} if path else value
+
+
+class Composer:
+    """`compose(overrides)` is Hydra's `load_sweep_config(sweep, overrides)`; `settings` what a task sees of it.
+
+    `refuse` is asked about every composition.
+    """
+
+    def __init__(self, loader: ConfigLoader, sweep: DictConfig, refuse: Callable[[DictConfig], None]) -> None:
+        assert isinstance(loader, ConfigLoaderImpl)
+        self.loader, self.sweep, self.refuse = loader, sweep, refuse
+        self.parser = OverridesParser.create(config_loader=loader)
+        self.parsed: dict[str, tuple[Override, bool]] = {}  # every word, and whether it is a plain value
+        self.composed: dict[tuple[str, ...], Chosen] = {}
+
+    def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
+        """The whole configuration, Hydra's section included; the next one may be the same object."""
+        chosen, values = self._split(overrides)
+        config, parsed = chosen.config, [self._parse(word)[0] for word in overrides]
+        ConfigLoaderImpl._apply_overrides_to_config(values, config)
+        naming = config.hydra.job.config.override_dirname
+        with open_dict(config):
+            config.hydra.overrides.task = list(overrides)
+            config.hydra.job.override_dirname = get_overrides_dirname(
+                overrides=parsed, kv_sep=naming.kv_sep, item_sep=naming.item_sep, exclude_keys=naming.exclude_keys
+            )
+            if number is not None:
+                config.hydra.job.id = config.hydra.job.num = number
+        OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
+        return config
+
+    def settings(self, overrides: list[str], number: int) -> Settings:
+        """The settings of a job; a value that OmegaConf has to resolve costs ten times as much."""
+        chosen, values = self._split(overrides)
+        if chosen.shown is not None:
+            return chosen.settings({str(override.key_or_group): override.value() for override in values})
+        adopt(config := self.compose(overrides, number))
+        return plain(config)
+
+    def _split(self, overrides: list[str]) -> tuple[Chosen, list[Override]]:
+        """The composition that a job shares with others, and the values that are its own."""
+        parsed = [self._parse(word) for word in overrides]
+        chosen = self._chosen(parsed)
+        held = [(override, is_plain and chosen.holds(str(override.key_or_group))) for override, is_plain in parsed]
+        return (chosen if held == parsed else self._chosen(held)), [override for override, is_held in held if is_held]
+
+    def _chosen(self, parsed: list[tuple[Override, bool]]) -> Chosen:
+        choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
+        # The paths, too: values are put into the composition itself, so all its jobs must give the same.
+        key = (*choices, "", *(str(override.key_or_group) for override, is_plain in parsed if is_plain))
+        if key not in self.composed:
+            config = self.loader.load_sweep_config(self.sweep, choices)
+            self.refuse(config)
+            self.composed[key] = Chosen(config)
+        return self.composed[key]
+
+    def _parse(self, word: str) -> tuple[Override, bool]:
+        if word not in self.parsed:
+            override = self.parser.parse_override(word)
+            self.parsed[word] = override, is_plain_value(override, self.loader.repository)
+        return self.parsed[word]
+
+
+def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
+    """`a.b=1`: no choice of a group, nothing added, deleted, interpolated or to be built, nothing of Hydra's own."""
+    path, value = str(override.key_or_group), override.value()
+    single = value is None or (isinstance(value, bool | int | float | str) and "$" not in str(value))
+    ours = override.type is OverrideType.CHANGE and not override.is_hydra_override() and override.package is None
+    return ours and single and not path.endswith("_target_") and not repository.group_exists(path)

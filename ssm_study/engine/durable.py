@@ -1,0 +1,176 @@
+"""Old version whole or new version whole: writes that survive kills and full disks, locks that die with us."""
+
+import errno
+import fcntl
+import hashlib
+import json
+import math
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+SYNCED_AT_ONCE = 8
+FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to
+
+
+def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
+    """Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of the folder.
+
+    Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`: survives every kill but
+    not a power loss; for what is synchronised later, or counts as absent when it is damaged.
+    """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        with temporary.open("xb") as stream:
+            stream.write(content)
+            stream.flush()
+            if durable:
+                os.fsync(stream.fileno())  # before the rename: a new name never leads to missing content
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+    if durable:
+        sync(path.parent)  # the rename itself: without it the old name may come back after a power loss
+
+
+def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
+    """As `write_atomically`; the text is strict JSON (no NaN), one key per line."""
+    write_atomically(path, json_bytes(value), durable)
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """`target` has the content of `source`, sharing its bytes where the file system can: cloned, else linked.
+
+    Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of both, and that is seen.
+    """
+    target.unlink(missing_ok=True)
+    try:
+        with source.open("rb") as given, target.open("xb") as made:
+            fcntl.ioctl(made.fileno(), FICLONE, given.fileno())
+    except OSError:
+        target.unlink(missing_ok=True)
+        try:
+            os.link(source, target)
+        except OSError:  # another file system, or one without links
+            shutil.copyfile(source, target)
+
+
+def json_bytes(value: Any) -> bytes:
+    """The one text of a sealed object: `unsealed` knows no other."""
+    if isinstance(value, dict) and value and not {dict, list, tuple} & set(map(type, value.values())):
+        # The same text five times as fast: with an indent Python's encoder works, without one that in C.
+        flat = json.dumps(value, separators=(",\n ", ": "), allow_nan=False, ensure_ascii=False)
+        return f"{{\n {flat[1:-1]}\n}}\n".encode("utf-8", "surrogatepass")
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode("utf-8", "surrogatepass")
+
+
+def sync(path: Path) -> None:
+    """`fsync` of a file; of a folder, renames in it become durable where its file system can do that."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:  # some network file systems know no fsync of a folder
+        if not path.is_dir() or error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def sync_together(paths: Iterable[Path]) -> None:
+    """Make many files and folders durable at once: their file system then commits them together, not one by one."""
+    with ThreadPoolExecutor(SYNCED_AT_ONCE) as pool:
+        list(pool.map(sync, paths))
+
+
+def sha256_of_file(path: Path) -> str:
+    """Hexadecimal digest, read block by block."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def sealed(body: dict[str, Any]) -> dict[str, Any]:
+    """`body` with its own `sha256`, so that a flipped bit in the JSON text itself is noticed by `unsealed`."""
+    return {**body, "sha256": _body_digest(body)}
+
+
+def unsealed(content: bytes) -> dict[str, Any] | None:
+    """The sealed object that `write_json_atomically` wrote as `content`; None if a single byte differs from that."""
+    try:
+        value = json.loads(content)
+        body = {key: item for key, item in value.items() if key != "sha256"}
+        same = content == json_bytes(value) and _body_digest(body) == value["sha256"]
+    except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
+        return None
+    return body if same else None
+
+
+def _body_digest(body: dict[str, Any]) -> str:
+    text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the exclusive flock on `path`, waiting for it; the system lets go of it when the process dies."""
+    with locked_or_none(path, patience_s=math.inf):
+        yield
+
+
+@contextmanager
+def locked_or_none(path: Path, patience_s: float = 1.0) -> Iterator[bool]:
+    """Try for the exclusive flock on `path`; yields whether it was obtained.
+
+    The patience covers readers, who hold it for an instant in `is_locked`.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Every opening is a lock of its own, also within one process; a program that is executed does not inherit it.
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        if math.isinf(patience_s):
+            _flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
+        yield math.isinf(patience_s) or _try_lock(descriptor, time.monotonic() + patience_s)
+    finally:
+        os.close(descriptor)  # lets go of it; the file stays: who removes it may remove a lock that another holds
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a living process holds the flock on `path`."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    try:
+        _flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: readers do not exclude each other
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _flock(descriptor: int, how: int) -> None:
+    """As `fcntl.flock`; a file system that knows no locks has none that others could hold."""
+    try:
+        fcntl.flock(descriptor, how)
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+            raise
+
+
+def _try_lock(descriptor: int, deadline: float) -> bool:
+    while True:
+        try:
+            _flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            if time.monotonic() >= deadline:
+                return False
+            time.sleep(0.02)

@@ -1,0 +1,181 @@
+"""The jobs of a sweep: each in a process of its own, with its own log, and a record however that process ends."""
+
+import contextlib
+import faulthandler
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn, JobStatus, configure_log
+from hydra.types import HydraContext
+from omegaconf import OmegaConf, open_dict, read_write
+
+from ssm_study.engine.compose import Composer, adopt
+from ssm_study.engine.durable import locked_or_none
+from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
+from ssm_study.engine.runs import Outcome, error_facts, outcome_of, write_failure
+from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_all_of
+from ssm_study.engine.settings import Settings
+from ssm_study.engine.task import Task, folder_of
+from ssm_study.refusal import BadRequest
+
+LOG, LOG_TAIL = "run.log", 8000  # characters of it that a traceback shows
+OUT_OF_MEMORY_SCORE = 500  # when memory runs out the system stops a job, not the sweep
+GRACE_S = 2.0  # between asking a hanging job for its traceback and killing it
+HINTS = {"SIGKILL": " (the system does this when memory runs out)", "SIGSEGV": " (a crash in native code)"}
+FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")  # only these are worth a second try of itself
+
+
+@dataclass(kw_only=True)
+class Job:
+    """One configuration of a sweep and, once started, its process."""
+
+    overrides: list[str]
+    settings: Settings
+    folder: Path
+    number: int = 0
+    outcome: Outcome | None = None
+    process: Child | None = None
+    started: float = 0.0
+
+    def returned(self, outcome: Outcome | None) -> JobReturn:
+        """The outcome as Hydra wants it."""
+        ended = JobReturn(self.overrides, working_dir=str(Path.cwd()), task_name=self.folder.name)
+        ended.status, ended.return_value = JobStatus.COMPLETED, outcome
+        return ended
+
+    def check(self, task: Task[Any]) -> None:
+        """Raises the `BadRequest` of this configuration; it names the run."""
+        try:
+            task.request(self.settings)
+        except BadRequest as refusal:
+            where = f"{refusal.field} (of the run {' '.join(self.overrides)})"
+            raise BadRequest(where, refusal.value, refusal.problem, refusal.remedy) from refusal
+
+
+def jobs_of(composer: Composer, overrides: Sequence[list[str]], first_number: int = 0) -> list[Job]:
+    """Every configuration of a sweep, numbered as Hydra numbers them, and the folder it names.
+
+    Raises `BadRequest` for a name that leaves the results folder.
+    """
+    found = [(words, composer.settings(words, number)) for number, words in enumerate(overrides, first_number)]
+    return [
+        Job(overrides=words, settings=settings, folder=folder_of(settings).absolute(), number=number)
+        for number, (words, settings) in enumerate(found, first_number)
+    ]
+
+
+def run_in_this_process(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext) -> None:
+    """The main function of a job's process, with all output in `folder/run.log`.
+
+    What Hydra's `run_job` does in a process that goes on to other jobs, without the copies it needs to undo it.
+    """
+    os.setsid()  # a group of its own, so that whatever it starts can be stopped with it
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(OUT_OF_MEMORY_SCORE))
+    _speak_into(job.folder)  # first of all: what goes wrong from here on is in the log
+    config = composer.compose(job.overrides, job.number)
+    with read_write(config.hydra.runtime), open_dict(config.hydra.runtime):
+        config.hydra.runtime.output_dir = str(job.folder)
+    adopt(config)
+    if config.hydra.job.chdir:
+        os.chdir(job.folder)
+    configure_log(config.hydra.job_logging, config.hydra.verbose)
+    os.environ.update(config.hydra.job.env_set)
+    hydra_context.callbacks.on_job_start(config=config, task_function=task.job)
+    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    ended = JobReturn(overrides=config.hydra.overrides.task, cfg=own)
+    try:
+        ended.return_value, ended.status = task.job(job.settings), JobStatus.COMPLETED
+    except Exception as error:  # whatever the task raises
+        ended.return_value, ended.status = error, JobStatus.FAILED
+        text = "".join(traceback.format_exception(error))
+        print(text, file=sys.stderr)
+        note_death(job.folder, error_facts(error, job.folder), text, os.getpid())
+    hydra_context.callbacks.on_job_end(config=config, job_return=ended)
+    if ended.status is JobStatus.FAILED:
+        sys.exit(1)
+
+
+def _speak_into(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for source, target in ((nothing, 0), (log, 1), (log, 2)):
+        os.dup2(source, target)  # the descriptors themselves: native code and what the job starts write there, too
+    faulthandler.enable()  # a crash in native code leaves its Python traceback in the log
+
+
+def conclude(job: Job) -> Outcome:
+    """What became of a job whose process has ended: its record says, or else how the process died."""
+    assert job.process is not None
+    job.process.join()
+    kill_group(job)  # what the job started and left behind
+    death = _cause_of_death(job)
+    text = ""
+    with contextlib.suppress(OSError):  # it died before it could open its log
+        text = (job.folder / LOG).read_text(errors="replace")[-LOG_TAIL:]
+    return note_death(job.folder, death, text, job.process.pid)
+
+
+def note_death(folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None) -> Outcome:
+    """What the run's record says; if it says nothing final and nobody is at it, a failure with `text` as traceback.
+
+    Not where another process than `pid` began the run: a sweep that was killed meanwhile left it, and it is only lost.
+    """
+    with locked_or_none(folder / LOCK) as mine:
+        record = read_record(folder)  # under the lock: another sweep may have finished the run in the meantime
+        if record is not None and record["status"] in FINAL:
+            said = str(record.get("error_message") or "")
+            return Outcome(folder=folder, status=record["status"], did="ran", message=said)
+        others = pid is not None and record is not None and record.get("pid") != pid
+        if not mine or others:  # another process is, or was, at the run: this death is no end of it
+            return outcome_of(folder, record | {"status": LOST} if mine and record else record)
+        facts = {"study": folder.parent.name, "run": folder.name} | (record or {})
+        write_failure(folder, facts, death, text or death["error_message"])
+    return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
+
+
+def _cause_of_death(job: Job) -> dict[str, Any]:
+    """A signal or an exit without a record."""
+    code = job.process.exitcode if job.process and job.process.exitcode is not None else SERVER_DIED
+    if code == SERVER_DIED:
+        return _death("ServerKilled", "the process that jobs are forked from was killed", transient=True)
+    if code >= 0:  # it chose to end; a signal has a negative code
+        return _death("ProcessExit", f"the process ended with status {code} before the run was recorded", False)
+    if job.outcome is not None:
+        return _death("Timeout", job.outcome.message, transient=False)
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    return _death(name, f"the process was stopped by {name}{HINTS.get(name, '')}", name in FROM_OUTSIDE)
+
+
+def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
+    return {"error_type": kind, "error_message": message, "failure_transient": transient}
+
+
+def stop_hanging(job: Job) -> None:
+    """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole group."""
+    assert job.process is not None
+    message = f"no result after {time.monotonic() - job.started:.0f} s, the limit of hydra.launcher.timeout_s"
+    job.outcome = Outcome(folder=job.folder, status=FAILED, did="ran", message=message)
+    with contextlib.suppress(ProcessLookupError):  # it may end by itself at this very moment
+        os.kill(job.process.pid, signal.SIGABRT)
+    job.process.join(GRACE_S)
+    kill_group(job)
+
+
+def kill_group(job: Job) -> None:
+    """SIGKILL to the job and to whatever it started; a job that was never born has no group (0 would be our own)."""
+    if job.process is None or job.process.pid == UNBORN:
+        return
+    if job.process.exitcode is None:
+        kill_all_of(job.process.pid)
+    else:  # its own number may be another process's by now, that of its group not while a member lives
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(job.process.pid, signal.SIGKILL)

@@ -1,0 +1,160 @@
+"""A sweep: composed, checked or planned here, whoever runs its jobs; and the launcher that forks a process for each."""
+
+import contextlib
+import os
+import signal
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import FrameType
+from typing import Any, Protocol, runtime_checkable
+
+from hydra.core.utils import JobReturn, setup_globals
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+from ssm_study.engine.compose import Composer
+from ssm_study.engine.jobs import Job, conclude, jobs_of, kill_group, run_in_this_process, stop_hanging
+from ssm_study.engine.plan import KeyedStages, plan
+from ssm_study.engine.progress import Progress
+from ssm_study.engine.records import FAILED
+from ssm_study.engine.server import Server
+from ssm_study.engine.task import Task, store_of, task_of
+from ssm_study.refusal import require
+
+
+@runtime_checkable
+class Sweep(Protocol):
+    """What Hydra hands to a launcher."""
+
+    hydra_context: HydraContext
+    task_function: TaskFunction
+    config: DictConfig
+
+
+class Launcher(ABC):
+    """Where the jobs of a sweep run: on this machine, or on others."""
+
+    at_once: int
+
+    @abstractmethod
+    def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
+        """Run `jobs`; afterwards each has its `outcome`, whatever became of it."""
+
+
+def launch(launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int) -> list[JobReturn]:
+    """Compose every configuration, check those that are not finished, then run or plan them; one `JobReturn` each."""
+    setup_globals()
+    task = task_of(sweep.task_function)
+    task.refuse(sweep.config)
+    composer = Composer(sweep.hydra_context.config_loader, sweep.config, task.refuse)
+    jobs = jobs_of(composer, overrides, first_number)
+    unique = list({job.folder: job for job in jobs}.values())  # equal configurations are one run
+    for job in unique:
+        job.outcome = task.finished(job.settings)
+    to_do = [job for job in unique if job.outcome is None]
+    for job in to_do:  # all of them before the first is begun: a typo is not found after an hour
+        job.check(task)
+    if sweep.config.get("dry_run"):
+        walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
+        told = plan(store_of(sweep.config), walks, len(unique), len(unique) - len(to_do), launcher.at_once)
+        print("\n".join(told.lines()))
+    else:
+        launcher.run(sweep, unique, composer)
+    ends = {job.folder: job.outcome for job in unique}
+    return [job.returned(ends[job.folder]) for job in jobs]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Processes(Launcher):
+    """One fresh process per job: a job may raise, exit, crash, hang or be killed, and the others do not notice.
+
+    `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the cores. With
+    `fail_fast` none is begun after the first failure.
+    """
+
+    n_jobs: int | None
+    threads: int
+    timeout_s: float | None
+    fail_fast: bool = False
+
+    def __post_init__(self) -> None:
+        cores = len(os.sched_getaffinity(0))
+        require(self.threads >= 1, "hydra.launcher.threads", self.threads, "a job needs a thread", "give 1 or more")
+        require(self.at_once >= 1, "hydra.launcher.n_jobs", self.n_jobs, "no job could run", "give 1 or more")
+        require(
+            self.at_once * self.threads <= max(cores, self.threads if self.n_jobs is None else 0),
+            "hydra.launcher.n_jobs * threads",
+            f"{self.at_once} * {self.threads}",
+            f"this machine gives {cores} cores and oversubscribed jobs run 20 times slower",
+            f"keep the product at or below {cores}",
+        )
+
+    @property
+    def at_once(self) -> int:  # type: ignore[override]
+        return max(1, len(os.sched_getaffinity(0)) // self.threads) if self.n_jobs is None else self.n_jobs
+
+    def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
+        """Fork the jobs that are to do, a few at a time, and wait for the end of each."""
+        to_do, running = [job for job in jobs if job.outcome is None], list[Job]()
+        task, waiting = task_of(sweep.task_function), deque(enumerate(to_do))
+        works = [partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do]
+        server = Server(works, warm=partial(warm, task, to_do), threads=self.threads)  # starts with the first job
+        with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
+            for job in jobs:
+                if job.outcome is not None:
+                    progress.done(job.outcome.status, reused=True)
+            while waiting or running:
+                while waiting and len(running) < self.at_once:
+                    number, ready = waiting.popleft()
+                    running.append(ready)
+                    ready.process, ready.started = server.fork(number), time.monotonic()
+                for job in self._ended(server, running, progress):
+                    running.remove(job)
+                    job.outcome = conclude(job)
+                    progress.done(job.outcome.status)
+                    if self.fail_fast and job.outcome.status == FAILED:
+                        waiting.clear()
+            progress.tick(running=0)
+
+    def _ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
+        """Wait a moment; the jobs that have ended, of themselves or by the time limit."""
+        server.listen(0.5)
+        ended = [job for job in running if job.process and job.process.exitcode is not None]
+        progress.tick(running=len(running))
+        for job in running:
+            too_long = self.timeout_s is not None and time.monotonic() - job.started > self.timeout_s
+            if job not in ended and too_long:
+                stop_hanging(job)
+                ended.append(job)
+        return ended
+
+
+def warm(task: Task[Any], jobs: list[Job]) -> None:
+    """What every job would import and read for itself: also the code that the first one's keys depend on (0.2 s)."""
+    task.warm()
+    with contextlib.suppress(Exception):  # the job itself says what is wrong with it
+        task.stages(task.request(jobs[0].settings), KeyedStages(store_of(jobs[0].settings)))
+
+
+@contextlib.contextmanager
+def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the sweep at once and take its jobs along; their runs are then `lost`, to be run again."""
+
+    def stop(number: int, _: FrameType | None) -> None:
+        for name in previous:
+            signal.signal(name, signal.SIG_IGN)  # a second Ctrl-C shall not stop the cleaning up
+        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for job in running:  # the groups first: what a job has started is no child of the server
+            kill_group(job)
+        server.close()
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -1,0 +1,100 @@
+"""One line over the whole sweep: runs done, failed, infeasible, time left."""
+
+import atexit
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from threading import Event, Thread
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from ssm_study.engine.records import FINAL, RUNNING, read_record
+
+QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the end
+
+
+class Progress:
+    """Counts outcomes and says so on stderr: a living line on a terminal, now and then a line elsewhere."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.counts, self.reused, self.running = total, Counter[str](), 0, 0
+        self.started = self.spoken = time.monotonic()
+        console = Console(stderr=True)
+        self.live = Live(console=console, transient=True, auto_refresh=False) if sys.stderr.isatty() else None
+
+    def __enter__(self) -> "Progress":
+        if self.live:
+            self.live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.live:
+            self.live.stop()
+        print(self.line(), file=sys.stderr, flush=True)
+
+    def done(self, status: str, reused: bool = False) -> None:
+        self.counts[status] += 1
+        self.reused += reused
+        self._say()
+
+    def tick(self, running: int) -> None:
+        self.running = running
+        self._say()
+
+    def line(self) -> str:
+        """`12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2 running; 3:20 left`"""
+        counts = [f"{self.counts[status]} {status}" for status in (*FINAL, *sorted(set(self.counts) - set(FINAL)))]
+        parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
+        parts += [f"{self.reused} there before"] if self.reused else []
+        parts += [f"{self.running} running"] if self.running else []
+        left = self.seconds_left()
+        return "; ".join(parts + ([f"{int(left // 60)}:{int(left % 60):02d} left"] if left else []))
+
+    def seconds_left(self) -> float | None:
+        """By the mean pace of the runs done in this sweep; None before the first."""
+        fresh = self.counts.total() - self.reused  # runs there before took no time now
+        remaining = self.total - self.counts.total()
+        return (time.monotonic() - self.started) / fresh * remaining if fresh and remaining else None
+
+    def _say(self) -> None:
+        if self.live:
+            self.live.update(Text(self.line()), refresh=True)
+        elif time.monotonic() - self.spoken > QUIET_S:
+            self.spoken = time.monotonic()
+            print(self.line(), file=sys.stderr, flush=True)
+
+
+class Watch(Thread):
+    """The same line for launchers that know nothing of it (basic, Slurm, Ray), read from the run folders."""
+
+    def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
+        super().__init__(daemon=True)
+        self.folders, self.every_s, self.over = list(dict.fromkeys(folders)), every_s, Event()
+        self.there_before = {folder for folder in self.folders if self._status(folder) in FINAL}
+        atexit.register(self.finish)  # Hydra tells nobody of a sweep that ends by an exception
+
+    def run(self) -> None:
+        with Progress(total=len(self.folders)) as progress:
+            progress.reused = len(self.there_before)
+            while not self.over.wait(self.every_s):  # sleeps, yet wakes at once when the sweep is over
+                self._look(progress)
+            self._look(progress)  # the last line is of how it ended
+
+    def finish(self) -> None:
+        """Look a last time, say the last line, and stop."""
+        self.over.set()
+        if self.is_alive():
+            self.join(timeout=30)  # a dead network file system must not hold up the end
+
+    def _look(self, progress: Progress) -> None:
+        statuses = [self._status(folder) for folder in self.folders]
+        progress.counts = Counter(status for status in statuses if status in FINAL)
+        progress.tick(running=statuses.count(RUNNING))
+
+    def _status(self, folder: Path) -> str:
+        record = read_record(folder)
+        return "absent" if record is None else str(record["status"])

@@ -1,0 +1,47 @@
+"""Who computed a number, with what, where: git commit and dirtiness, versions, machine, threads."""
+
+import os
+import platform
+import subprocess
+from contextlib import suppress
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+
+@cache
+def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
+    """Flat facts for a record; `git_commit` and `git_dirty` are None where no repository tracks the file `source`."""
+    source = source.resolve()
+    commit = _ask_git(source, "rev-parse", "HEAD")
+    changes = _ask_git(source, "status", "--porcelain", "--untracked-files=no")
+    facts = {"git_commit": commit or None, "git_dirty": None if commit is None or changes is None else bool(changes)}
+    facts["version_python"] = platform.python_version()
+    for library in libraries:
+        with suppress(metadata.PackageNotFoundError):
+            facts[f"version_{library.replace('-', '_')}"] = metadata.version(library)
+    return facts | {
+        "machine": platform.node(),
+        "machine_system": platform.platform(),
+        "machine_processor": _processor(),
+        "machine_cores": len(os.sched_getaffinity(0)),
+        "threads": int(os.environ.get("OMP_NUM_THREADS", 0)) or None,
+    }
+
+
+def _ask_git(here: Path, *question: str) -> str | None:
+    """git's answer about the repository that tracks the file `here`, else None."""
+    with suppress(OSError, subprocess.SubprocessError):
+        for arguments in (("ls-files", "--error-unmatch", here.name), question):
+            command = ["git", "-C", str(here.parent), *arguments]
+            answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+        return answer.stdout.strip()
+    return None
+
+
+def _processor() -> str:
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return platform.processor() or platform.machine()

@@ -1,0 +1,64 @@
+"""`record.json`: one flat object per run, sealed by its own SHA-256; what every table and figure is made from."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssm_study.engine.durable import is_locked, sealed, unsealed, write_json_atomically
+from ssm_study.refusal import BadRequest
+
+RECORD = "record.json"
+LOCK = ".lock"
+RECORD_VERSION = 1
+# What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the lock) and
+# `corrupt` (the file is not what was written).
+RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
+LOST, CORRUPT = "lost", "corrupt"
+FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one stopped
+
+
+def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
+    """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts `inf` and `-inf`."""
+    flat = {str(key): storable(str(key), value) for key, value in record.items() if key != "sha256"}
+    write_json_atomically(folder / RECORD, sealed({"record_version": RECORD_VERSION} | flat), durable)
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there is none."""
+    try:
+        content = (folder / RECORD).read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    record = parse_record(content)
+    # The lock decides, never a process number: after a restart, or on another machine, that may be somebody else's.
+    if record.get("status") == RUNNING and not is_locked(folder / LOCK):
+        record["status"] = LOST
+    return record
+
+
+def parse_record(content: bytes) -> dict[str, Any]:
+    """The record written as `content`; anything that is not exactly a sealed record has only `status = corrupt`."""
+    record = unsealed(content)
+    usable = record is not None and isinstance(record.get("status"), str) and _fits(*record.values())
+    return record if usable and record is not None else {"status": CORRUPT}
+
+
+def _fits(*values: Any) -> bool:
+    """A table holds whole numbers of 64 bits: one beyond them would spoil the table of its whole study."""
+    return all(-(1 << 63) < value < 1 << 63 for value in values if type(value) is int)
+
+
+def storable(key: str, value: Any) -> bool | int | float | str | None:
+    """A value as a record holds it; raises `BadRequest` for one that is no single number, text or truth value."""
+    if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    if value is None or (isinstance(value, (bool, int, float, str)) and _fits(value)):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    raise BadRequest(key, value, f"a {type(value).__name__} does not fit a flat record", "store a number or a text")

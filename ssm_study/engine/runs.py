@@ -1,0 +1,217 @@
+"""One run: claim its folder, do the work, leave one record, of a failure too. A finished run is never touched again."""
+
+import errno
+import os
+import re
+import shutil
+import socket
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ssm_study.engine import records
+from ssm_study.engine.durable import link_or_copy, locked_or_none, write_atomically
+from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
+from ssm_study.engine.stages import StageResult
+from ssm_study.engine.store import intact_manifest, seal_folder
+from ssm_study.refusal import BadRequest, require
+
+TRACEBACK = "traceback.txt"
+ATTEMPTS = "attempts"
+KEPT_IN_PLACE = frozenset({LOCK, ".hydra", ATTEMPTS})
+FINISHED = frozenset({OK, INFEASIBLE})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a run stands after `execute`: `did` is one of `ran`, `found` (finished before), `left` (failed before and not
+    asked to retry), `elsewhere` (another process is at it)."""
+
+    folder: Path
+    status: str
+    did: str
+    message: str = ""
+
+
+@dataclass
+class Run:
+    """A claimed run folder. The work writes its artefacts into `path` and its numbers through `note`."""
+
+    path: Path
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def note(self, **facts: Any) -> None:
+        """Add numbers to the record; they are kept even if the work fails later."""
+        self.facts.update(facts)
+
+    def settle(self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]) -> None:
+        """Note a stage's columns, its key, its seconds and whether it was reused; bring its files."""
+        about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
+        self.note(**facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()})
+        for name in files:
+            if (stage.path / name).is_file():
+                link_or_copy(stage.path / name, self.path / name)
+
+
+def run_folder(results_dir: Path | str, study: str, name: str) -> Path:
+    """`results_dir/study/name`; raises `BadRequest` for names that would leave the results folder."""
+    for label, part in (("study", study), ("run", name)):
+        is_plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", part) is not None
+        require(is_plain, label, part, "not a plain folder name", "use letters, digits, '.', '_' and '-'")
+    return Path(results_dir) / study / name
+
+
+def execute(
+    folder: Path,
+    parameters: Mapping[str, Any],
+    work: Callable[[Run], Mapping[str, Any] | None],
+    *,
+    configuration: Mapping[str, str] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+    retry_failed: bool = False,
+) -> Outcome:
+    """Do `work(run)` in `folder` unless it is done already; record what it returns, or how it failed.
+
+    `work` returns further facts; `status` among them may be `infeasible` (default `ok`). `parameters` are in the record
+    from the start. `configuration` maps file names to text, written below `.hydra/`; `provenance` is who computes. An
+    exception becomes a `failed` record with `traceback.txt`; only being stopped (KeyboardInterrupt, SIGTERM) is raised
+    on, leaving a run that the same command takes up again.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked_or_none(folder / LOCK) as mine:
+        if not mine:  # two sweeps may share runs: who comes second leaves them to the first
+            return Outcome(folder=folder, status=RUNNING, did="elsewhere", message="another process is at this run")
+        before = standing(folder, mine=True)  # under the lock: another process may have done the run in the meantime
+        if not is_to_run(before, retry_failed):
+            return outcome_of(folder, before)
+        _set_aside(folder, before)
+        for name, text in (configuration or {}).items():
+            (folder / ".hydra").mkdir(exist_ok=True)
+            write_atomically(folder / ".hydra" / name, text.encode(), durable=False)
+        # An attempt that was killed left its number: the count goes on over crashes.
+        attempt = {"attempt": int((before or {}).get("attempt") or 0) + 1, "started_utc": _now()}
+        place = {"study": folder.parent.name, "run": folder.name, "status": RUNNING}
+        process = {"pid": os.getpid(), "host": socket.gethostname()}
+        return _run(folder, {**parameters, **place, **attempt, **process, **(provenance or {})}, work)
+
+
+def standing(folder: Path, mine: bool = False) -> dict[str, Any] | None:
+    """The record, with `status = corrupt` also for a finished run one of whose artefacts is not as it was written.
+
+    `mine` is for the holder of the lock: a run that says `running` is then nobody's.
+    """
+    record = records.read_record(folder)
+    if record is not None and record["status"] == RUNNING and mine:
+        record["status"] = LOST
+    if record is not None and record["status"] in FINISHED and intact_manifest(folder) is None:
+        record["status"] = CORRUPT
+    return record
+
+
+def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
+    """Finished runs stay; failed ones wait for `retry_failed`, unless the machine was at fault (disk, signal)."""
+    status = before["status"] if before else None
+    if retry_failed:
+        return status in (FAILED, LOST, CORRUPT)
+    return status in (None, LOST, CORRUPT) or (status == FAILED and bool(before and before.get("failure_transient")))
+
+
+def finished(folder: Path, retry_failed: bool) -> Outcome | None:
+    """What a run that is not to be executed says of itself; None for one that is."""
+    before = standing(folder)
+    return None if is_to_run(before, retry_failed) else outcome_of(folder, before)
+
+
+def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
+    """Of a run that is not executed now: what its folder says."""
+    if before is None:
+        return Outcome(folder=folder, status="absent", did="left", message="never ran; only failed runs are retried")
+    did = "found" if before["status"] in FINISHED else "left"
+    return Outcome(folder=folder, status=before["status"], did=did, message=str(before.get("error_message") or ""))
+
+
+def _run(folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]) -> Outcome:
+    run, started = Run(path=folder), time.perf_counter()
+    records.write_record(folder, opening, durable=False)  # until the end only the lock says that the run is under way
+    try:
+        run.note(**(work(run) or {}))
+        status = run.facts.get("status", OK)
+        require(status in FINISHED, "status", status, "not the status of finished work", "return ok or infeasible")
+        closing = {"status": status, "ended_utc": _now(), "seconds": time.perf_counter() - started}
+        seal_run(folder)  # before the record: that one makes the run count, so its files must already be durable
+        records.write_record(folder, opening | run.facts | closing)
+    except (Exception, SystemExit) as error:
+        death = error_facts(error, folder)
+        write_failure(folder, opening | run.facts, death, text=traceback.format_exc())
+        return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
+    return Outcome(folder=folder, status=str(status), did="ran")
+
+
+def seal_run(folder: Path) -> None:
+    """`manifest.json` over the artefacts of the run, its configuration among them."""
+    seal_folder(folder, {"run": folder.name}, leave_out=frozenset({LOCK, ATTEMPTS, RECORD, "run.log"}))
+
+
+def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
+    """The failure as data. Transient: the machine was at fault (disk, memory), so the same command tries again."""
+    text = f"exited with status {error.code}" if isinstance(error, SystemExit) else (str(error) or type(error).__name__)
+    chain: list[BaseException] = [error]  # an exception may have been raised from, or while handling, another
+    while (cause := chain[-1].__cause__ or chain[-1].__context__) is not None:
+        chain.append(cause)
+    if isinstance(error, OSError) and error.filename is None:
+        text = f"{text} (in {folder})"
+    return {
+        "error_type": type(error).__name__,
+        "error_message": " ".join(text.split())[:500],
+        "failure_transient": any(_is_the_machines(one, folder) for one in chain),
+    }
+
+
+# OSErrors that a second attempt meets again, unless they are about files of our own that somebody has removed.
+_PROGRAM_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+# What writers of other libraries quote of a failing disk, in exceptions of their own.
+_OF_THE_DISK = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE))
+
+
+def _is_the_machines(error: BaseException, folder: Path) -> bool:
+    if isinstance(error, FileNotFoundError):
+        missing = None if error.filename is None else Path(os.fsdecode(error.filename)).absolute()
+        return missing is not None and folder.absolute().parents[1] in missing.parents
+    if isinstance(error, _PROGRAM_ERRORS):
+        return False
+    return isinstance(error, (OSError, MemoryError)) or any(said in str(error) for said in _OF_THE_DISK)
+
+
+def write_failure(folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str) -> None:
+    """Traceback first, then the record that names it; on a full disk the run stays `running` without lock: lost."""
+    with suppress(OSError):
+        write_atomically(folder / TRACEBACK, text.encode(errors="replace"))
+        kept = {}
+        for name, value in facts.items():
+            with suppress(BadRequest):  # what no record holds may be the very cause of the failure
+                kept[name] = records.storable(name, value)
+        records.write_record(folder, kept | {"status": FAILED, "ended_utc": _now()} | dict(error))
+
+
+def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
+    """Move what an earlier attempt left into `attempts/<n>/`, so that two attempts never mix in one file."""
+    if before is None and not (folder / RECORD).exists():
+        for path in folder.glob(".*.tmp"):  # of writes that were killed
+            path.unlink()
+        return
+    attempts = folder / ATTEMPTS
+    attempts.mkdir(exist_ok=True)
+    number = 1 + max((int(path.name) for path in attempts.iterdir() if path.name.isdigit()), default=0)
+    (attempts / f"{number}").mkdir()
+    for path in sorted(folder.iterdir(), key=lambda path: path.name == RECORD):  # the record last: a kill repeats this
+        if path.name not in KEPT_IN_PLACE and path.suffix != ".log":
+            shutil.move(path, attempts / f"{number}" / path.name)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

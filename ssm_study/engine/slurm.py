@@ -1,0 +1,80 @@
+"""A sweep by Slurm: a job that is cancelled or loses its node is a row of the table, and the others are waited for."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import submitit
+from hydra.core.singleton import Singleton
+from submitit.core.utils import UncompletedJobError
+
+from ssm_study.engine.compose import Composer
+from ssm_study.engine.jobs import Job, note_death
+from ssm_study.engine.launcher import Launcher, Sweep
+from ssm_study.engine.runs import Outcome
+
+# What submitit's executor knows for every scheduler; all else is Slurm's own.
+AUTO = frozenset({"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"})
+FORGOTTEN, FORGOTTEN_S = "FORGOTTEN", 30.0  # seconds between two questions whether Slurm still knows of a job
+
+
+@dataclass(frozen=True)
+class Slurm(Launcher):
+    """Submits jobs through Hydra's launcher of submitit, which Slurm's nodes call."""
+
+    launcher: Any
+
+    @property
+    def at_once(self) -> int:  # type: ignore[override]
+        return int(self.launcher.params["array_parallelism"])
+
+    def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:  # noqa: ARG002
+        """Submit what is to do and wait for every job."""
+        to_do = [job for job in jobs if job.outcome is None]
+        Path(str(sweep.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
+        state = Singleton.get_state()  # what Hydra on the node needs of this process
+        arguments = [(job.overrides, "hydra.sweep.dir", job.number, f"{job.number}", state) for job in to_do]
+        submitted = executor(self.launcher.params).map_array(self.launcher, *zip(*arguments, strict=True))
+        for job, one in zip(to_do, submitted, strict=True):
+            job.outcome = settled(job, one)
+
+
+def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
+    """submitit's executor with the settings of `hydra.launcher`."""
+    slurm = submitit.AutoExecutor(
+        cluster="slurm", folder=params["submitit_folder"], slurm_max_num_timeout=params["max_num_timeout"]
+    )
+    settings = {name: value for name, value in params.items() if name not in ("submitit_folder", "max_num_timeout")}
+    named = {name if name in AUTO | {"stderr_to_stdout"} else f"slurm_{name}": v for name, v in settings.items()}
+    slurm.update_parameters(**named)
+    return slurm
+
+
+def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
+    """What the job returned; or, if Slurm ended it, a failed run that the same command does again."""
+    state = ended(submitted, patience_s)
+    try:
+        if state != FORGOTTEN:
+            outcome: Outcome = submitted.results()[0].return_value
+            return outcome
+        problem = "Slurm no longer knows of it: it was cancelled before it began"
+    except UncompletedJobError as error:
+        problem = str(error)
+    message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
+    death = {"error_type": state.title().replace("_", ""), "error_message": message, "failure_transient": True}
+    return note_death(job.folder, death, problem)
+
+
+def ended(submitted: submitit.Job, patience_s: float) -> str:
+    """Wait for the end; Slurm's word for it. Without accounting it forgets a job that is cancelled while it waits."""
+    asked, unheard = time.monotonic(), 0
+    while not submitted.done():
+        time.sleep(0.5)  # of files that the job leaves; Slurm itself is asked far less often
+        if time.monotonic() - asked > patience_s:
+            submitted.watcher.clear()  # it remembers for ever what Slurm once said
+            unknown = submitted.watcher.get_state(submitted.job_id, mode="force") == "UNKNOWN"
+            asked, unheard = time.monotonic(), unheard + 1 if unknown else 0
+        if unheard == 2:  # once may be a hiccup
+            return FORGOTTEN
+    return submitted.state.split()[0]  # "CANCELLED by 0"

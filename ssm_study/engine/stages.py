@@ -1,0 +1,121 @@
+"""Stages: what a run computes on its way, each a pure function of what it is given, computed once and kept.
+
+A stage is declared once, as a value of `Stage`, and taken down the line by `Stages.take`. What its result depends on is
+not written down: the key follows from the settings of its parts, the stages before it and the code of its functions.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from ssm_study.engine.code import code_version
+from ssm_study.engine.settings import digest, targets
+
+T = TypeVar("T")
+Facts = dict[str, Any]
+Compute = Callable[[Path], None]
+
+
+def nothing(*_: Any) -> Any:
+    """Of a stage that leaves files only there is nothing to read, or nothing to measure."""
+    return {}
+
+
+@dataclass(frozen=True)
+class Stage(Generic[T]):
+    """`compute(folder, *before, **parts)` writes files; `read(folder)` gives the value that they hold.
+
+    `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column computes nothing
+    again. `before` are the values of earlier stages. `compute` may return the value, to save reading it back at once:
+    it must be what `read` gives, to the last bit. `files` are those that belong into the run folder as well.
+    """
+
+    name: str
+    compute: Callable[..., Any]
+    read: Callable[[Path], T] = nothing
+    measure: Callable[..., Mapping[str, Any]] = nothing
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageResult:
+    """The folder of a finished stage. `seconds` is what computing it took; `reused` if not in this call."""
+
+    path: Path
+    key: str
+    seconds: float
+    reused: bool
+    name: str
+
+
+@dataclass(frozen=True)
+class Kept(Generic[T]):
+    """A stage that stands: its value is read from its folder when first asked for."""
+
+    stage: Stage[T]
+    result: StageResult
+    computed: tuple[T, ...] = ()
+    facts: Facts = field(default_factory=dict)
+
+    @cached_property
+    def value(self) -> T:
+        return self.computed[0] if self.computed else self.stage.read(self.result.path)
+
+    @cached_property
+    def value_key(self) -> str:
+        """What depends on the value depends on how it is read."""
+        return digest([self.result.key, code_version(self.stage.read)])
+
+
+class Stages(ABC):
+    """Takes stages: `Store` computes and keeps, `PlannedStages` only notes what would be computed."""
+
+    def take(
+        self,
+        stage: Stage[T],
+        settings: Mapping[str, Any],
+        parts: Mapping[str, Any] | None = None,
+        *before: Kept[Any],
+        unkeyed: Mapping[str, Any] | None = None,
+    ) -> Kept[T]:
+        """The stage of these `settings`, which `compute` is given as `parts` (as they are where that is None).
+
+        `unkeyed` is given as well and is no part of the key: what changes no result. A plan has no files, so values may
+        be asked for only inside the functions of a stage.
+        """
+        computed: list[T] = []
+
+        def compute(folder: Path) -> None:
+            given = dict(settings if parts is None else parts) | dict(unkeyed or {})
+            value = stage.compute(folder, *(one.value for one in before), **given)
+            computed.extend([] if value is None else [value])
+
+        note = note_of(stage, settings, before)
+        kept = Kept(stage, self.keyed(stage.name, digest(note), note, compute), tuple(computed))
+        return replace(kept, facts=self.measured(kept, before))
+
+    @abstractmethod
+    def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
+        """The stage of this key; `note` says what the key was made of."""
+
+    def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:  # noqa: ARG002
+        """Its columns; a plan has none."""
+        return {}
+
+    def aside(self) -> "Stages":
+        """Takes the same stages, of which no run is told: what leads to its own."""
+        return self
+
+
+def note_of(stage: Stage[Any], settings: Mapping[str, Any], before: Sequence[Kept[Any]]) -> Facts:
+    """What the key of a stage is made of: equal notes, equal results."""
+    code = code_version(stage.compute, *targets(settings))
+    return {"stage": stage.name, "settings": settings, "before": [kept.value_key for kept in before], "code": code}
+
+
+def measure_key(kept: Kept[Any], before: Sequence[Kept[Any]]) -> str:
+    """The key of a stage's columns."""
+    return digest([kept.value_key, [one.value_key for one in before], code_version(kept.stage.measure)])

@@ -1,0 +1,163 @@
+"""A task: what is done many times. These few questions are all that the engine knows of it."""
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from ssm_study.engine.durable import sha256_of_file
+from ssm_study.engine.plan import plan
+from ssm_study.engine.provenance import provenance
+from ssm_study.engine.records import read_record
+from ssm_study.engine.runs import Outcome, Run, execute, finished, run_folder
+from ssm_study.engine.settings import Settings, digest, plain, yaml_text
+from ssm_study.engine.stages import Facts, Kept, Stages
+from ssm_study.engine.store import Store
+from ssm_study.refusal import require
+
+R = TypeVar("R")
+
+INPUTS = "inputs_sha256"
+_CHECKED: dict[Path, Any] = {}  # requests by their folder; jobs that are forked off a sweep find theirs here
+
+
+class Task(ABC, Generic[R]):
+    """`check` a configuration, take its `stages` down the line, say at the end of the `run` how it went.
+
+    Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`), `retry_failed`
+    and `dry_run`; all others are the task's own. `libraries` are the distributions whose versions a record notes.
+    """
+
+    libraries: tuple[str, ...] = ()
+
+    @abstractmethod
+    def check(self, settings: Settings) -> R:
+        """The request that the settings make; raises `BadRequest` for whatever can be known before any long work."""
+
+    @abstractmethod
+    def stages(self, request: R, stages: Stages) -> None:
+        """Take every stage of the request. Values are read only inside stages: a plan has none."""
+
+    def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
+        """What is known once all stages stand; `run.facts` are their columns, `status` may be `infeasible`."""
+        return {}
+
+    def parameters(self, request: R) -> Facts:  # noqa: ARG002
+        """What was asked for: columns of the record from the start."""
+        return {}
+
+    def refuse(self, config: DictConfig) -> None:
+        """Raise `BadRequest` for what no configuration may contain; asked before anything is made or resolved of it."""
+
+    def inputs(self, settings: Settings) -> list[Path]:  # noqa: ARG002
+        """Files that the request reads: a finished run knows by their content whether it is still its result."""
+        return []
+
+    def warm(self) -> None:
+        """Import what every job of a sweep would import for itself; asked once, before the first is forked."""
+
+    def settings(self, config: DictConfig | Settings) -> Settings:
+        """A configuration refused or resolved."""
+        if not isinstance(config, Settings):
+            self.refuse(config)
+        return plain(config)
+
+    def request(self, config: DictConfig | Settings) -> R:
+        """`check`, once per run and process."""
+        settings = self.settings(config)
+        folder = folder_of(settings).absolute()
+        if folder not in _CHECKED:
+            _CHECKED[folder] = self.check(settings)
+        found: R = _CHECKED[folder]
+        return found
+
+    def job(self, config: DictConfig | Settings) -> Outcome:
+        """Do the run of this configuration unless it is done, and leave its record."""
+        settings = self.settings(config)
+        found = self.finished(settings)  # before anything is built: a finished run costs next to nothing
+        if settings.get("dry_run"):
+            walks = [] if found else [lambda stages: self.stages(self.request(settings), stages)]
+            print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks)).lines()))
+            return found or Outcome(folder=folder_of(settings), status="absent", did="planned")
+        if found is not None:
+            return found
+        request = self.request(settings)
+
+        def work(run: Run) -> Facts:
+            self.stages(request, RunStages(store_of(settings).root, run))
+            return self.run(request, run)
+
+        parameters, inputs = self.parameters(request), self.inputs(settings)
+        return execute(
+            folder_of(settings),
+            parameters | ({INPUTS: content_of(inputs)} if inputs else {}),
+            work,
+            configuration=configuration_files(settings),
+            provenance=provenance(self.libraries, Path(inspect.getfile(type(self)))),
+            retry_failed=bool(settings.retry_failed),
+        )
+
+    def finished(self, config: DictConfig | Settings) -> Outcome | None:
+        """What a run that is not to be executed says of itself; None for one that is.
+
+        Raises `BadRequest` for a finished run whose input files have changed since.
+        """
+        settings = self.settings(config)
+        folder = folder_of(settings)
+        found = finished(folder, bool(settings.get("retry_failed")))
+        if found is not None and found.did == "found" and (files := self.inputs(settings)):
+            known = (read_record(folder) or {}).get(INPUTS)  # none where the run read no files
+            names = ", ".join(str(path) for path in files)
+            problem, remedy = f"{names} changed since this run was done", "give study a new name, or remove the folder"
+            require(known in (None, content_of(files)), "run", folder, problem, remedy)
+        return found
+
+
+@dataclass(frozen=True)
+class RunStages(Store):
+    """The stages of a run: noted in its record, their files copied: a run stays whole when the store is removed."""
+
+    run: Run
+
+    def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:
+        facts = super().measured(kept, before)
+        self.run.settle(kept.result, kept.stage.files, facts)  # at once: a later stage may fail
+        return facts
+
+    def aside(self) -> Store:
+        return Store(self.root)
+
+
+def folder_of(settings: Mapping[str, Any]) -> Path:
+    """`results_dir/study/run`; raises `BadRequest` for names that would leave the results folder."""
+    for key in ("results_dir", "study", "run"):
+        require(isinstance(settings[key], str) and settings[key] != "", key, settings[key], "is no name", "give a text")
+    return run_folder(settings["results_dir"], settings["study"], settings["run"])
+
+
+def content_of(files: list[Path]) -> str:
+    """One sum over the content of these files, in this order."""
+    return digest([sha256_of_file(path) if path.is_file() else None for path in files])
+
+
+def store_of(config: DictConfig | Settings) -> Store:
+    """`results_dir/.store`, shared by all studies there."""
+    return Store(Path(str(config["results_dir"])) / ".store")
+
+
+def configuration_files(settings: Settings) -> dict[str, str]:
+    """`.hydra/`: the resolved configuration and the overrides that led to it."""
+    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    return {"config.yaml": yaml_text(settings), "overrides.yaml": yaml_text(list(overrides))}
+
+
+def task_of(task_function: Any) -> Task[Any]:
+    """The task whose `job` Hydra was given."""
+    task = getattr(task_function, "__self__", None)
+    assert isinstance(task, Task), "Hydra calls the method `job` of a Task"
+    return task

@@ -1,0 +1,1 @@
+"""Whether data and model allow a judgement of the plant at all."""

@@ -1,0 +1,62 @@
+"""What speaks against a judgement: one sentence with its number and what to do, at one of three levels."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import DataSet, Trajectory
+
+Level = Literal["note", "doubt", "cannot judge"]
+SOUND, DOUBT, CANNOT_JUDGE = "sound", "doubt", "cannot judge"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A `note` leaves the evidence sound, a `doubt` qualifies a prediction, `cannot judge` forbids one.
+
+    Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness test.
+    """
+
+    level: Level
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """What is judged: the records, and the model's free runs of validation and test."""
+
+    data: DataSet
+    model: SSM
+    validation: Simulation
+    test: Simulation
+
+    def scaled(self, record: Trajectory) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
+        """Input and output about the equilibrium, in scales."""
+        return self.data.scale.scaled_input(record.u), self.data.scale.scaled_output(record.y)
+
+    def residuals(self, part: Simulation) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
+        """Scaled inputs beside `y - y_model`, start-up samples left out."""
+        skip, scale = part.start_up_samples, self.data.scale
+        pairs = zip(part.records, part.simulated, strict=True)
+        return [(scale.scaled_input(r.u)[skip:], ((r.y - y) / scale.output_scale)[skip:]) for r, y in pairs]
+
+
+def note(sentence: str) -> Finding:
+    """A finding of level `note`."""
+    return Finding(level="note", sentence=sentence)
+
+
+def doubt(sentence: str) -> Finding:
+    """A finding of level `doubt`."""
+    return Finding(level="doubt", sentence=sentence)
+
+
+def graded(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
+    """A doubt from `doubtful` on, `cannot judge` from `hopeless` on, nothing below."""
+    if size >= hopeless:
+        return [Finding(level="cannot judge", sentence=sentence)]
+    return [doubt(sentence)] if size >= doubtful else []

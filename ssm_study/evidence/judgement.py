@@ -1,0 +1,46 @@
+"""All findings together: one level, and why."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ssm_study.evidence import fit, records, response
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, note
+from ssm_study.models.identified import SSM
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import DataSet
+from ssm_study.synthesis.mismatch import Mismatch
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """The worst level of the findings: `sound` (notes at most), `doubt` or `cannot judge`."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def level(self) -> str:
+        levels = {finding.level for finding in self.findings}
+        return next((level for level in (CANNOT_JUDGE, DOUBT) if level in levels), SOUND)
+
+    @property
+    def reasons(self) -> str | None:
+        """What speaks against the plant's judgement, the gravest first; notes follow where there is nothing else."""
+        told = sorted(self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level))
+        return " ".join(f"{finding.level}: {finding.sentence}" for finding in told) or None
+
+    def to_json(self) -> list[dict[str, str]]:
+        return [asdict(finding) for finding in self.findings]
+
+    @classmethod
+    def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
+        return cls(findings=tuple(Finding(**entry) for entry in content))
+
+
+def judge(data: DataSet, model: SSM, validation: Simulation, test: Simulation, shown: Mismatch) -> Judgement:
+    """Every finding about these records, this model and the mismatch that they show."""
+    case = Case(data=data, model=model, validation=validation, test=test)
+    found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *fit.whiteness(case)]
+    if "split" in data.metadata:
+        found.append(note(f"The log was cut {data.metadata['split']}."))
+    return Judgement(findings=tuple(found))

@@ -1,0 +1,153 @@
+"""What the records have visited: ranges, levels, spectra, length, drift, and records that are one another."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.evidence.finding import Case, Finding, doubt, note
+from ssm_study.evidence.response import RESPONSES, response_samples
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.mismatch import ANGLES, AT_REST, Mismatch, left
+
+BEYOND = 0.05  # share of samples that may lie beyond the range of training
+REACHED = 1.2  # a loop may start this far beyond what the training records reached
+AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
+ONE_SIDED = 0.02  # least share of the samples on either side of the equilibrium
+FEWEST_CHANGES, FEWEST_SAMPLES = 10, 200
+DRIFT = 0.2  # shift of the residual from the first quarter to the last, in output scales
+WINDOW = 12  # samples that agree exactly in two records only by being the same
+UNTRAINED = 0.2  # share of the test input's power in bands that training did not excite
+
+
+def findings(case: Case, shown: Mismatch) -> list[Finding]:
+    """All of them, each with its own sentence; those on rest and on what is unknown of the mismatch come last."""
+    looks = (_range, _levels, _limits, _length, _drift, _same, _spectrum, _loop)
+    return [*(doubt(sentence) for look in looks for sentence in look(case)), *_rest(case, shown)]
+
+
+def _joined(case: Case, records: tuple[Trajectory, ...]) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
+    parts = [case.scaled(record) for record in records]
+    return np.concatenate([u for u, _ in parts]), np.concatenate([y for _, y in parts])
+
+
+def _range(case: Case) -> Iterator[str]:
+    trained = _joined(case, case.data.training)
+    for name, index in (("input", 0), ("output", 1)):
+        low, high = trained[index].min(axis=0), trained[index].max(axis=0)
+        tested, room = _joined(case, case.data.test)[index], 0.05 * (high - low)
+        share = float(((tested < low - room) | (tested > high + room)).any(axis=1).mean())
+        if share > BEYOND:
+            yield f"{100 * share:.0f} % of the test record's {name} is beyond the training records: train there too."
+    starts = [abs(case.scaled(record)[1][0]) for record in case.data.trials if not np.any(case.scaled(record)[0])]
+    reached, farthest = np.abs(trained[1]).max(), max((float(start.max()) for start in starts), default=0.0)
+    if farthest > REACHED * reached:
+        yield f"The loop starts {farthest / reached:.1f} times as far out as the training records go: excite more."
+
+
+def _levels(case: Case) -> Iterator[str]:
+    u = _joined(case, case.data.training)[0]
+    changes = sum(int(np.any(np.diff(record.u, axis=0) != 0, axis=1).sum()) for record in case.data.training)
+    if changes < FEWEST_CHANGES:
+        yield f"The input changes {changes} times in all training records: move it more often."
+    if any(len(np.unique(column)) <= 2 for column in u.T):
+        yield "The input has two levels, which leave the slopes of S_u between them open: use many levels."
+    sides = float(min((u > 0).mean(axis=0).min(), (u < 0).mean(axis=0).min()))
+    if sides < ONE_SIDED:
+        yield "The input stays on one side of its equilibrium, and a loop will not: record both sides."
+
+
+def _limits(case: Case) -> Iterator[str]:
+    for channel, column in zip(case.data.outputs, _joined(case, case.data.training)[1].T, strict=True):
+        for name, limit in (("largest", column.max()), ("smallest", column.min())):
+            share = float((column == limit).mean())
+            if share > AT_LIMIT and len(np.unique(column)) > 50:
+                yield f"{channel.name} reads its {name} value in {100 * share:.0f} % of samples: it saturates."
+
+
+def _length(case: Case) -> Iterator[str]:
+    samples, response = [len(record) for record in case.data.training], response_samples(case.model.linear, 4000)
+    if sum(samples) < FEWEST_SAMPLES:
+        yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
+    elif max(samples) < RESPONSES * response:
+        yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: lengthen it."
+
+
+def _drift(case: Case) -> Iterator[str]:
+    pieces, shifts = [*case.residuals(case.validation), *case.residuals(case.test)], []
+    least = max(len(e) for _, e in pieces) // 4  # a short piece of a slow process is off as a whole
+    for e in (e for _, e in pieces if len(e) >= least):
+        quarter = max(len(e) // 4, 1)
+        shifts.append(float(np.abs(e[-quarter:].mean(axis=0) - e[:quarter].mean(axis=0)).max()))
+    if max(shifts) > DRIFT:
+        yield f"The model's error drifts by {max(shifts):.2f} output scales within a record: record longer."
+
+
+def _same(case: Case) -> Iterator[str]:
+    def windows(record: Trajectory) -> set[bytes]:
+        y = np.ascontiguousarray(record.y)
+        moving = (y[k : k + WINDOW] for k in range(len(y) - WINDOW))
+        return {piece.tobytes() for piece in moving if np.ptp(piece) > 0}
+
+    trained = set().union(*(windows(record) for record in case.data.training))
+    tested = [windows(record) for record in case.data.test]
+    share = sum(len(one & trained) for one in tested) / max(sum(len(one) for one in tested), 1)
+    if share > BEYOND:
+        yield f"{100 * share:.0f} % of the test record is part of the training records: its fit says nothing new."
+
+
+def _spectrum(case: Case) -> Iterator[str]:
+    def power(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
+        u = _joined(case, records)[0]
+        return np.asarray(scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)[1].sum(axis=1))
+
+    trained, tested = power(case.data.training), power(case.data.test)
+    if len(trained) != len(tested):
+        return
+    share = float(tested[trained < 0.01 * trained.mean()].sum() / max(tested.sum(), np.finfo(float).tiny))
+    if share > UNTRAINED:
+        yield f"{100 * share:.0f} % of the test input's power lies where training has none: train with that spectrum."
+
+
+def _loop(case: Case) -> Iterator[str]:
+    """An input that answers the output: the residual is then correlated with inputs to come."""
+    strongest = 0.0
+    for u, e in case.residuals(case.validation):
+        if len(u) < FEWEST_SAMPLES or not np.any(np.ptp(e, axis=0)):
+            continue
+        a, b = np.diff(u[:, 0]), np.diff(e[:, 0])
+        size = float(np.linalg.norm(a) * np.linalg.norm(b)) or 1.0
+        strongest = max(strongest, *(abs(float(a[lag:] @ b[:-lag])) / size for lag in range(1, 4)))
+    if strongest >= 0.3:
+        yield f"The input reacts to the output (correlation {strongest:.2f}), as in a closed loop: record with it open."
+
+
+def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
+    """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
+    stuck = max((left(y) for y in _afterwards(case)), default=0.0)
+    if not shown.rests:
+        told = f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
+        yield doubt(f"The output does not come to rest by itself ({told}): no loop is predicted to settle it.")
+    elif stuck > AT_REST:
+        told = f"After the input has moved it, the output stays {stuck:.2g} scales off at rest input: friction or play"
+        yield doubt(f"{told}; a loop without integrators may stop as far off.")
+    elif shown.left_at_rest is None:
+        problem = "No record ends at rest input: whether the output rests by itself is unknown"
+        yield note(f"{problem}; add such a record.")
+    if len(shown.views) == 1:
+        amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
+        yield note(f"All records have one amplitude ({amplitude}): below it the mismatch is unknown.")
+    if shown.unexcited:
+        hertz = min(shown.unexcited) / (2 * np.pi * case.data.step_s)
+        bands = f"{len(shown.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"
+        yield note(f"The input has no power in {bands}: the mismatch is poorly known there.")
+
+
+def _afterwards(case: Case) -> Iterator[Float[np.ndarray, "T p"]]:
+    """Outputs at rest input after it has moved, where that lasts `RESPONSES` of the model's own."""
+    least = RESPONSES * response_samples(case.model.linear, 4000)
+    for u, y in map(case.scaled, (*case.data.trials, *case.data.validation, *case.data.test)):
+        still = np.flatnonzero(u.any(axis=1))[-1:] + 1  # none where the input never moves
+        if len(still) and len(u) - still[0] >= max(least, 8):
+            yield y[still[0] :]

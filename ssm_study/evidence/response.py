@@ -1,0 +1,112 @@
+"""What the records say of the answer to the input: how long it lasts, how late it comes, at which frequencies it shows.
+
+Coherence `gamma^2(w) = S_yu S_uu^-1 S_uy / S_yy`: the share of the output's power that a linear filter of the inputs
+explains. Dead time: the first lag of the impulse response that is clearly not zero, where those before it clearly are.
+Source: Ljung, System Identification, 2nd ed. (1999) sections 6.4 and 14.3.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy
+from jaxtyping import Complex, Float
+
+from ssm_study.evidence.finding import Case, Finding, doubt, note
+from ssm_study.evidence.fit import LAGS, lagged
+from ssm_study.systems import StateSpace
+
+REMAINDER = 0.1  # of the response: its bulk, not the tail of a mode that no record filled
+AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
+RESPONSES = 2  # a record, and a piece of a coherence's average, should last this many times the model's own response
+USED = 0.1  # the controller's band: where the model answers with this share of its largest gain
+COHERENT, INCOHERENT = 0.3, 0.5  # coherence below which a frequency counts, and the share of the band that is a doubt
+CLEAR, SMALL = 4.0, 0.1  # standard errors of a lag, and the share of the largest lag below which it counts as none
+SMOOTH = 1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
+Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
+LATE = 2  # samples of dead time that are worth a note
+
+
+def findings(case: Case) -> list[Finding]:
+    """The doubt on coherence, and the dead time."""
+    return [*_coherence(case), *_dead_time(case)]
+
+
+def response_samples(linear: StateSpace, most: int) -> int:
+    """Samples after which `REMAINDER` of `sum |C A^k B|` is left: how long the model answers; at most `most`."""
+    impulse = np.eye(most, 1) * np.ones((1, linear.b.shape[1]))
+    size = np.abs(linear.simulate(impulse)[0]).sum(axis=1)
+    left = 1 - np.cumsum(size) / max(float(size.sum()), np.finfo(float).tiny)
+    return int(np.argmax(left <= REMAINDER)) + 1
+
+
+def _coherence(case: Case) -> Iterator[Finding]:
+    parts = [case.scaled(record) for record in case.data.training]
+    segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
+    parts = [(u, y) for u, y in parts if len(u) >= segment]
+    linear = case.model.linear
+    if not parts or segment < RESPONSES * response_samples(
+        linear, SEGMENTS[1]
+    ):  # what outlasts a piece counts as noise
+        return
+    angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
+    sizes = np.abs(np.linalg.solve(np.exp(1j * angles)[:, None, None] * np.eye(len(linear.a)) - linear.a, linear.b))
+    sizes = np.linalg.norm(linear.c @ sizes, axis=(1, 2))
+    used = sizes >= USED * sizes.max()
+    shown = coherence(parts, segment)[1:][used]
+    share, hertz = float((shown < COHERENT).mean()), angles[used].max() / (2 * np.pi * case.data.step_s)
+    if share > INCOHERENT:
+        told = f"Input and output go together (coherence above {COHERENT:g}) in {100 * (1 - share):.0f} % of the band"
+        yield doubt(f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or measure with less noise.")
+
+
+def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
+    """The multiple coherence of the output that has the least, at equal steps from 0 to half the sampling rate.
+
+    Spectra are averaged over all records: where the input rests in one of them, the others tell. Zero without power.
+    """
+
+    def cross(i: int, j: int) -> np.ndarray:
+        return np.sum([len(part[0]) * _cross_spectra(part[i], part[j], segment) for part in parts], axis=0)
+
+    power, through, whole = cross(0, 0), cross(0, 1), np.einsum("fpp->fp", cross(1, 1)).real
+    ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
+    power = power + max(ridge, np.finfo(float).tiny) * np.eye(power.shape[-1])
+    explained = np.einsum("fmp,fmp->fp", through.conj(), np.linalg.solve(power, through)).real
+    return np.asarray((explained / np.maximum(whole, np.finfo(float).tiny)).min(axis=1))
+
+
+def _cross_spectra(
+    a: Float[np.ndarray, "T r"], b: Float[np.ndarray, "T c"], segment: int
+) -> Complex[np.ndarray, "F r c"]:
+    rows = [[scipy.signal.csd(p, q, nperseg=segment)[1] for q in b.T] for p in a.T]
+    return np.moveaxis(np.array(rows, dtype=complex), 2, 0)
+
+
+def _dead_time(case: Case) -> Iterator[Finding]:
+    late, order = dead_time(case), case.model.order
+    if late < LATE:
+        return
+    told = f"The output answers {late} samples late"
+    if late > order:
+        yield doubt(
+            f"{told}, more than model.order={order} can delay it: use model.order={late + 2} or a longer step_s."
+        )
+    else:
+        yield note(f"{told}, which takes as many of the {order} states.")
+
+
+def dead_time(case: Case) -> int:
+    """Samples beyond the first by which every input is clearly not seen in any output; 0 where that is not clear."""
+    parts = [(lagged(u), y[LAGS:]) for u, y in map(case.scaled, case.data.training) if len(u) > 2 * LAGS]
+    if not parts or sum(len(x) for x, _ in parts) < 2 * parts[0][0].shape[1]:
+        return 0
+    x, y = (np.concatenate(side) for side in zip(*parts, strict=True))
+    weights, _, rank, _ = np.linalg.lstsq(x, y, rcond=SMOOTH)
+    if rank < x.shape[1]:
+        return 0
+    spread = np.sqrt(np.diag(np.linalg.inv(x.T @ x))[:-1, None] * (y - x @ weights).var(axis=0))
+    m = case.model.scale.inputs
+    size, doubtful = (part.reshape(LAGS + 1, m * y.shape[1]).max(axis=1) for part in (np.abs(weights[:-1]), spread))
+    nothing = size + CLEAR * doubtful < SMALL * size.max()
+    first = int(np.argmin(nothing))  # the first lag that may be something
+    return max(first - 1, 0) if size[first] > CLEAR * doubtful[first] else 0

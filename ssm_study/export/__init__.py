@@ -1,0 +1,1 @@
+"""The controller for use elsewhere."""

@@ -1,0 +1,151 @@
+"""The controller as dependency-free C99: no allocation, no library, constants that read back exactly."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.network import PortableMap
+from ssm_study.export.device import REALS, Device, Inverse
+from ssm_study.refusal import require
+
+_HEADER, _SET_POINTS, _REPLAY = (
+    Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+    for name in ("controller.h.txt", "set_points.h.txt", "replay.c.txt")
+)
+KEYWORDS = (
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
+)
+REPLAYED = 200  # samples of the replay: some hundred times the states of a usual controller
+AGREEMENT = {"double": 1e-9, "float": 1e-3}  # of the largest input: what compilers that reorder or fuse may change
+REPLAY_SEED = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """What the header says besides numbers: origin, one line per signal, digest, the rates of the rounded numbers."""
+
+    about: str
+    signals: tuple[str, ...] = ()
+    digest: str = ""
+    rates: tuple[str, ...] = ()
+
+
+def c_files(device: Device, words: Words, name: str = "controller") -> dict[str, str]:
+    """File name and text: header, source, and where there are set points a replay with its own `main`.
+
+    `name` prefixes every symbol and file. Raises `BadRequest` for one that C does not allow.
+    """
+    allowed = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and name not in KEYWORDS.split()
+    require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
+    guard = name.upper()
+    source = f"#ifndef {guard}_EXTERN\n#define {guard}_EXTERN\n#endif\n#define {guard}_IMPLEMENTATION\n"
+    files = {f"{name}.h": _header(device, words, name), f"{name}.c": f'{source}#include "{name}.h"\n'}
+    return files | ({f"{name}_replay.c": _replay(device, name)} if device.set_points else {})
+
+
+def _header(device: Device, words: Words, name: str) -> str:
+    real, c, points = device.real, device.controller, device.set_points
+    tables = "".join(_array(f"{name}_{label}", values, real) for label, values in device.tables().items())
+    maps = _map(f"{name}_s_in", c.s_in, name, real) + _map(f"{name}_s_out", c.s_out, name, real)
+    sizes, declared, defined = _sizes(device, name), "", ""
+    if points is not None:
+        maps += _inverse(f"{name}_s_in_inverse", points.inward, name, real)
+        maps += _inverse(f"{name}_s_out_inverse", points.outward, name, real)
+        defined = _SET_POINTS.substitute(sizes)
+        declared = "".join(f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line)
+    constants = sum(int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps))
+    return _HEADER.substitute(
+        sizes, tables=tables, maps=maps, declared=declared, defined=defined,
+        about=harmless(words.about), digest=harmless(words.digest) or "none",
+        signals="\n".join(f" * {harmless(line)}" for line in words.signals) or " *",
+        rates="\n".join(f" * {harmless(line)}" for line in words.rates) or " *",
+        step_s=repr(c.step_s), has_set_points=int(points is not None),
+        bytes=constants * np.dtype(REALS[real]).itemsize, multiplications=device.multiplications,
+        tiny=_number(1e-12, real), relative=_number(1e-9 if real == "double" else 1e-6, real),
+    )  # fmt: skip
+
+
+def harmless(text: str) -> str:
+    """Text that can neither end a C comment nor go on beyond its line, whatever somebody named a study."""
+    alone = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"  # between letters, as in rad/s, a slash is no part of a comment's end
+    return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{alone}", "_", text)
+
+
+def _sizes(device: Device, name: str) -> dict[str, object]:
+    (n, k), (q, _), scale = device.controller.b.shape, device.controller.c.shape, device.controller.scale
+    sizes = {"n": n, "k": k, "q": q, "m": scale.inputs, "p": scale.outputs}
+    return {"name": name, "guard": name.upper(), "real": device.real, **sizes}
+
+
+def _replay(device: Device, name: str) -> str:
+    """Levels within two scales of rest, also beyond the limits, noise on top; set points change in between."""
+    scale, rng = device.controller.scale, np.random.default_rng(REPLAY_SEED)
+    levels = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs)).repeat(20, axis=1)
+    noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
+    y, r = (scale.physical_output(values) for values in (noisy, np.roll(levels[1], 7, axis=0)))
+    u = device.replay(y, r)
+    tables = {}
+    for label, values in {"measured": y, "wanted": r, "expected": u}.items():
+        rows = (", ".join(_number(value, device.real) for value in row) for row in values)
+        tables[label] = ", ".join(f"{{{row}}}" for row in rows)
+    tolerance = repr(AGREEMENT[device.real] * max(1.0, float(np.abs(u).max())))
+    return _REPLAY.substitute(_sizes(device, name) | tables, samples=REPLAYED, tolerance=tolerance)
+
+
+def _number(value: float | np.floating[Any], real: str) -> str:  # The shortest text that reads back to the same float
+    return np.format_float_scientific(REALS[real](value), trim="0") + ("f" if real == "float" else "")
+
+
+def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
+    numbers = ", ".join(_number(value, real) for value in values.ravel())
+    return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"
+
+
+def _function(name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str) -> str:
+    """`void name(argument, out)` behind its constants, called `name_<label>` there and `#label` in `body`."""
+    constants = "".join(_array(f"{name}_{label}", values, real) for label, values in tables.items())
+    code = body.replace("#", f"{name}_")
+    return f"\n{constants}static inline void {name}(const {real} *{argument}, {real} *out) {{\n{code}}}\n"
+
+
+def _product(prefix: str, label: str, matrix: Float[np.ndarray, "r c"], source: str, target: str) -> str:
+    rows, columns = matrix.shape
+    return f"    {prefix}_matvec({rows}, {columns}, #{label}, {source}, {target});\n"
+
+
+def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
+    """`out += linear v + N(v)`, layer by layer: `d = phi(W d + b) - phi(b)`."""
+    tables, source = {"linear": portable.linear}, "v"
+    body = _product(prefix, "linear", portable.linear, "v", "out")
+    for i, (w, b, low, high) in enumerate(portable.network.hidden() if portable.network else ()):
+        at_zero = np.where(b >= 0, high, low) * b
+        tables |= {f"w{i}": w, f"b{i}": b, f"low{i}": low, f"high{i}": high, f"at_zero{i}": at_zero}
+        body += f"    {real} d{i}[{len(b)}];\n    for (int i = 0; i < {len(b)}; ++i) d{i}[i] = #b{i}[i];\n"
+        body += _product(prefix, f"w{i}", w, source, f"d{i}") + f"    for (int i = 0; i < {len(b)}; ++i)\n"
+        body += f"        d{i}[i] = {prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i]) - #at_zero{i}[i];\n"
+        source = f"d{i}"  # what the next layer takes
+    if portable.network:
+        tables["w_out"] = portable.network.weights[-1]
+        body += _product(prefix, "w_out", tables["w_out"], source, "out")
+    return _function(name, "v", tables, body, real)
+
+
+def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
+    """`out = S^{-1}(w)`: a product, or the piece of each channel."""
+    if inverse.matrix is not None:
+        body = _product(prefix, "linear", inverse.matrix, "w", "out")
+        return _function(name, "w", {"linear": inverse.matrix}, body, real)
+    tables: dict[str, Float[np.ndarray, ...]] = {}
+    body = "    int j;\n"
+    for c, (points, slopes, offsets) in enumerate(inverse.channels):
+        tables |= {f"at{c}": points} if len(points) else {}  # C has no array of size zero
+        tables |= {f"slope{c}": slopes, f"offset{c}": offsets}
+        search = f"for (j = 0; j < {len(points)} && #at{c}[j] <= w[{c}]; ++j) {{}}" if len(points) else "j = 0;"
+        body += f"    {search}\n    out[{c}] = #slope{c}[j] * w[{c}] + #offset{c}[j];\n"
+    return _function(name, "w", tables, body, real)

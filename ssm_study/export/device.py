@@ -1,0 +1,289 @@
+"""The controller as the device computes it: rounded to its floats, within its limits, in the order of its C code.
+
+For a set point r the law aims at the rest point of the model nearest to it: `v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped
+to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`, and applies
+`u = clamp(u_eq + s_u (v* + K (x - x*)))`. The observer is told the input that was applied, so a limit does not disturb
+the estimate, and integrators rest while it acts: nothing winds up. `Device` is also its own oracle: `replay` runs the
+law in NumPy, one rounding for one rounding of the C code compiled with `-ffp-contract=off`.
+"""
+
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.bounds.network import Network, PortableMap, break_points
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import BadRequest, one_of, require
+from ssm_study.signals import Scale
+from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.systems import StateSpace
+
+
+@dataclass(frozen=True, kw_only=True)
+class PortableController:
+    """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u - u_eq)/s_u`.
+
+    `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the equilibrium: the estimate
+    of the model's scaled state and, with integral action, the integrators `z+ = z + w` below it (`E` is zero without).
+    """
+
+    a: Float[np.ndarray, "n n"]
+    b: Float[np.ndarray, "n k"]
+    c: Float[np.ndarray, "q n"]
+    d: Float[np.ndarray, "q k"]
+    k: Float[np.ndarray, "m n"]
+    l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
+    e: Float[np.ndarray, "n p"]
+    s_in: PortableMap
+    s_out: PortableMap
+    scale: Scale
+    step_s: float
+
+    def to_json(self) -> dict[str, Any]:
+        maps = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
+        return {name: values.tolist() for name, values in self.arrays().items()} | maps | {"step_s": self.step_s}
+
+    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Every constant but the maps' own, by name."""
+        return {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")} | vars(self.scale)
+
+    def recurrence(self) -> StateSpace:
+        """`A, B, C, D` of the model alone, without the integrators, in float64."""
+        n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the integrators alone
+        parts = {"a": self.a[:n, :n], "b": self.b[:n], "c": self.c[:, :n], "d": self.d}
+        return StateSpace(**{name: np.asarray(part, dtype=float) for name, part in parts.items()})
+
+
+def portable(model: SSM, design: Design) -> PortableController:
+    """Raises `BadRequest` when the design has no controller or observer, or was made for another model."""
+    for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
+        if isinstance(part, Infeasible):
+            raise BadRequest(f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run")
+    k, l = design.pair.k, design.pair.l  # noqa: E741 - the paper's letter
+    linear, n, p = model.linear, model.order, model.scale.outputs
+    fits = k.shape[1] in (n, n + p) and len(l) == n
+    require(fits, "certificate", k.shape, f"the model has order {n}", "export the run as stored")
+    added = k.shape[1] - n  # integrators
+    below = ((0, added), (0, 0))
+    return PortableController(
+        a=scipy.linalg.block_diag(linear.a, np.eye(added)),
+        b=np.pad(linear.b, below),
+        c=np.pad(linear.c, ((0, 0), (0, added))),
+        d=linear.d,
+        k=k,
+        l=np.pad(l, below),
+        e=np.vstack([np.zeros((n, p)), np.eye(p)[:added]]),
+        s_in=model.scaffold_in.portable(),
+        s_out=model.scaffold_out.portable(),
+        scale=model.scale,
+        step_s=model.step_s,
+    )
+
+
+Row = Float[np.ndarray, "_"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inverse:
+    """`v = matrix w`, or per channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
+
+    j is the count of `points <= w`.
+    """
+
+    matrix: Float[np.ndarray, "m k"] | None = None
+    channels: tuple[tuple[Row, Row, Row], ...] = ()
+
+
+def inverse_of(portable: PortableMap) -> Inverse | None:
+    """The inverse; None for a map that couples its channels or is not strictly monotone.
+
+    A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece.
+    """
+    gain = portable.linear
+    if portable.network is None:
+        regular = len(set(gain.shape)) == 1 and np.linalg.matrix_rank(gain) == len(gain)
+        return Inverse(matrix=np.linalg.inv(gain)) if regular else None
+    found = [_scalar(channel) for channel in _channels(portable)]
+    channels = tuple(channel for channel in found if channel is not None)
+    return Inverse(channels=channels) if found and len(channels) == len(found) else None
+
+
+def _channels(portable: PortableMap) -> list[PortableMap]:
+    """One scalar map per channel; none if a neuron sees or moves two of them."""
+    net, gains = portable.network, np.diagonal(portable.linear)
+    if portable.linear.shape == (1, 1):
+        return [portable]
+    assert net is not None
+    inner, outer = net.weights[0], net.weights[-1]
+    diagonal = np.array_equal(portable.linear, np.diag(gains))
+    apart = ((inner != 0).sum(axis=1) <= 1).all() and not np.any((outer.T != 0) & (inner == 0))  # one in, same out
+    if len(net.biases) > 1 or not diagonal or not apart:
+        return []
+    found = []
+    for c, gain in enumerate(gains):
+        own = inner[:, c] != 0
+        layers = {name: (getattr(net, name)[0][own],) for name in ("biases", "negative_slopes", "positive_slopes")}
+        network = Network(weights=(inner[own, c : c + 1], outer[c : c + 1, own]), **layers)
+        found.append(PortableMap(linear=np.array([[gain]]), network=network))
+    return found
+
+
+def _scalar(portable: PortableMap) -> tuple[Row, Row, Row] | None:
+    knots = np.unique([float(t) for t in break_points(portable.as_network())])  # pieces of one slope share a point
+    t = np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]]) if len(knots) else np.array([-1.0, 1.0])
+    w = portable(t[:, None])[:, 0]
+    t, w = (t[::-1], w[::-1]) if w[-1] < w[0] else (t, w)  # a falling map, from its other end
+    if not (np.diff(w) > 0).all():
+        return None
+    slopes = np.diff(t) / np.diff(w)  # of the inverse
+    return w[1:-1].copy(), slopes, t[:-1] - slopes * w[:-1]
+
+
+REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
+IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
+
+Vector = Float[np.ndarray, "_"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetPoints:
+    """`to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)` is G."""
+
+    to_lifted: Float[np.ndarray, "k q"]  # the least input where inputs outnumber outputs
+    at_rest: Float[np.ndarray, "n k"]
+    seen: Float[np.ndarray, "q k"]
+    inward: Inverse
+    outward: Inverse
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device:
+    """A controller rounded to `real`, with input limits `lower, upper (m,)`, physical; infinite where there is none.
+
+    `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, or no constant
+    input reaches every output. Raises `BadRequest` for another `real`.
+    """
+
+    controller: PortableController
+    real: str
+    lower: Vector
+    upper: Vector
+
+    @classmethod
+    def of(cls, controller: PortableController, real: str, lower: Vector, upper: Vector) -> "Device":
+        """Every number rounded once, to the nearest `real`; missing limits become the largest `real`."""
+        one_of(REALS, "real", real)
+        kind, most = REALS[real], float(np.finfo(REALS[real]).max)
+        limits = (np.broadcast_to(limit, controller.scale.inputs) for limit in (lower, upper))
+        low, high = (np.clip(limit, -most, most).astype(kind) for limit in limits)
+        return cls(controller=in_floats(controller, kind), real=real, lower=low, upper=high)
+
+    @cached_property
+    def set_points(self) -> SetPoints | None:
+        """From the rounded numbers, computed in float64 and rounded once more."""
+        c = in_floats(self.controller, np.float64)
+        model, inward, outward = c.recurrence(), inverse_of(c.s_in), inverse_of(c.s_out)
+        rest = np.linalg.solve(np.eye(model.order) - model.a, model.b)  # x = A x + B v
+        gain = model.c @ rest + model.d
+        reached = np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) == len(gain)
+        if inward is None or outward is None or not reached:
+            return None
+        at_rest = np.pad(rest, ((0, len(c.a) - model.order), (0, 0)))
+        exact = SetPoints(to_lifted=np.linalg.pinv(gain), at_rest=at_rest, seen=gain, inward=inward, outward=outward)
+        return in_floats(exact, REALS[self.real])
+
+    def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Every constant of the C code by name, in its order; those of the maps' networks are `layers`."""
+        sets = vars(self.set_points) if self.set_points else {}
+        matrices = {name: part for name, part in sets.items() if isinstance(part, np.ndarray)}
+        return self.controller.arrays() | {"lower": self.lower, "upper": self.upper} | matrices
+
+    @property
+    def multiplications(self) -> int:
+        """Multiply-accumulates of one `track` (of one `step` where there are no set points), at most."""
+        c = self.controller
+        maps = sum(w.size for s in (c.s_in, c.s_out) for w in (s.linear, *(s.network.weights if s.network else ())))
+        products = sum(table.size for table in self.tables().values() if table.ndim == 2)
+        return products + maps + (maps + 2 * len(c.k) if self.set_points else 0)
+
+    def start(self, y0: Vector) -> Vector:
+        """The state in which the model rests at `y0`; the equilibrium where there are no set points."""
+        c, points = self.controller, self.set_points
+        if points is None:
+            return np.zeros(len(c.a), dtype=REALS[self.real])
+        return _times(points.at_rest, _times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))))
+
+    def track(self, x: Vector, y: Vector, r: Vector) -> tuple[Vector, Vector]:
+        """The input for this sample, clamped, and the next state."""
+        c, rest = self.controller, self.aim(r)
+        asked = c.scale.physical_input(_times(c.k, x - rest["x"], rest["v"]))
+        u = np.clip(asked, self.lower, self.upper)
+        lifted = _mapped(c.s_in, c.scale.scaled_input(u))  # the observer is told what was applied
+        measured = c.scale.scaled_output(y)
+        error = _mapped(c.s_out, _times(c.d, lifted, _times(c.c, x))) - measured
+        following = _times(c.l, error, _times(c.b, lifted, _times(c.a, x)))
+        if np.array_equal(u, asked):  # integrators rest while a limit acts
+            following = _times(c.e, measured - rest["w"], following)
+        return u, following
+
+    def aim(self, r: Vector) -> dict[str, Vector]:
+        """The rest point nearest to `r` within the limits: state `x`, scaled input `v` and output `w`."""
+        c, points = self.controller, self.set_points
+        assert points is not None, "a device without set points tracks nothing"
+        wanted = _times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
+        u = np.clip(c.scale.physical_input(_undone(points.inward, wanted)), self.lower, self.upper)
+        v = c.scale.scaled_input(u)
+        lifted = _mapped(c.s_in, v)
+        return {"x": _times(points.at_rest, lifted), "v": v, "w": _mapped(c.s_out, _times(points.seen, lifted))}
+
+    def replay(self, y: Float[np.ndarray, "T p"], r: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T m"]:
+        """What the device applies to these measurements and set points, started at the first measurement."""
+        y, r = (values.astype(REALS[self.real]) for values in (y, r))
+        x, applied = self.start(y[0]), []
+        for seen, wanted in zip(y, r, strict=True):
+            u, x = self.track(x, seen, wanted)
+            applied.append(u)
+        return np.stack(applied)
+
+
+def _times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -> Vector:
+    """`start + a x`, summed from the first column on: the order of the C code, which `@` does not promise."""
+    y = np.zeros(len(a), dtype=a.dtype) if start is None else start
+    for j, value in enumerate(x):
+        y = y + a[:, j] * value  # two roundings, as in C without contraction
+    return y
+
+
+def _mapped(portable: PortableMap, v: Vector) -> Vector:
+    out, d = _times(portable.linear, v), v
+    if portable.network is None:
+        return out
+    for w, b, low, high in portable.network.hidden():
+        z = _times(w, d, b)
+        d = np.where(z >= 0, high * z, low * z) - np.where(b >= 0, high, low) * b
+    return _times(portable.network.weights[-1], d, out)
+
+
+def _undone(inverse: Inverse, w: Vector) -> Vector:
+    if inverse.matrix is not None:
+        return _times(inverse.matrix, w)
+    found = []
+    for (points, slopes, offsets), value in zip(inverse.channels, w, strict=True):
+        j = int((points <= value).sum())  # the piece
+        found.append(slopes[j] * value + offsets[j])
+    return np.array(found, dtype=w.dtype)
+
+
+def in_floats(value: Any, kind: Any) -> Any:
+    """The same with every array in it, at any depth, rounded to `kind`, or widened to it."""
+    if isinstance(value, np.ndarray):
+        return value.astype(kind)
+    if isinstance(value, tuple):
+        return tuple(in_floats(part, kind) for part in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{part.name: in_floats(getattr(value, part.name), kind) for part in fields(value)})
+    return value

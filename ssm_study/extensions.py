@@ -1,0 +1,83 @@
+"""Other people's code: what is trusted besides this package, and where it lies.
+
+Trusted are installed packages that register an entry point of the group `ssm_study`, and the one folder that is named
+on the command line by `--with`. Nothing else is imported, and no configuration of anything else is read. Such a package
+holds `conf/` (yaml files by group, as ours), the classes they name by `_target_`, and `figures/`. Importing it makes
+known what is found by its kind, a scaffolding for instance.
+"""
+
+import os
+import sys
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from pkgutil import iter_modules
+
+from ssm_study.refusal import require
+
+GROUP = "ssm_study"
+OPTION = "--with"
+FOLDER = "SSM_STUDY_WITH"  # holds it for the processes that work on a study, on other machines too
+
+
+def taken_from(arguments: list[str]) -> list[str]:
+    """The arguments without `--with FOLDER`, which is trusted from here on. Raises `BadRequest` for another folder."""
+    if OPTION not in arguments:
+        return arguments
+    place = arguments.index(OPTION)
+    require(len(arguments) > place + 1, OPTION, "", "names no folder", "give the folder of your study")
+    trust(Path(arguments[place + 1]))
+    return arguments[:place] + arguments[place + 2 :]
+
+
+def trust(folder: Path) -> None:
+    """Make the package in this folder importable and its parts choosable. Raises `BadRequest` for no such package."""
+    folder = folder.resolve()
+    whole = folder.name.isidentifier() and (folder / "__init__.py").is_file()
+    require(whole, OPTION, folder, "is no study folder", "make one: ssm-study new FOLDER")
+    os.environ[FOLDER] = str(folder)
+    packages.cache_clear()
+    packages()
+
+
+@cache
+def packages() -> dict[str, Path]:
+    """Name and folder of every trusted package. Raises `BadRequest` where the name of the folder means another one."""
+    points = sorted(point.module.split(".")[0] for point in entry_points(group=GROUP))
+    found = {name: folder for name in points if (folder := _folder_of(name)) is not None}
+    if own := os.environ.get(FOLDER):
+        folder = Path(own)
+        if str(folder.parent) not in sys.path:
+            sys.path.append(str(folder.parent))
+        meant = _folder_of(folder.name)
+        require(meant == folder, OPTION, own, f"the name {folder.name} is taken by {meant}", "rename the folder")
+        found[folder.name] = folder
+    return found
+
+
+def configurations() -> list[Path]:
+    """The folders of yaml files that are searched after ours."""
+    return [folder / "conf" for folder in packages().values() if (folder / "conf").is_dir()]
+
+
+def modules(room: str) -> dict[str, str]:
+    """Name and dotted module of every file in the folder `room` of a trusted package, e.g. `figures`."""
+    return {
+        module.name: f"{package}.{room}.{module.name}"
+        for package, folder in packages().items()
+        for module in iter_modules([str(folder / room)])
+        if not module.name.startswith("_")
+    }
+
+
+def load() -> None:
+    """Import the trusted packages, so that their kinds are known."""
+    for name in packages():
+        import_module(name)
+
+
+def _folder_of(name: str) -> Path | None:
+    spec = find_spec(name)
+    return Path(spec.origin).parent if spec is not None and spec.origin else None

@@ -1,0 +1,36 @@
+"""A family: one question, one room, one file a member; members are found by their names, from no list."""
+
+import pkgutil
+from abc import ABC
+from importlib import import_module
+from types import ModuleType
+from typing import Any, ClassVar
+
+from ssm_study.extensions import load
+
+
+class Family(ABC):
+    """`class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the family's room.
+
+    A member that leaves a question of its family open is refused where it is defined (`TypeError`). Members outside
+    the room count from when their module is imported.
+    """
+
+    known: ClassVar[dict[str, type[Any]]]
+
+    def __init_subclass__(cls, names: tuple[str, ...] = (), **others: Any) -> None:
+        super().__init_subclass__(**others)
+        if Family in cls.__bases__:
+            cls.known = {}
+        left_open = sorted(n for n in dir(cls) if getattr(getattr(cls, n, None), "__isabstractmethod__", False))
+        if names and left_open:
+            raise TypeError(f"{cls.__name__} does not answer {', '.join(left_open)}")
+        cls.known.update(dict.fromkeys(names, cls))
+
+    @classmethod
+    def members(cls, room: ModuleType) -> dict[str, type[Any]]:
+        """By name, those of every file in the room and of trusted packages (`extensions`) among them."""
+        load()
+        for module in pkgutil.iter_modules(room.__path__):
+            import_module(f"{room.__name__}.{module.name}")
+        return cls.known

@@ -1,0 +1,1 @@
+"""Controllers that ours is compared with."""

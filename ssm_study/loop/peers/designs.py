@@ -1,0 +1,48 @@
+"""The plant left alone, and certified designs: any solution of the paper's inequalities, guaranteed cost, and ours."""
+
+# ruff: noqa: ARG002 - every peer is shown everything; these need less
+from ssm_study.loop.controller import Uncontrolled
+from ssm_study.loop.peers.lqg import LQGWeights
+from ssm_study.loop.peers.peer import Identified, Peer
+from ssm_study.plants.plant import Plant
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.lmi import LmiSynthesis
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+
+
+class UncontrolledPeer(Peer, names=("uncontrolled",)):
+    """What every controller is measured against."""
+
+    def build(self, plant: Plant, known: Identified, rate: float) -> Uncontrolled:
+        return Uncontrolled.of(plant)
+
+
+class PaperLmiPeer(Peer, names=("paper_lmi",)):
+    """Any solution of the theorems' inequalities."""
+
+    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+        asked = LmiSynthesis(rate_controller=rate, rate_observer=rate, objective="feasibility", full=True)
+        return asked.design(known.model, known.balls)
+
+
+class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
+    """Riccati, with the weights of `synthesis=riccati`."""
+
+    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+        asked = RiccatiSynthesis(rate_controller=rate, rate_observer=rate, **vars(LQGWeights()))
+        return asked.design(known.model, known.balls)
+
+
+class ChosenPeer(Peer, names=("auto",)):
+    """Ours, `synthesis=auto`."""
+
+    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+        return known.chosen(Auto())
+
+
+class ChosenIntegralPeer(Peer, names=("auto_integral",)):
+    """Ours with integral action."""
+
+    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+        return known.chosen(Auto(integral_weights=(1e-4, 1e-3, 1e-2)))

@@ -1,0 +1,92 @@
+"""The controllers compared on one plant, one file each: left alone, textbook, the paper's, ours; what each may know."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssm_study.family import Family
+from ssm_study.loop import peers
+from ssm_study.loop.controller import Controller, ObserverFeedback
+from ssm_study.models.identified import SSM
+from ssm_study.plants.plant import Plant
+from ssm_study.refusal import BadRequest, one_of
+from ssm_study.signals import DataSet, Trajectory
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.mismatch import Mismatch, mismatch
+from ssm_study.synthesis.prediction import predict
+from ssm_study.systems import Balls
+
+if TYPE_CHECKING:
+    from ssm_study.loop.regulation import Loop
+    from ssm_study.synthesis.auto import Auto
+
+Row = dict[str, Any]
+PREDICTED = ("mismatch_margin", "resolved_margin", "controller_radius")  # nothing where a controller has no model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """What every controller may know: the model, the balls of its Jacobians, the validation record."""
+
+    model: SSM
+    balls: Balls
+    validation: tuple[Trajectory, ...]
+    trials: tuple[Trajectory, ...] = ()
+    start_up_samples: int = 0
+
+    @classmethod
+    def of(cls, model: SSM, balls: Balls, data: DataSet) -> "Identified":
+        """The model beside the records that may be known."""
+        records = {name: getattr(data, name) for name in ("validation", "trials", "start_up_samples")}
+        return cls(model=model, balls=balls, **records)
+
+    @cached_property
+    def shown(self) -> Mismatch:
+        """How far the plant is from the model, as the records show it."""
+        return mismatch(self.model, self.validation, self.start_up_samples, self.trials)
+
+    def chosen(self, synthesis: "Auto") -> Design:
+        """What `auto` takes, knowing all this."""
+        return synthesis.design(self.model, self.balls, self.validation, self.start_up_samples, self.trials)
+
+
+class ComparisonTable(ABC):
+    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values None."""
+
+    @abstractmethod
+    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
+        """The same columns in every row."""
+
+
+class Peer(Family):
+    """A way to a controller; `names` is what the comparison calls it."""
+
+    @abstractmethod
+    def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:
+        """`rate` is asked of controller and observer where the method takes rates. Raises `BadRequest` for a model or
+        plant that it has no controller for."""
+
+
+def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> tuple[Controller | None, Row]:
+    """One of the peers, None where it has no controller, and what is proved and predicted of it, or the reason.
+
+    Raises `BadRequest` for another name.
+    """
+    one_of(Peer.members(peers), "loop.comparison.controllers", name)
+    said: Row = {"controller": name, "certified": False, **dict.fromkeys(PREDICTED), "reason": ""}
+    try:
+        built = Peer.known[name]().build(plant, known, rate)
+        controller = ObserverFeedback.of(known.model, built) if isinstance(built, Design) else built
+    except BadRequest as refusal:
+        return None, said | {"reason": str(refusal)}
+    if isinstance(controller, ObserverFeedback):
+        said |= vars(predict(known.model, controller.gains, known.balls, known.shown))
+    return controller, said | {"certified": isinstance(built, Design) and built.certified}
+
+
+def sensor_variance(plant: Plant, known: Identified) -> float:
+    """The sensor's own noise in scaled units, mean over the outputs."""
+    return max(float(np.mean(np.array(plant.noise_variance) / known.model.scale.output_scale**2)), 1e-6)

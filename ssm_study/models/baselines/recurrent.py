@@ -1,0 +1,91 @@
+"""GRU and LSTM baselines: torch's own cells for training, their published equations for the stored model."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.special import expit
+from torch import nn
+
+from ssm_study.models.identified import Inputs, Outputs, Simulator
+from ssm_study.models.scaffolds.scaffold import numbers
+from ssm_study.models.spec import ModelSpec
+from ssm_study.models.torch_ssm import Signals, States, TorchModel
+from ssm_study.refusal import at_least, one_of
+from ssm_study.signals import DataSet, Scale
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recurrent(Simulator, names=("gru", "lstm")):
+    """One layer of GRU or LSTM with a linear output, stepped by torch's documented equations."""
+
+    kind: str  # type: ignore[misc] # of either cell
+    weight_ih: Float[np.ndarray, "g m"]
+    weight_hh: Float[np.ndarray, "g h"]
+    bias_ih: Float[np.ndarray, "g"]
+    bias_hh: Float[np.ndarray, "g"]
+    read: Float[np.ndarray, "p h"]
+    offset: Float[np.ndarray, "p"]
+    scale: Scale
+
+    def simulate(self, u: Inputs) -> Outputs:
+        scaled, hidden = self.scale.scaled_input(u), self.weight_hh.shape[1]
+        h, c = np.zeros((*u.shape[:-2], hidden)), np.zeros((*u.shape[:-2], hidden))
+        y = np.empty((*u.shape[:-1], len(self.offset)))
+        for k in range(u.shape[-2]):
+            gates = scaled[..., k, :] @ self.weight_ih.T + self.bias_ih
+            fed_back = h @ self.weight_hh.T + self.bias_hh
+            if self.kind == "gru":
+                (r, z, n), (hr, hz, hn) = np.split(gates, 3, axis=-1), np.split(fed_back, 3, axis=-1)
+                update = expit(z + hz)  # share of the old state that stays
+                h = (1 - update) * np.tanh(n + expit(r + hr) * hn) + update * h
+            else:
+                i, f, g, o = np.split(gates + fed_back, 4, axis=-1)
+                c = expit(f) * c + expit(i) * np.tanh(g)
+                h = expit(o) * np.tanh(c)
+            y[..., k, :] = h @ self.read.T + self.offset
+        return self.scale.physical_output(y)
+
+
+class TorchRecurrent(TorchModel):
+    """`y = W h + b` of torch's GRU or LSTM cell, float64; its state is h, and c of the LSTM."""
+
+    def __init__(self, cell: str, hidden: int, channels: tuple[int, int]) -> None:
+        super().__init__()
+        self.kind = cell
+        kind = nn.GRU if cell == "gru" else nn.LSTM
+        self.cell = kind(channels[0], hidden, batch_first=True, dtype=torch.float64)
+        self.read = nn.Linear(hidden, channels[1], dtype=torch.float64)
+        self.states = hidden if cell == "gru" else 2 * hidden  # the LSTM's h, then its c
+
+    def forward(self, u: Signals, x0: States | None = None) -> Signals:
+        return self.read(self.cell(u)[0]) if x0 is None else self.advance(u, x0)[0]
+
+    def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
+        start = [part.contiguous() for part in x0[None].split(self.cell.hidden_size, dim=-1)]
+        y, end = self.cell(u, start[0] if self.kind == "gru" else tuple(start))
+        return self.read(y), (end if self.kind == "gru" else torch.cat(end, -1))[0]
+
+    def freeze(self, data: DataSet) -> Recurrent:
+        names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        weights = {name: numbers(getattr(self.cell, f"{name}_l0")) for name in names}
+        weights |= {"read": numbers(self.read.weight), "offset": numbers(self.read.bias)}
+        return Recurrent(kind=self.kind, **weights, scale=data.scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecurrentSpec(ModelSpec):
+    """`cell` is gru or lstm, `hidden` its states; identification only."""
+
+    cell: str
+    hidden: int
+
+    def __post_init__(self) -> None:
+        one_of(("gru", "lstm"), "model.cell", self.cell)
+        at_least(1, "model.hidden", self.hidden, "use 16 or so")
+
+    def build(self, data: DataSet, seed: int) -> TorchRecurrent:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return TorchRecurrent(self.cell, self.hidden, (data.scale.inputs, data.scale.outputs))

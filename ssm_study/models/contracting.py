@@ -1,0 +1,183 @@
+"""Structured recurrences that contract by construction: free parameters, both ways, with the derivative written out.
+
+All `(A, E, F)` whose analysis LMI of THEORY section 6 holds at r with `M = I, Lambda = I` are
+
+    E = sqrt2 con(X_E),   [A; Gh] = r con(X_G),   R R' = 2 I - E'E,   F = R Gh - E'A,   con(X) = X chol(I + X'X)^{-T}
+
+for the LMI's Schur complement is `(F + E'A)' (2 I - E'E)^{-1} (F + E'A) = Gh'Gh < r^2 I - A'A`. Then F <- diag(d) F and
+E <- E diag(d)^{-1} with `d > 0` stand for `Lambda = diag(d)^{-2}`. `M = I` is a choice of coordinates.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.refusal import BadRequest
+
+FREQUENCIES = np.exp(1j * np.append(0.0, np.geomspace(1e-4, np.pi, 200)))  # the Riccati equation has the last word
+INSIDE = 0.9  # share of the largest gain, and of the rate, that a projected model may have
+STRICT = 1e-2  # relative: what makes the Riccati equation's inequality strict
+HALVINGS = 12  # of the path from a free model to one that contracts
+Square = Float[np.ndarray, "k k"]
+Tall = Float[np.ndarray, "r k"]
+Moved = Float[np.ndarray, "d _ _"]
+
+
+class Free(NamedTuple):
+    """`x_e (n, q)`, `x_g (n + q, n)`, `log_d (q,)`: any numbers."""
+
+    x_e: Float[np.ndarray, "*k n q"]
+    x_g: Float[np.ndarray, "*k nq n"]
+    log_d: Float[np.ndarray, "*k q"]
+
+
+class Core(NamedTuple):
+    """`a (n, n)`, `e (n, q)`, `f (q, n)`: what decides whether a structured model contracts."""
+
+    a: Float[np.ndarray, "*k n n"]
+    e: Float[np.ndarray, "*k n q"]
+    f: Float[np.ndarray, "*k q n"]
+
+
+class Contracting(NamedTuple):
+    """A recurrence that contracts in the metric `T'T` with `Lambda = diag(d)^{-2}`."""
+
+    core: Core
+    t: Float[np.ndarray, "n n"]
+    d: Float[np.ndarray, "q"]
+
+
+def explicit(free: Free, rate: float) -> Core:
+    """The recurrence of these parameters; it contracts with `r = rate` in the metric `M = I`."""
+    n = free.x_g.shape[1]
+    e, stacked = np.sqrt(2.0) * _contraction(free.x_e)[0], rate * _contraction(free.x_g)[0]
+    a, root = stacked[:n], np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)  # R
+    d = np.exp(free.log_d)  # positive, whatever the parameter
+    return Core(a=a, e=e / d, f=d[:, None] * (root @ stacked[n:] - e.T @ a))
+
+
+def derivative(free: Free, change: Free, rate: float) -> Core:
+    """`d explicit` along `change`, whose leading axis counts directions.
+
+    `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1} dS L^{-T})`, low the
+    lower triangle with half its diagonal. The same rule gives `dR` of `R R' = 2 I - E'E`.
+    """
+    n, root2 = free.x_g.shape[1], np.sqrt(2.0)
+    con_e, low_e = _contraction(free.x_e)
+    con_g, low_g = _contraction(free.x_g)
+    e, a, gh = root2 * con_e, rate * con_g[:n], rate * con_g[n:]
+    de = root2 * _change(free.x_e, change.x_e, con_e, low_e)  # d con(X_E), times sqrt 2
+    stacked = rate * _change(free.x_g, change.x_g, con_g, low_g)
+    da, dgh = stacked[:, :n], stacked[:, n:]
+    root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
+    droot = _cholesky_change(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
+    f, d, dlog = root @ gh - e.T @ a, np.exp(free.log_d), change.log_d
+    df = droot @ gh + root @ dgh - de.mT @ a - e.T @ da
+    return Core(a=da, e=(de - e * dlog[:, None, :]) / d, f=d[:, None] * (df + dlog[:, :, None] * f))
+
+
+def parameters(core: Core, rate: float) -> Free:
+    """The inverse of `explicit` with `d = 1`; `BadRequest` where the LMI does not hold with `M = I, Lambda = I`."""
+    e = core.e / np.sqrt(2.0)
+    root = _root(2.0 * np.eye(e.shape[1]) - core.e.T @ core.e)  # R of the module's equations
+    gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
+    x_g = _uncontracted(np.vstack([core.a, gh]) / rate)
+    return Free(x_e=_uncontracted(e), x_g=x_g, log_d=np.zeros(e.shape[1]))
+
+
+def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contracting:
+    """The first model on a path from `core` that contracts at `rate`; `slope` is the neurons' average slope.
+
+    Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope) F`, which is itself
+    pulled inside `rate` first: at the end of the path no neuron is left. Raises `BadRequest` where floats hold none.
+    """
+    mean = (core.e * slope) @ core.f  # what the neurons add to A on average
+    radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
+    average = min(1.0, INSIDE * rate / max(radius, 1e-12)) * (core.a + mean)
+    low, high, share, found = 0.0, 1.0, 1.0, None
+    for _ in range(HALVINGS):
+        trial = metric(Core(a=average - share * mean, e=share * core.e, f=core.f), rate)
+        low, high, found = (low, share, found) if trial is None else (share, high, trial)
+        if low == 1.0:
+            break
+        share = 0.5 * (low + high)
+    found = found or metric(Core(a=average, e=0.0 * core.e, f=core.f), rate)
+    if found is None:
+        raise BadRequest("model", "no metric", "its linear part has none at this rate", "use a larger rate")
+    return found
+
+
+def metric(core: Core, rate: float) -> Contracting | None:
+    """M and Lambda in which `core` contracts at `rate`, or None where this search finds none.
+
+    With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E F/2)/r`,
+    `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns of its largest entries over
+    the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
+    """
+    a, b, c = (core.a + core.e @ core.f / 2.0) / rate, core.e / 2.0, core.f / rate
+    if np.abs(np.linalg.eigvals(a)).max(initial=0.0) >= 1.0:
+        return None
+    response = c @ np.linalg.solve(FREQUENCIES[:, None, None] * np.eye(len(a)) - a, b + 0j)
+    d = _balancing(np.abs(response).max(axis=0, initial=0.0))
+    b, c, q = b * d / INSIDE, c / d[:, None], b.shape[1]  # asks for a gain below INSIDE, not only below one
+    weight = c.T @ c  # of the bounded-real lemma: |C x|^2
+    weight += STRICT * max(1.0, np.trace(weight)) * np.eye(len(a))
+    try:
+        if q:
+            p = scipy.linalg.solve_discrete_are(a, b, weight, -np.eye(q))
+        else:
+            p = scipy.linalg.solve_discrete_lyapunov(a.T, weight)
+        found = Contracting(core, np.linalg.cholesky(p / 2.0).T, d)
+        parameters(in_metric(found), rate)
+    except (np.linalg.LinAlgError, ValueError, BadRequest):  # the gain is one or more: there is no solution
+        return None
+    return found
+
+
+def in_metric(found: Contracting) -> Core:
+    """The same in coordinates `xt = T x`, and with Lambda moved into E and F: `M = I, Lambda = I`."""
+    back = np.linalg.inv(found.t)
+    core, t, d = found
+    return Core(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
+
+
+def _balancing(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
+    """`d` such that off the diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal norms."""
+    off, d = gains - np.diag(np.diagonal(gains)), np.ones(len(gains))  # the diagonal does not move under scaling
+    for _ in range(20):  # sweeps of Osborne's iteration
+        for i in range(len(d)):
+            row, column = np.linalg.norm(off[i] * d) / d[i], np.linalg.norm(off[:, i] / d) * d[i]
+            if row > 0 and column > 0:
+                d[i] *= np.sqrt(row / column)
+    return d
+
+
+def _contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = I + X'X
+    low = np.linalg.cholesky(np.eye(x.shape[1]) + x.T @ x)
+    return np.linalg.solve(low, x.T).T, low
+
+
+def _uncontracted(y: Tall) -> Tall:
+    """X with `con(X) = Y`: `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
+    return y @ np.linalg.inv(_root(np.eye(y.shape[1]) - y.T @ y)).T
+
+
+def _root(gap: Square) -> Square:  # The Cholesky factor of what must be positive definite; raises BadRequest
+    try:
+        return np.linalg.cholesky(gap)
+    except np.linalg.LinAlgError as error:
+        problem, remedy = "does not contract at this rate in M = I, Lambda = I", "find its metric first"
+        raise BadRequest("model", "gap not positive definite", problem, remedy) from error
+
+
+def _change(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:  # d con(X) along dx
+    dlow = _cholesky_change(low, dx.mT @ x + x.T @ dx)
+    return (dx - con @ dlow.mT) @ np.linalg.inv(low).T
+
+
+def _cholesky_change(low: Square, ds: Moved) -> Moved:  # dL = L low(L^{-1} dS L^{-T}) for L L' = S
+    back = np.linalg.inv(low)
+    inner = np.tril(back @ ds @ back.T)  # low() with its whole diagonal
+    return low @ (inner - 0.5 * inner * np.eye(len(low)))

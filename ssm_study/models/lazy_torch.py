@@ -1,0 +1,22 @@
+"""torch, imported when a name of it is first used: a scaffolding's trainable side stands beside its explicit numbers.
+
+Whoever reads a stored model then needs no torch, whose import takes two seconds, and a kind of scaffolding stays one
+file. Only `torch.name` inside functions is possible; annotations say `Tensor`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+else:
+    Tensor = Any  # jaxtyping then checks shape and type of whatever has both
+
+    class _Torch:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(import_module("torch"), name)
+
+    torch = _Torch()
+
+__all__ = ["Tensor", "torch"]

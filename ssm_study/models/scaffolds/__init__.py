@@ -1,0 +1,1 @@
+"""Static maps around the recurrence, with slopes that can be certified."""

@@ -1,0 +1,67 @@
+"""`S(v) = gain v`: the linear scaffolding."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.network import PortableMap
+from ssm_study.bounds.slopes import SlopeBound, ball_around_identity, bound_from_ball, bound_from_interval
+from ssm_study.models.lazy_torch import Tensor
+from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearScaffold(Scaffold, names=("linear",)):
+    """`S(v) = gain v`, `gain (k, m)`; the identity when it stands for "no nonlinearity"."""
+
+    kind: ClassVar[str] = "linear"
+    gain: Float[np.ndarray, "k m"]
+
+    @classmethod
+    def identity(cls, channels: int) -> "LinearScaffold":
+        return cls(gain=np.eye(channels))
+
+    def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
+        return v @ self.gain.T
+
+    def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:  # noqa: ARG002 - the same everywhere
+        return self.gain.copy()
+
+    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - by construction, whichever is asked
+        if self.gain.shape == (1, 1):
+            gain = Fraction(float(self.gain[0, 0]))
+            return bound_from_interval(gain, gain, "construction", exact=True)
+        ball = ball_around_identity(self.gain, 0.0)
+        exact = bool(np.all(self.gain == ball.alpha * np.eye(len(self.gain))))
+        return bound_from_ball(ball, "construction", exact=exact)
+
+    def centre(self) -> Square:
+        return self.gain
+
+    def after(self, m: Square) -> "LinearScaffold":
+        return self.identity(len(m))
+
+    def portable(self) -> PortableMap:
+        return PortableMap(linear=self.gain, network=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linear(Trainable):
+    """`S(v) = v`: nothing to train, for a gain would only repeat what B or C already hold."""
+
+    fixed = ("gain",)
+
+    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:  # noqa: ARG002
+        return {"gain": np.eye(frame.samples.shape[1])}
+
+    def explicit(self, free: Free, slopes: tuple[float, float]) -> Tensor:  # noqa: ARG002
+        return free["gain"]
+
+    def evaluate(self, explicit: Tensor, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:  # noqa: ARG002
+        return v
+
+    def frozen(self, explicit: Tensor, slopes: tuple[float, float]) -> LinearScaffold:  # noqa: ARG002
+        return LinearScaffold.identity(len(explicit))

@@ -1,0 +1,243 @@
+"""The paper's scaffolding: a multilayer perceptron with leaky ReLU, minus its value at zero."""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.network import Network, PortableMap
+from ssm_study.bounds.slopes import SlopeBound, network_bound
+from ssm_study.models.lazy_torch import Tensor, torch
+from ssm_study.models.scaffolds import scaffold
+from ssm_study.models.scaffolds.scaffold import Frame, Free, Pieces, Scaffold, Square, Trainable, numbers
+from ssm_study.refusal import at_least
+
+JUMP_UNIT = 0.3  # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
+# `(W (h, m), b (h,), negative slopes (h,), positive slopes (h,), what comes after (k, h) or None)`.
+Layer = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
+Sector = tuple[float, float]
+Start = dict[str, Float[np.ndarray, "..."]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlpScaffold(Scaffold, names=("mlp",)):
+    """`S(v) = N(v) - N(0)`, N a perceptron of any depth and width with leaky ReLU.
+
+    For one input and one hidden layer the slope is constant between the break points `-b_i / w_i`.
+    Source: [Z26] section IV.
+    """
+
+    kind: ClassVar[str] = "mlp"
+    network: Network
+
+    def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
+        return self.network(v)
+
+    def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
+        return self.network.jacobian(v)
+
+    def bound(self, method: str) -> SlopeBound:
+        return network_bound(self.network, method)
+
+    def centre(self) -> Square:
+        from ssm_study.bounds.lipsdp import lipsdp_ball
+
+        return lipsdp_ball(self.network).centre
+
+    def after(self, m: Square) -> "MlpScaffold":
+        *inner, last = self.network.weights
+        return MlpScaffold(network=replace(self.network, weights=(*inner, m @ last)))
+
+    def before(self, m: Square) -> "MlpScaffold":
+        first, *inner = self.network.weights
+        return MlpScaffold(network=replace(self.network, weights=(first @ m, *inner)))
+
+    def portable(self) -> PortableMap:
+        return PortableMap(linear=np.zeros((self.network.outputs, self.network.inputs)), network=self.network)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mlp(Trainable):
+    """The paper's perceptron: `depth` hidden layers of leaky ReLU, slopes fixed at the sector's ends or trained in it.
+
+    `certified` keeps every Jacobian in the sector by construction; without it the weights are free, as in [Z26], and
+    the exact slopes may be negative. One certified channel always has leaky slopes at the ends: there the slopes of the
+    whole map are trained (`OneChannel`), and `train_slopes` makes no difference. Certified in several channels:
+
+        S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l, upper_l]
+
+    Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`, so for one hidden layer
+    all Jacobians lie in the ball of the sector `[lower, upper]`. Deeper: `layer_sector` splits the sector so that the
+    composition stays inside.
+    """
+
+    depth: int
+    train_slopes: bool
+    certified: bool
+
+    def __post_init__(self) -> None:
+        at_least(1, "scaffold.depth", self.depth, "use 1 (the paper's)")
+
+    def build(self, frame: Frame, rng: np.random.Generator) -> Any:
+        if self.certified and frame.samples.shape[1] == 1:
+            return OneChannel(depth=self.depth).build(frame, rng)
+        return super().build(frame, rng)
+
+    def start(self, frame: Frame, rng: np.random.Generator) -> Start:
+        h, channels, ends = frame.width, frame.samples.shape[1], (("negative", -2.0), ("positive", 2.0))
+        if self.certified:
+            layers = [start_layer(frame.samples, h, rng) for _ in range(self.depth)]
+            free = {f"direction_{i}": w for i, (w, _) in enumerate(layers)}
+            free |= {f"kink_{i}": t for i, (_, t) in enumerate(layers)}
+        else:
+            first, kinks = start_layer(frame.samples, h, rng)
+            shapes = [(h, h)] * (self.depth - 1) + [(channels, h)]
+            weights = [first, *(rng.normal(size=shape) / np.sqrt(shape[1]) for shape in shapes)]
+            biases = [-kinks, *(0.1 * rng.normal(size=h) for _ in range(self.depth - 1))]
+            free = {f"weight_{i}": w for i, w in enumerate(weights)} | {f"bias_{i}": b for i, b in enumerate(biases)}
+        trained = range(self.depth if self.train_slopes else 0)  # near the two ends of the sector
+        return free | {f"slope_{side}_{i}": np.full(h, at) for i in trained for side, at in ends}
+
+    def explicit(self, free: Free, slopes: Sector) -> list[Layer]:
+        """Certified, `b` puts the kink at `kinks`."""
+        layers: list[Layer] = []
+        for i in range(self.depth):
+            if self.certified:
+                v = free[f"direction_{i}"]
+                root = torch.linalg.cholesky(v.T @ v)  # W = V R^{-T} has W^T W = I, and is cheap to differentiate
+                w = torch.linalg.solve_triangular(root, v.T, upper=False).T
+                b, sector, after = -free[f"kink_{i}"] * w.norm(dim=1), layer_sector(*slopes, self.depth, 2), w.T
+            else:
+                w, b, sector = free[f"weight_{i}"], free[f"bias_{i}"], slopes
+                after = free[f"weight_{self.depth}"]
+            between = i < self.depth - 1 and not self.certified
+            layers.append((w, b, *self._inside(free, i, sector, b), None if between else after))
+        return layers
+
+    def _inside(self, free: Free, layer: int, sector: Sector, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Negative and positive slopes held in the sector: at its two ends, or trained inside by a logistic map."""
+        lower, upper = sector
+        if not self.train_slopes:
+            return torch.full_like(like, lower), torch.full_like(like, upper)
+        sides = (free[f"slope_{side}_{layer}"] for side in ("negative", "positive"))
+        low, high = (lower + (upper - lower) * torch.sigmoid(side) for side in sides)
+        return low, high
+
+    def evaluate(self, explicit: list[Layer], v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
+        for w, b, low, high, after in explicit:
+            z = v @ w.T + b
+            v = torch.where(z >= 0, high, low) * z - torch.where(b >= 0, high, low) * b
+            v = v if after is None else v @ after.T
+        return v
+
+    def pieces(self, explicit: list[Layer]) -> Pieces | None:
+        """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between sorted kinks."""
+        w, b, low, high, after = explicit[0]
+        if after is None or self.depth > 1 or w.shape[1] > 1:
+            return None
+        first, last = w[:, 0], after[0]
+        points, order = (-b / first).sort()
+        beyond = torch.arange(len(order) + 1)[:, None] > order.argsort()[None, :]  # piece j lies right of kink i
+        active = torch.where(beyond == (first > 0), high, low)  # slope of neuron i in piece j
+        offsets = active @ (last * b)
+        home = torch.searchsorted(points.detach(), torch.zeros(1, dtype=points.dtype), right=True)
+        return points, active @ (last * first), offsets - offsets[home]
+
+    def frozen(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
+        ws, *rest, afters = zip(*explicit, strict=True)
+        weights: list[np.ndarray] = []
+        before: Any = None
+        for w, after in zip(ws, afters, strict=True):
+            weights.append(numbers(w) if before is None else numbers(w) @ numbers(before))
+            before = after
+        biases, negative, positive = (tuple(numbers(part) for part in parts) for parts in rest)
+        ends = {"negative_slopes": negative, "positive_slopes": positive}
+        return MlpScaffold(network=Network(weights=(*weights, numbers(before)), biases=biases, **ends))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneChannel(Trainable):
+    """`S = S_L o ... o S_1`, any piecewise-linear maps of one channel whose sectors multiply to the one asked for.
+
+    `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`: `width - 1` leaky
+    ReLUs with slopes `lower, upper` and one linear neuron can write every such map, and no positivity of weights is
+    needed: positive weights alone would force the two outer slopes to add up to `lower + upper`, which no saturation
+    satisfies.
+    """
+
+    depth: int
+
+    def start(self, frame: Frame, rng: np.random.Generator) -> Start:  # noqa: ARG002
+        kinks, free = max(frame.width - 1, 1), {}
+        for i in range(self.depth):
+            free[f"points_{i}"] = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
+            free |= {f"jumps_{i}": np.zeros(kinks), f"base_{i}": np.zeros(1)}
+        return free
+
+    def explicit(self, free: Free, slopes: Sector) -> list[Pieces]:
+        (lower, upper), layers = layer_sector(*slopes, self.depth, channels=1), []
+        for i in range(self.depth):
+            points, order = free[f"points_{i}"].sort(-1)
+            passed = torch.nn.functional.pad(free[f"jumps_{i}"].gather(-1, order).cumsum(-1), (1, 0))
+            inside = lower + (upper - lower) * torch.sigmoid(free[f"base_{i}"] + JUMP_UNIT * passed)
+            layers.append((points, inside, scaffold.home_offsets(points, inside)))
+        return layers
+
+    def evaluate(self, explicit: list[Pieces], v: Float[Tensor, "*batch 1"]) -> Float[Tensor, "*batch 1"]:
+        for points, slopes, offsets in explicit:
+            v = scaffold.evaluate((points[None], slopes[None], offsets[None]), v)
+        return v
+
+    def pieces(self, explicit: list[Pieces]) -> Pieces | None:
+        return explicit[0] if self.depth == 1 else None
+
+    def roughness(self, explicit: list[Pieces]) -> Float[Tensor, ""]:
+        return torch.stack([scaffold.roughness(slopes) for _, slopes, _ in explicit]).sum(0)
+
+    def frozen(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
+        """First weights one, positive slopes `upper`; the last neuron is linear."""
+        (lower, upper), lasts, biases = layer_sector(*slopes, self.depth, channels=1), [], []
+        for pieces in explicit:
+            points, inside, _ = (numbers(part) for part in pieces)
+            bends = np.diff(inside) / (upper - lower)
+            lasts.append(np.append(bends, (inside[0] - lower * bends.sum()) / upper)[None, :])
+            biases.append(np.append(-points, 0.0))
+        ones = [np.ones((len(b), 1)) for b in biases]
+        network = Network(
+            weights=(ones[0], *(after @ last for last, after in zip(lasts[:-1], ones[1:], strict=True)), lasts[-1]),
+            biases=tuple(biases),
+            negative_slopes=tuple(np.append(np.full(len(b) - 1, lower), upper) for b in biases),
+            positive_slopes=tuple(np.full(len(b), upper) for b in biases),
+        )
+        return MlpScaffold(network=network)
+
+
+def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple[float, float]:
+    """The slopes one layer may have so that `depth` of them in a row keep `[lower, upper]`.
+
+    One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`, the product lies in
+    the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d = (upper/alpha)^(1/L) - 1`, `alpha` the middle.
+    """
+    if channels == 1 or depth == 1:
+        return lower ** (1 / depth), upper ** (1 / depth)
+    middle = (lower + upper) / 2
+    centre, relative = middle ** (1 / depth), (upper / middle) ** (1 / depth) - 1
+    return centre * (1 - relative), centre * (1 + relative)
+
+
+def start_layer(
+    inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
+    """Random directions, kinks through evenly ranked samples of the training input, so that each can be learned.
+
+    With one input, neighbouring kinks bend in opposite directions: any region can then be made steeper or flatter.
+    """
+    strata = (np.arange(width) + rng.uniform(0.2, 0.8, size=width)) / width  # one rank of the samples for each neuron
+    if inputs.shape[1] == 1:
+        signs = np.where((np.arange(width) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
+        return signs[:, None], signs * np.quantile(inputs[:, 0], strata)
+    w = rng.normal(size=(width, inputs.shape[1]))
+    w /= np.linalg.norm(w, axis=1, keepdims=True)  # directions of unit length
+    kinks = np.array([np.quantile(inputs @ row, rank) for row, rank in zip(w, rng.permutation(strata), strict=True)])
+    return w, kinks

@@ -1,0 +1,127 @@
+"""A scaffolding that is a ball of Jacobians by construction, in any dimension."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.network import Network, PortableMap
+from ssm_study.bounds.slopes import SlopeBound, bound_from_ball
+from ssm_study.models.lazy_torch import Tensor, torch
+from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable, numbers
+from ssm_study.refusal import at_least, require
+from ssm_study.systems import JacobianBall
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualScaffold(Scaffold, names=("residual",)):
+    """`S(v) = alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball `alpha I + beta Delta`.
+
+    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G: with the network's
+    weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at Lipschitz constant one, so the
+    claim can be checked from these numbers alone. Source: THEORY section 3 (ii); Wang & Manchester (2023).
+    """
+
+    kind: ClassVar[str] = "residual"
+    alpha: float
+    beta: float
+    multipliers: tuple[Float[np.ndarray, "_"], ...]
+    network: Network
+
+    def __post_init__(self) -> None:
+        fits = self.network.inputs == self.network.outputs
+        require(fits, "weights", self.network.outputs, "as many outputs as inputs are needed", "use kind mlp")
+        at_least(0, "beta", self.beta, "write model.json again")
+        fits = [t.shape for t in self.multipliers] == [b.shape for b in self.network.biases]
+        fits = fits and all(bool((t > 0).all()) for t in self.multipliers)
+        require(fits, "multipliers", len(self.multipliers), "need one per neuron, positive", "write model.json again")
+
+    def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
+        return self.alpha * v + self.beta * self.network(v)
+
+    def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
+        return self.alpha * np.eye(self.network.inputs) + self.beta * self.network.jacobian(v)
+
+    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - by construction, whichever is asked
+        return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
+
+    def centre(self) -> None:
+        """It lies around `alpha I` already."""
+        return
+
+    def portable(self) -> PortableMap:
+        weights = (*self.network.weights[:-1], self.beta * self.network.weights[-1])
+        return PortableMap(
+            linear=self.alpha * np.eye(self.network.inputs), network=replace(self.network, weights=weights)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residual(Trainable):
+    """G is a stack of `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)` closed by a linear one.
+
+    With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz; written out, G is a
+    perceptron with Lipschitz multipliers `Psi^2`. It couples the channels. Source: Wang & Manchester (2023), eqs.
+    (8)-(11).
+    """
+
+    depth: int
+
+    def __post_init__(self) -> None:
+        at_least(1, "scaffold.depth", self.depth, "use 1 or 2")
+
+    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
+        m, h, layers = frame.samples.shape[1], frame.width, range(self.depth)
+        free = {f"skew_{i}": rng.normal(size=(h, h)) / np.sqrt(h) for i in layers}
+        free |= {f"tail_{i}": rng.normal(size=(h if i else m, h)) / np.sqrt(h) for i in layers}
+        last = rng.normal(size=(m, h)) / np.sqrt(h)
+        free |= {f"scale_{i}": np.zeros(h) for i in layers} | {f"bias_{i}": rng.normal(size=h) for i in layers}
+        return free | {"last_skew": rng.normal(size=(m, m)) * 0.1, "last_tail": last.T}
+
+    def explicit(self, free: Free, slopes: tuple[float, float]) -> "Explicit":
+        weights: list[Tensor] = []
+        left: Any = None
+        psis = [torch.exp(free[f"scale_{i}"]) for i in range(self.depth)]
+        for i, psi in enumerate(psis):
+            a, b = cayley(free[f"skew_{i}"], free[f"tail_{i}"])
+            enter = math.sqrt(2.0) * b / psi[:, None]
+            weights.append(enter if left is None else enter @ left)
+            left = math.sqrt(2.0) * a.T * psi  # sqrt2 A^T Psi, into the next layer
+        _, b = cayley(free["last_skew"], free["last_tail"])
+        ball = (slopes[1] + slopes[0]) / 2, (slopes[1] - slopes[0]) / 2
+        return ball, [*weights, b @ left], [free[f"bias_{i}"] for i in range(self.depth)], psis
+
+    def evaluate(self, explicit: "Explicit", v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
+        (alpha, beta), weights, biases, _ = explicit
+        d = v
+        for w, b in zip(weights[:-1], biases, strict=True):
+            d = torch.relu(d @ w.T + b) - torch.relu(b)
+        return alpha * v + beta * (d @ weights[-1].T)
+
+    def frozen(self, explicit: "Explicit", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
+        (alpha, beta), weights, biases, psis = explicit
+        network = Network(
+            weights=tuple(numbers(w) for w in weights),
+            biases=tuple(numbers(b) for b in biases),
+            negative_slopes=tuple(np.zeros(len(b)) for b in biases),
+            positive_slopes=tuple(np.ones(len(b)) for b in biases),
+        )
+        multipliers = tuple(numbers(psi) ** 2 for psi in psis)
+        return ResidualScaffold(alpha=alpha, beta=beta, network=network, multipliers=multipliers)
+
+
+# `(alpha, beta)`, plain weights and biases of G, and `psi` of each hidden layer.
+Explicit = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
+
+
+def cayley(skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
+    """`(A, B)` with `A A^T + B B^T = I` for any real `skew, tail`.
+
+    `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.
+    """
+    eye = torch.eye(len(skew), dtype=skew.dtype, device=skew.device)
+    z = skew - skew.T + tail.T @ tail  # skew plus Y^T Y: I + Z is always regular
+    inverse = torch.linalg.inv(eye + z)
+    return ((eye - z) @ inverse).T, (-2 * tail @ inverse).T

@@ -1,0 +1,223 @@
+"""The two questions a kind of scaffolding answers, in one file: what its explicit numbers give, how it is trained.
+
+`Scaffold` is what is stored, replayed, certified and deployed; `Trainable` is what a yaml of the group `scaffold` says.
+Members are found by `names`, the kind that JSON says.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.bounds.network import Network, PortableMap
+from ssm_study.bounds.slopes import SlopeBound
+from ssm_study.family import Family
+from ssm_study.models import scaffolds
+from ssm_study.models.lazy_torch import Tensor, torch
+from ssm_study.refusal import one_of, require
+from ssm_study.signals import Scale
+from ssm_study.systems import StateSpace, array_from_json
+
+FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what holds them
+AGAIN = "write model.json again"
+
+
+class Explicit:
+    """A mixin of dataclasses whose fields are arrays, numbers, words, `FLAT` nouns, others of its kind, or tuples."""
+
+    kind: ClassVar[str | None] = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Kind and explicit numbers; floats read back to the same float64."""
+        data = {} if self.kind is None else {"kind": self.kind}
+        for field in fields(self):  # type: ignore[arg-type] # a mixin of dataclasses
+            value = getattr(self, field.name)
+            data |= _entries(value) if isinstance(value, FLAT) else {field.name: _plain(value)}
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Any:
+        """The inverse of `to_json`; raises `BadRequest` naming the entry that is missing or malformed."""
+        return _built(cls, data)
+
+
+def _entries(value: Any) -> dict[str, Any]:
+    return {name: _plain(part) for name, part in vars(value).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.to_json() if isinstance(value, Explicit) else value
+
+
+def _built(kind: Any, data: Mapping[str, Any]) -> Any:
+    hints = get_type_hints(kind)
+    return kind(**{field.name: _read(hints[field.name], field.name, data) for field in fields(kind)})
+
+
+def _read(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
+    if kind in FLAT:
+        return kind.from_json(data) if kind is Network else _built(kind, data)
+    if get_origin(kind) is tuple:
+        require(isinstance(data.get(key), list), key, data.get(key), "expected a list", AGAIN)
+        return tuple(_read(get_args(kind)[0], key, {key: part}) for part in data[key])
+    if kind is float:
+        return float(array_from_json(data, key, 0))
+    if kind is str or issubclass(kind, Explicit):
+        needed = str if kind is str else Mapping
+        require(isinstance(data.get(key), needed), key, data.get(key), "missing or not what it should be", AGAIN)
+        return data[key] if kind is str else kind.from_json(data[key])
+    values = array_from_json(data, key, len(kind.dim_str.split()))
+    return values.astype(np.int64) if kind.dtype is Int else values
+
+
+Free = dict[str, Tensor]
+# `(points (h,), slopes (h + 1,), offsets (h + 1,))`: `S(v) = slopes_j v + offsets_j` from point j - 1 to j.
+Pieces = tuple[Tensor, Tensor, Tensor]
+Square = Float[np.ndarray, "m m"]
+ROUNDING = 0.01  # of the largest slope: rounds the total variation off where a slope does not change
+
+
+class Scaffold(Family, Explicit):
+    """A static map `S: R^m -> R^k` with `S(0) = 0` exactly, held as explicit parameters only.
+
+    Scaled units on both sides. Every member is a frozen dataclass that is written to and read from JSON without loss.
+    """
+
+    kind: ClassVar[str]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """`(k, m)`: output and input channels, as of the Jacobian."""
+        outputs, inputs = self.portable().linear.shape
+        return outputs, inputs
+
+    @property
+    def outputs(self) -> int:
+        return self.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        return self.shape[1]
+
+    @abstractmethod
+    def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
+        """`S(v)` for every vector of the batch."""
+
+    @abstractmethod
+    def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
+        """`dS/dv` at one point; at a break point, the slope to its right (of the pre-activation)."""
+
+    @abstractmethod
+    def bound(self, method: str) -> SlopeBound:
+        """A ball `alpha I + beta Delta` of all Jacobians, with sign, by a method of `bounds.slopes.METHODS`."""
+
+    @abstractmethod
+    def centre(self) -> Square | None:
+        """A matrix that the Jacobians lie around, which may be moved into the linear part; None if there is none."""
+
+    def after(self, m: Square) -> "Scaffold":
+        """`v -> m S(v)`, m the inverse of `centre()`; asked of scaffoldings that have one."""
+        raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
+
+    def before(self, m: Square) -> "Scaffold":
+        """`v -> S(m v)`, m the inverse of `centre()`."""
+        return self.after(m)
+
+    @abstractmethod
+    def portable(self) -> PortableMap:
+        """The same map as a matrix and a leaky-ReLU network: what is written to C, ONNX and Python."""
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Any:
+        """The member that `kind` names; raises `BadRequest` for an unknown one, and as `Explicit` does."""
+        if "portable" not in cls.__abstractmethods__:
+            return super().from_json(data)
+        one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
+        return kinds[data["kind"]].from_json(data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """What the model gives its scaffoldings: width, sector, and samples of the signal each will see `(N, m)`."""
+
+    width: int
+    slopes: tuple[float, float]
+    samples: Float[np.ndarray, "N m"]
+
+
+class Trainable(ABC):
+    """Free parameters -> explicit parameters -> `S(v)`: the constraint lives in the first map, and only there.
+
+    A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's sector. The paper's
+    perceptron with free weights is the exception, and says so.
+    """
+
+    fixed: ClassVar[tuple[str, ...]] = ()  # Names, or beginnings of names, of parameters that are not trained
+
+    @abstractmethod
+    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
+        """The free parameters at the start."""
+
+    @abstractmethod
+    def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
+        """The explicit parameters, for whatever values of the free ones, with slopes in the sector."""
+
+    @abstractmethod
+    def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
+        """`S(v)`."""
+
+    @abstractmethod
+    def frozen(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
+        """The explicit numbers in float64."""
+
+    def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
+        """The pieces of a one-channel piecewise-linear map; None for others."""
+        return None
+
+    def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
+        """The total variation of the slopes (`roughness` below); zero where slopes are not explicit."""
+        return torch.zeros((), dtype=torch.float64)
+
+    def build(self, frame: Frame, rng: np.random.Generator) -> Any:
+        from ssm_study.models.torch_ssm import TorchScaffold
+
+        return TorchScaffold(self, self.start(frame, rng), frame.slopes)
+
+
+def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
+    """A tensor's explicit numbers in float64."""
+    return values.detach().cpu().double().numpy().copy()
+
+
+def home_offsets(points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c h1"]:
+    """Offsets of the pieces, exactly zero for the one that holds v = 0; continuity gives the others one by one."""
+    jumps = (slopes[..., :-1] - slopes[..., 1:]) * points  # what keeps the map continuous at each point
+    beyond = torch.where(points > 0, jumps, 0.0).cumsum(-1)
+    before = torch.where(points <= 0, jumps, 0.0).flip(-1).cumsum(-1).flip(-1)
+    zero = torch.zeros_like(jumps[..., :1])
+    return torch.cat([zero, beyond], -1) - torch.cat([before, zero], -1)
+
+
+def evaluate(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
+    """`S_c(v_c)` for every vector of the batch; one row of points, slopes and offsets a channel."""
+    points, slopes, offsets = pieces
+    flat = v.flatten(0, -2).mT.contiguous()  # searchsorted wants rows that lie in order
+    piece = torch.searchsorted(points.detach(), flat.detach(), right=True)
+    return (slopes.gather(-1, piece) * flat + offsets.gather(-1, piece)).mT.reshape(v.shape)
+
+
+def roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
+    """Total variation of the slope along v, relative to the largest slope; rounded off at one percent of it.
+
+    A step from flat to steep costs the same however many pieces it takes; spikes between two levels of the data, which
+    fit noise and widen the slope interval that a certificate must cover, cost extra.
+    """
+    relative = slopes / slopes.detach().amax(-1, keepdim=True)
+    return (torch.sqrt(relative.diff() ** 2 + ROUNDING**2) - ROUNDING).sum(-1)

@@ -1,0 +1,195 @@
+"""The structured model: neurons inside the recurrence, and every certificate still within reach. No torch here."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.models import baselines
+from ssm_study.models.identified import SSM, Lifted, Outputs, Simulator, State, Wired
+from ssm_study.models.scaffolds.scaffold import Scaffold
+from ssm_study.refusal import one_of, require
+from ssm_study.signals import Scale
+from ssm_study.systems import StateSpace, StructuredSystem, System
+
+if TYPE_CHECKING:
+    from ssm_study.models.structured_kernel import Matrices
+
+Values = Float[np.ndarray, "*batch"]
+
+
+class Neuron(NamedTuple):
+    """`phi(z)`, its slope `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z` for math.h.
+
+    What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic hardening, relu and
+    saturation the same with kinks. Source: THEORY section 6.
+    """
+
+    value: Callable[[Values], Values]
+    slope: Callable[[Values], Values]
+    c: str
+
+
+NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.bend`)
+    "tanh": Neuron(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2, "tanh(z)"),
+    "softplus": Neuron(
+        lambda z: np.logaddexp(0.0, z),
+        lambda z: 0.5 * (1.0 + np.tanh(0.5 * z)),
+        "(z > 0.0 ? z : 0.0) + log1p(exp(-fabs(z)))",
+    ),
+    "clipped_cubic": Neuron(
+        lambda z: np.where(np.abs(z) < 1.0, z**3 / 3.0, z - np.copysign(2.0 / 3.0, z)),
+        lambda z: np.minimum(z * z, 1.0),
+        "(fabs(z) < 1.0 ? z * z * z / 3.0 : z - copysign(2.0 / 3.0, z))",
+    ),
+    "relu": Neuron(lambda z: np.maximum(z, 0.0), lambda z: (z >= 0.0).astype(float), "(z > 0.0 ? z : 0.0)"),
+    "saturation": Neuron(
+        lambda z: np.clip(z, -1.0, 1.0), lambda z: ((z >= -1.0) & (z < 1.0)).astype(float), "fmin(fmax(z, -1.0), 1.0)"
+    ),
+}
+
+
+def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
+    """The compiled form's codes; raises `BadRequest` for a kind that is not known."""
+    known = list(NEURONS)
+    for kind in kinds:
+        require(kind in known, "neurons", kind, "unknown neuron", f"use {', '.join(known)}")
+    return np.array([known.index(kind) for kind in kinds], dtype=np.int64)
+
+
+def phi(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"]) -> Float[np.ndarray, "*batch q"]:
+    """`phi_i(z_i)` for each neuron i."""
+    out = np.empty_like(z)
+    for i, kind in enumerate(kinds):
+        out[..., i] = NEURONS[kind].value(z[..., i])
+    return out
+
+
+def slopes(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"]) -> Float[np.ndarray, "*batch q"]:
+    """`phi_i'(z_i)` for each neuron i."""
+    out = np.empty_like(z)
+    for i, kind in enumerate(kinds):
+        out[..., i] = NEURONS[kind].slope(z[..., i])
+    return out
+
+
+MATRICES = ("a", "b", "c", "d", "e", "f", "g", "h")
+Matrix = Float[np.ndarray, "_ _"]  # the constructor says which shape
+Injected = Float[np.ndarray, "*batch q"] | float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuredSSM(Wired):
+    """`x+ = A x + B v + E w,  y = y_eq + output_scale S_y(C x + D v + H w),  v = S_u((u - u_eq) / input_scale)`.
+
+    `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at rest. Shapes:
+    `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`, `bias (q,)`;
+    `neurons` names the kind of each of the q neurons. Without any it is the model of one layer (`SSM`).
+    Raises `BadRequest` for shapes that do not fit, entries that are not finite, an unknown kind.
+    Source: THEORY section 6; Revay, Wang & Manchester (2023), REN with D11 = 0.
+    """
+
+    a: Matrix
+    b: Matrix
+    c: Matrix
+    d: Matrix
+    e: Matrix
+    f: Matrix
+    g: Matrix
+    h: Matrix
+    bias: Float[np.ndarray, "_"]
+    neurons: tuple[str, ...]
+    scaffold_in: Scaffold
+    scaffold_out: Scaffold
+    scale: Scale
+    step_s: float
+
+    def __post_init__(self) -> None:
+        n, m, p, q = len(self.a), self.scaffold_in.outputs, self.scaffold_out.inputs, len(self.neurons)
+        codes(self.neurons)
+        shapes: list[tuple[int, ...]] = [(n, n), (n, m), (p, n), (p, m), (n, q), (q, n), (q, m), (p, q), (q,)]
+        for name, shape in zip((*MATRICES, "bias"), shapes, strict=True):
+            value = getattr(self, name)
+            fits = value.shape == shape and bool(np.isfinite(value).all())
+            problem = f"must be finite and of shape {shape}: {n} states, {q} neurons"
+            require(fits, name, value.shape, problem, "write model.json again")
+        self.check_wires()
+
+    @property
+    def linear(self) -> StateSpace:  # type: ignore[override] # read only, as every field here
+        """`(A, B, C, D)`, what remains without the neurons."""
+        return StateSpace(a=self.a, b=self.b, c=self.c, d=self.d)
+
+    @property
+    def system(self) -> System:
+        """The recurrence with its neurons, if there are any."""
+        return self._structured if self.neurons else self.linear
+
+    @property
+    def _structured(self) -> StructuredSystem:
+        return StructuredSystem(**{name: getattr(self, name) for name in MATRICES})
+
+    @cached_property
+    def matrices(self) -> "Matrices":
+        """What the compiled recurrence takes."""
+        from ssm_study.models.structured_kernel import Matrices  # numba: reading a model does without
+
+        return Matrices.of(vars(self), codes(self.neurons))
+
+    def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
+        """The recurrence's derivative at one state and lifted input: neurons replaced by their slopes there."""
+        return self._structured.at_slopes(slopes(self.neurons, self.f @ x + self.g @ ubar + self.bias))
+
+    def inner(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> Float[np.ndarray, "*batch q"]:
+        """`w = phi(F x + G v + b + injected) - phi(b)`; an observer injects `L_z (yh - y)`."""
+        z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
+        return phi(self.neurons, z) - phi(self.neurons, self.bias)
+
+    def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
+        """`x+ = A x + B v + E w`; `injected` as in `inner`."""
+        return x @ self.a.T + ubar @ self.b.T + self.inner(x, ubar, injected) @ self.e.T
+
+    def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+        """`S_y(C x + D v + H w)`."""
+        return self.scaffold_out(x @ self.c.T + ubar @ self.d.T + self.inner(x, ubar) @ self.h.T)
+
+    def run(
+        self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
+    ) -> tuple[Outputs, Float[np.ndarray, "*batch T1 n"]]:
+        """`C x + D v + H w`, compiled, and the states, of which there is one more: that after the last sample."""
+        from ssm_study.models.structured_kernel import free_run
+
+        batch, samples = ubar.shape[:-2], ubar.shape[-2]
+        start = np.zeros((*batch, self.order))
+        start[...] = (
+            0.0 if x0 is None else x0
+        )  # not a broadcast view: numba compiles anew for arrays that are read-only
+        v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
+        ybar, states = free_run(self.matrices, v, start.reshape(-1, self.order))
+        return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
+        """Of a stored one-layer model too: that with q = 0. Raises as `Explicit` does."""
+        if data.get("neurons"):
+            return super().from_json(data)
+        plain = vars(SSM.from_json(data))
+        parts = vars(plain.pop("linear"))
+        (n, m), p = parts["b"].shape, len(parts["c"])
+        shapes = {"e": (n, 0), "f": (0, n), "g": (0, m), "h": (p, 0), "bias": (0,)}
+        none: Any = {name: np.zeros(shape) for name, shape in shapes.items()}
+        return cls(**parts, **plain, **none, neurons=())
+
+
+def model_from_json(data: Mapping[str, Any]) -> Simulator:
+    """Any stored model: an SSM has no kind, a structured one has neurons instead; an unknown kind is refused."""
+    if data.get("kind") is None:
+        return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
+    one_of(kinds := Simulator.members(baselines), "kind", data["kind"])
+    return kinds[data["kind"]].from_json(data)
+
+
+Model = SSM | StructuredSSM  # of one layer, or with neurons in the recurrence: what is certified

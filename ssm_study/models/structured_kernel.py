@@ -1,0 +1,208 @@
+"""The structured recurrence compiled: free run and forward sensitivities, one pass over the samples each.
+
+`z = F x + G v + b,  w = phi(z) - phi(b),  x+ = A x + B v + E w,  ybar = C x + D v + H w` with v = S_u(u) given.
+Arrays are float64 and contiguous: `v (N, T, m)`, `x0 (N, n)`, `ybar (N, T, p)`; `kinds (q,)` are the neurons' codes.
+By hand: with `S = diag phi'(z)` a change obeys `dx+ = (A + E S F) dx + ...`, `dybar = (C + H S F) dx + ...`.
+"""
+
+from collections.abc import Mapping
+from math import exp, log1p, tanh
+from typing import Any, NamedTuple, no_type_check
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+compiled = njit(cache=True, error_model="numpy")  # division as in C: no checks inside the loops
+
+
+class Matrices(NamedTuple):
+    """`a (n, n), b (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds (q,)`."""
+
+    a: Float[np.ndarray, "n n"]
+    b: Float[np.ndarray, "n m"]
+    c: Float[np.ndarray, "p n"]
+    d: Float[np.ndarray, "p m"]
+    e: Float[np.ndarray, "n q"]
+    f: Float[np.ndarray, "q n"]
+    g: Float[np.ndarray, "q m"]
+    h: Float[np.ndarray, "p q"]
+    bias: Float[np.ndarray, "q"]
+    kinds: Int[np.ndarray, "q"]
+
+    @classmethod
+    def of(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "Matrices":
+        """Contiguous copies of the parts by name: for any other layout numba would compile everything once more."""
+        arrays = (np.array(parts[name], dtype=np.float64, order="C") for name in cls._fields[:-1])
+        return cls._make((*arrays, kinds))
+
+
+@compiled
+@no_type_check
+def bend(code, z):
+    """`(phi(z), phi'(z))` of the neuron with that code."""
+    if code == 0:
+        value = tanh(z)
+        return value, 1.0 - value * value
+    if code == 1:
+        part = exp(-abs(z))
+        slope = 1.0 / (1.0 + part)
+        return max(z, 0.0) + log1p(part), slope if z >= 0.0 else 1.0 - slope
+    if code == 2:
+        if abs(z) < 1.0:
+            return z * z * z / 3.0, z * z
+        return z - (2.0 / 3.0 if z > 0.0 else -2.0 / 3.0), 1.0
+    if code == 3:
+        return max(z, 0.0), 1.0 if z >= 0.0 else 0.0
+    return min(max(z, -1.0), 1.0), 1.0 if -1.0 <= z < 1.0 else 0.0
+
+
+@compiled
+@no_type_check
+def _neurons(k, still, x, v, w, slope):  # Fill w and the slopes at state x and lifted input v; still is phi(b)
+    for i in range(w.shape[0]):
+        z = k.bias[i]
+        for j in range(x.shape[0]):
+            z += k.f[i, j] * x[j]
+        for j in range(v.shape[0]):
+            z += k.g[i, j] * v[j]
+        value, slope[i] = bend(k.kinds[i], z)
+        w[i] = value - still[i]
+
+
+@compiled
+@no_type_check
+def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + inner w
+    for i in range(out.shape[0]):
+        total = 0.0
+        for j in range(x.shape[0]):
+            total += state[i, j] * x[j]
+        for j in range(v.shape[0]):
+            total += through[i, j] * v[j]
+        for j in range(w.shape[0]):
+            total += inner[i, j] * w[j]
+        out[i] = total
+
+
+@compiled
+@no_type_check
+def free_run(k, v, x0):
+    """`(ybar (N, T, p), states (N, T + 1, n))`: the states include the one after the last sample."""
+    records, samples = v.shape[0], v.shape[1]
+    ybar = np.empty((records, samples, k.c.shape[0]))
+    states = np.empty((records, samples + 1, k.a.shape[0]))
+    q = k.e.shape[1]
+    w, slope, still = np.empty(q), np.empty(q), np.zeros(q)
+    _neurons(k, still, np.zeros(k.a.shape[0]), np.zeros(v.shape[2]), still, slope)  # phi(b): at rest
+    for r in range(records):
+        states[r, 0] = x0[r]
+        for t in range(samples):
+            _neurons(k, still, states[r, t], v[r, t], w, slope)  # w[t] first: output and next state share it
+            _rows(k.c, k.d, k.h, states[r, t], v[r, t], w, ybar[r, t])
+            _rows(k.a, k.b, k.e, states[r, t], v[r, t], w, states[r, t + 1])
+    return ybar, states
+
+
+def blocks(n: int, m: int, p: int, q: int, lifted: int) -> dict[str, tuple[int, ...]]:
+    """The columns of `sensitivities`, block by block in their order, each flattened by rows."""
+    state = {"a": (n, n), "b": (n, m), "e": (n, q), "f": (q, n), "g": (q, m), "bias": (q,), "lifted": (lifted,)}
+    return state | {"x0": (n,), "c": (p, n), "d": (p, m), "h": (p, q)}
+
+
+def split(shapes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]) -> dict[str, Float[np.ndarray, "..."]]:
+    """The last axis cut into blocks of these shapes, in their order."""
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
+    return dict(zip(shapes, np.split(j, ends[:-1], axis=-1), strict=True))
+
+
+@compiled
+@no_type_check
+def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
+    """Add to a row of derivatives `weights s`, what moves this row alone (from `own` on), and what moves the neurons.
+
+    `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g, bias and lifted.
+    """
+    x, v, w, slope, rest = here
+    for j in range(len(x)):
+        for c in range(s.shape[1]):
+            row[c] += weights[j] * s[j, c]  # through the state: dx
+        row[own[0] + j] += x[j]  # this row of A or C itself
+    for j in range(len(v)):
+        row[own[1] + j] += v[j]  # of B or D
+    for u in range(len(w)):
+        row[own[2] + u] += w[u]  # of E or H
+        for j in range(len(x)):
+            row[at[0] + u * len(x) + j] += scaled[u] * x[j]
+        for j in range(len(v)):
+            row[at[1] + u * len(v) + j] += scaled[u] * v[j]
+        row[at[2] + u] += inner[u] * (slope[u] - rest[u])  # the bias moves phi(z) and phi(b)
+    for j in range(len(basis)):
+        row[at[3] + j] += through[channel[j]] * basis[j]
+
+
+@compiled
+@no_type_check
+def _places(n, m, p, q, lifted):
+    """The first columns of b, e, of (f, g, bias, lifted), of x0, c, d and h, in the order of `blocks`."""
+    at_e = n * n + n * m
+    at_f = at_e + n * q
+    at = (at_f, at_f + q * n, at_f + q * n + q * m, at_f + q * n + q * m + q)
+    at_c = at[3] + lifted + n
+    return n * n, at_e, at, at_c - n, at_c, at_c + p * n, at_c + p * n + p * m
+
+
+@compiled
+@no_type_check
+def sensitivities(k, v, x0, basis, channel):
+    """`(ybar (N, T, p), J (N, T, p, P))`, the columns of J as `blocks` has them.
+
+    `lifted` parameter j moves the lifted input of `channel[j]` by `basis[., ., j] (N, T, K)` per unit; `x0` is the own
+    record's. A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its place.
+    """
+    records, samples, m = v.shape
+    n, p, q = k.a.shape[0], k.c.shape[0], k.e.shape[1]
+    at_b, at_e, at, at_x0, at_c, at_d, at_h = _places(n, m, p, q, basis.shape[2])
+    out, ybar = np.zeros((records, samples, p, at_h + p * q)), np.empty((records, samples, p))
+    w, slope, still, rest = np.empty(q), np.empty(q), np.zeros(q), np.empty(q)
+    _neurons(k, still, np.zeros(n), np.zeros(m), still, rest)
+    es, hs, turn, read = np.empty((n, q)), np.empty((p, q)), np.empty((n, n)), np.empty((p, n))
+    push, through = np.empty((n, m)), np.empty((p, m))
+    for r in range(records):
+        x, ahead = x0[r].copy(), np.empty(n)
+        s, moved = np.zeros((n, at_c)), np.empty((n, at_c))
+        for i in range(n):
+            s[i, at_x0 + i] = 1.0  # dx / dx0 at the first sample
+        for t in range(samples):
+            _neurons(k, still, x, v[r, t], w, slope)
+            _rows(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])
+            _closed(k.a, k.b, k.e, k.f, k.g, slope, es, turn, push)
+            _closed(k.c, k.d, k.h, k.f, k.g, slope, hs, read, through)
+            here = (x, v[r, t], w, slope, rest)
+            for o in range(p):
+                own = (at_c + o * n, at_d + o * m, at_h + o * q)
+                _row(out[r, t, o], read[o], s, k.h[o], hs[o], through[o], here, basis[r, t], channel, own, at)
+            moved[:] = 0.0
+            for i in range(n):
+                own = (i * n, at_b + i * m, at_e + i * q)
+                _row(moved[i], turn[i], s, k.e[i], es[i], push[i], here, basis[r, t], channel, own, at)
+            s, moved = moved, s  # two buffers, swapped: no allocation in the loop
+            _rows(k.a, k.b, k.e, x, v[r, t], w, ahead)
+            x, ahead = ahead, x
+    return ybar, out
+
+
+@compiled
+@no_type_check
+def _closed(state, through, inner, f, g, slope, scaled, by_state, by_input):
+    """`scaled = inner S,  by_state = state + inner S f,  by_input = through + inner S g`."""
+    for i in range(state.shape[0]):
+        for u in range(slope.shape[0]):
+            scaled[i, u] = inner[i, u] * slope[u]
+        for j in range(state.shape[1]):
+            by_state[i, j] = state[i, j]
+            for u in range(slope.shape[0]):
+                by_state[i, j] += scaled[i, u] * f[u, j]
+        for j in range(through.shape[1]):
+            by_input[i, j] = through[i, j]
+            for u in range(slope.shape[0]):
+                by_input[i, j] += scaled[i, u] * g[u, j]

@@ -1,0 +1,159 @@
+"""What `conf/model/structured.yaml` says, and the maps S_u and S_y as they are trained, derivatives written out."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.models.scaffolds.linear import Linear, LinearScaffold
+from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
+from ssm_study.models.scaffolds.scaffold import Scaffold
+from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, whole
+from ssm_study.models.structured import codes
+from ssm_study.models.torch_ssm import TorchModel
+from ssm_study.refusal import at_least, one_of, require
+from ssm_study.signals import DataSet
+
+Free = Float[np.ndarray, "P"]
+Signals = Float[np.ndarray, "*batch c"]
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """`S_c(v) = int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted `points`.
+
+    Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`) the identity, which
+    has none.
+    """
+
+    channels: int
+    knots: int
+    lower: float
+    upper: float
+
+    @property
+    def owners(self) -> Int[np.ndarray, "P"]:
+        """The channel each parameter belongs to."""
+        each, knots = np.arange(self.channels), self.knots
+        return np.concatenate([np.repeat(each, knots + 1), np.repeat(each, knots)]) if knots else each[:0]
+
+    def start(self, samples: Float[np.ndarray, "N c"]) -> Free:
+        """All slopes equal, the break points at equal shares of the samples' range: its ends are seldom visited."""
+        if not self.knots:
+            return np.zeros(0)
+        low, high = samples.min(axis=0), samples.max(axis=0)
+        points = low + (high - low) * (np.arange(self.knots) + 0.5)[:, None] / self.knots
+        return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
+
+    def _explicit(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes, what one unit of `free` does to each, and break points in the order given; one row a channel."""
+        split = self.channels * (self.knots + 1)
+        share = 1.0 / (1.0 + np.exp(-theta[:split].reshape(self.channels, -1)))  # the logistic function
+        width = self.upper - self.lower
+        return self.lower + width * share, width * share * (1.0 - share), theta[split:].reshape(self.channels, -1)
+
+    def derivatives(self, theta: Free, v: Signals) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
+        """`S(v)`, its slope at v, and what each parameter does to the channel that it belongs to.
+
+        `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where t_j lies
+        between 0 and v, negative where v < 0.
+        """
+        if not self.knots:
+            return v, np.ones_like(v), np.zeros((*v.shape[:-1], 0))
+        values, at, frees, moves = np.empty_like(v), np.empty_like(v), [], []
+        for c, (slopes, by_free, points) in enumerate(zip(*self._explicit(theta), strict=True)):
+            order = np.argsort(points, kind="stable")
+            ends = np.concatenate([[-np.inf], points[order], [np.inf]])
+            x = v[..., c, None]
+            inside = np.clip(x, ends[:-1], ends[1:]) - np.clip(0.0, ends[:-1], ends[1:])
+            values[..., c] = inside @ slopes
+            at[..., c] = slopes[np.searchsorted(ends[1:-1], v[..., c], side="right")]
+            frees.append(inside * by_free)
+            passed = (x > ends[1:-1]).astype(float) - (ends[1:-1] < 0.0)  # which break points lie between 0 and v
+            moves.append((passed * -np.diff(slopes))[..., np.argsort(order)])  # back in the order of the parameters
+        return values, at, np.concatenate([*frees, *moves], axis=-1)
+
+    def freeze(self, theta: Free) -> Scaffold:
+        """The explicit map."""
+        if not self.knots:
+            return LinearScaffold.identity(self.channels)
+        slopes, _, points = self._explicit(theta)
+        return MonotoneScaffold(breakpoints=np.sort(points, axis=1), slopes=slopes)
+
+
+AUTO = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuredSpec(ModelSpec):
+    """`x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y = S_y(C x + D v + H w),  v = S_u(u)`.
+
+    `order` states, or "auto": order, neurons and ridge are chosen by folds of the training records. `neurons` of the
+    `kinds`, in turn; 0 trains the one-layer model (`SSMSpec`). `input_path` is G: "none", "staged" (zero until S_u has
+    converged) or "free"; `output_path` is H: "none" or "free". S_u and S_y are monotone and piecewise linear with
+    `knots` and `output_knots` break points (0: the identity), slopes in `[slope_lower, slope_upper]`. `rate` r holds
+    `|x|_M` contracting by r per sample, by construction; null leaves the model free. `ridge` weighs the squared
+    parameters. `starts` trainings, each with neurons of its own at random; `start_steps` of Levenberg-Marquardt for the
+    linear fit, S_u and the free model before the set of contracting models is entered. `integrated`: the output is a
+    running sum, an integrator in front of which the model contracts. Source: THEORY section 6.
+    """
+
+    gives_ssm: ClassVar[bool] = True
+
+    order: int | str
+    neurons: int
+    kinds: str | list[str] = "tanh"
+    input_path: str = "none"
+    output_path: str = "none"
+    feedthrough: bool = False
+    knots: int = 16
+    output_knots: int = 0
+    slope_lower: float = 0.01
+    slope_upper: float = 1.0
+    rate: float | None = 0.999
+    ridge: float = 1e-6
+    starts: int = 4
+    start_steps: list[int] | tuple[int, int, int] = (15, 20, 40)
+    integrated: bool = False
+
+    def __post_init__(self) -> None:
+        for name, least in {"order": 1, "neurons": 0, "knots": 0, "output_knots": 0, "starts": 1}.items():
+            if (name, getattr(self, name)) != ("order", AUTO):
+                whole(least, name, getattr(self, name), "use 4 or so" + (f", or {AUTO}" if name == "order" else ""))
+        codes(self.each)
+        one_of(("none", "staged", "free"), "model.input_path", self.input_path)
+        one_of(("none", "free"), "model.output_path", self.output_path)
+        check_slopes(self.slope_lower, self.slope_upper)
+        inside = self.rate is None or 0 < self.rate <= 1
+        require(inside, "model.rate", self.rate, "must lie in (0, 1]", "use 0.999, or null for a free model")
+        at_least(0, "model.ridge", self.ridge, "use 1e-6")
+        three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
+        require(three, "model.start_steps", self.start_steps, "needs three numbers, at least 1", "use [15, 20, 40]")
+        plain = not (self.integrated and self.output_knots)
+        require(plain, "model.output_knots", self.output_knots, "an integrated output has a linear S_y", "use 0")
+
+    @property
+    def each(self) -> tuple[str, ...]:
+        """The kind of each neuron."""
+        kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
+        require(len(kinds) > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
+        return tuple(kinds[i % len(kinds)] for i in range(self.neurons))
+
+    def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
+        """S_u and S_y as they are trained, for this many inputs and outputs."""
+        ends = {"lower": self.slope_lower, "upper": self.slope_upper}
+        lift, read = Pieces(channels[0], self.knots, **ends), Pieces(channels[1], self.output_knots, **ends)
+        return lift, read
+
+    def one_layer(self) -> SSMSpec:
+        """The model without neurons, trained as `model=ssm` is."""
+        require(isinstance(self.order, int), "model.order", self.order, "there is no choice without neurons", "give it")
+        inward, outward = (Monotone() if knots else Linear() for knots in (self.knots, self.output_knots))
+        shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper", "feedthrough")}
+        width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
+        return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
+
+    def build(self, data: DataSet, seed: int) -> TorchModel:
+        """Raises `BadRequest`: it has a training of its own, and without neurons `one_layer` is built."""
+        return self.one_layer().build(data, seed)

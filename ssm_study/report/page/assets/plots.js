@@ -1,0 +1,135 @@
+// The plots: drawn by Vega, told which runs are shown and chosen; a brush in one filters all.
+const COARSE = matchMedia("(pointer: coarse)").matches; // a finger scrolls: there a drag must not brush
+const VIEWS = [];
+const WIDTHS = []; // of the container each plot was last fitted into
+const STALE = new Set(); // plots that do not show the present choice yet
+const VISIBLE = new Set();
+const SEEN = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) VISIBLE[isIntersecting ? "add" : "delete"](Number(target.dataset.view));
+  refresh();
+}, { rootMargin: "100px" });
+const EMBED = { actions: { export: { svg: true, png: true }, source: false, compiled: false, editor: false }, renderer: "canvas",
+  tooltip: { theme: DARK ? "dark" : "light" } };
+
+/** What a point under the pointer says: written when it is asked for, not for every point beforehand. */
+function tooltipOf(columnOf) {
+  return (datum, sanitize) => {
+    const numbers = Object.keys(datum).filter((name) => typeof datum[name] === "number" && name !== "i");
+    const lines = [["Run", datum.run], ["Outcome", datum.verdict], ...numbers.map((name) => [DATA.words[columnOf(name)], printed(datum[name])])];
+    const row = ([key, value]) => `<tr><td class="key">${sanitize(key)}</td><td class="value">${sanitize(value)}</td></tr>`;
+    return `<table><tbody>${lines.map(row).join("")}</tbody></table>`;
+  };
+}
+
+function rowsFor(fields) {
+  return Array.from({ length: RUNS }, (_, i) => {
+    const row = { i, run: COLUMNS.run[i], verdict: COLUMNS.verdict[i] };
+    for (const name of fields) row[name] = COLUMNS[name][i];
+    return row;
+  });
+}
+
+function withoutBrush(spec) {
+  const copy = structuredClone(spec);
+  const strip = (part) => { if (part.params) part.params = part.params.filter((param) => param.name !== "brush"); };
+  strip(copy);
+  (copy.layer || []).forEach(strip);
+  return copy;
+}
+
+/** One plot; `columnOf` maps a field of the rows to the column it holds (the explorer's are just across and up). */
+async function embed(chart, spec, { rows, ticks = [] }, number, columnOf = (field) => field) {
+  const own = COARSE ? withoutBrush(spec) : structuredClone(spec);
+  own.datasets = { ...own.datasets, runs: rows, ticks }; // beside the one-row set of a dashed line
+  const { view } = await vegaEmbed(chart, shaded(own), { ...EMBED, tooltip: { ...EMBED.tooltip, formatTooltip: tooltipOf(columnOf) } });
+  const menu = chart.querySelector("summary");
+  if (menu) menu.setAttribute("aria-label", "Save this plot");
+  if (!COARSE) {
+    view.addSignalListener("brush", (_, value) => {
+      const ranges = Object.entries(value || {}).filter(([, range]) => range.length === 2);
+      state.brushes[number] = Object.fromEntries(ranges.map(([field, range]) => [columnOf(field), range]));
+      changed();
+    });
+  }
+  view.addEventListener("click", (_, item) => { if (item && item.datum && item.datum.i !== undefined) choose(item.datum.i); });
+  VIEWS[number] = view;
+  WIDTHS[number] = view.container().clientWidth;
+  chart.dataset.view = number;
+  SEEN.observe(chart);
+}
+
+/** Puts the figure in its place and returns what draws it: the places must be there before a plot fits into one. */
+function placePanel(panel, number) {
+  const chart = element("div", { class: "chart" }), note = element("span", { class: "note" }, panel.note);
+  document.getElementById("plots").append(element("figure", {}, element("figcaption", {}, panel.question, note), chart));
+  const known = (fields) => rowsFor(fields).filter((row) => fields.every((name) => typeof row[name] === "number"));
+  const ticks = panel.tick ? new Map(known([panel.x, panel.tick]).map((row) => [`${row[panel.x]} ${row[panel.tick]}`, row])) : new Map();
+  return () => embed(chart, panel.spec, { rows: known([panel.x, panel.y]), ticks: [...ticks.values()] }, number);
+}
+
+/** Any column against any other: the plot nobody thought of. */
+function placeExplorer() {
+  const number = DATA.panels.length, names = Object.keys(COLUMNS).filter(isNumeric);
+  if (names.length < 2) return () => {};
+  const start = { across: DATA.parameters.find(isNumeric) || names[0], up: names.includes("fit_test_percent") ? "fit_test_percent" : names[1] };
+  const chart = element("div", { class: "chart" });
+  const draw = () => {
+    if (VIEWS[number]) VIEWS[number].finalize();
+    delete state.brushes[number];
+    const spec = structuredClone(DATA.explorer), points = spec.layer[spec.layer.length - 1].encoding;
+    points.x.title = DATA.words[start.across];
+    points.y.title = DATA.words[start.up];
+    spec.description = `${DATA.words[start.up]} against ${DATA.words[start.across]}, one point per run`;
+    const rows = rowsFor([]).map((row) => ({ ...row, across: COLUMNS[start.across][row.i], up: COLUMNS[start.up][row.i] }));
+    const known = rows.filter((row) => typeof row.across === "number" && typeof row.up === "number");
+    return embed(chart, spec, { rows: known }, number, (field) => start[field]).then(() => changed(true));
+  };
+  const choice = (axis) => element("select", { "aria-label": `Column ${axis}`, "data-axis": axis,
+    onchange: (event) => { start[axis] = event.target.value; draw(); } },
+  ...names.map((name) => element("option", { value: name, selected: name === start[axis] }, DATA.words[name])));
+  document.getElementById("plots").append(element("figure", {}, element("figcaption", {}, choice("up"), " against ", choice("across")), chart));
+  return draw;
+}
+
+async function drawPlots() {
+  if (COARSE) document.getElementById("plots-hint").textContent = "Tap a point to see its run; use the filters above to narrow the runs.";
+  const alone = RUNS === 1 && trajectoryCharts(document.getElementById("plots"), DATA.trajectories[COLUMNS.run[0]] || {}, false);
+  for (const draw of alone || [...DATA.panels.map(placePanel), placeExplorer()]) {
+    await draw();
+    await pause();
+  }
+  let marked = -1;
+  listeners.push((_, news) => {
+    if (!news && marked === state.chosen) return; // sorting and paging concern the table alone
+    marked = state.chosen;
+    allStale();
+  });
+}
+
+function allStale() {
+  VIEWS.forEach((_, number) => STALE.add(number));
+  refresh();
+}
+
+let refreshing = false;
+
+/** Bring the plots in sight up to date, one at a time, so that a drag over thousands of runs never waits for all. */
+async function refresh() {
+  if (refreshing) return;
+  refreshing = true;
+  for (let next; (next = [...STALE].find((number) => VISIBLE.has(number))) !== undefined;) {
+    STALE.delete(next);
+    const view = VIEWS[next], width = view.container().clientWidth;
+    if (width && WIDTHS[next] !== width) view.width(width); // what it fits into, not what the axes leave of it
+    WIDTHS[next] = width;
+    await view.signal("mask", state.shown).signal("chosen", state.chosen).runAsync();
+    await pause();
+  }
+  refreshing = false;
+}
+
+/** Lift every brush: Vega keeps its selection in a data set of its own. */
+function clearBrushes() {
+  state.brushes = {};
+  if (!COARSE) VIEWS.forEach((view) => view.data("brush_store", []).signal("brush_x", []).signal("brush_y", []).runAsync());
+}

@@ -1,0 +1,111 @@
+"use strict";
+// What the reader has chosen, and which runs that leaves. Everything else draws from here.
+const DATA = JSON.parse(document.getElementById("data").textContent);
+const HOW_MANY = (DATA.columns.run || []).length;
+// Where few values differ, each once and which of them stands where; nowhere, if all are the same.
+const decoded = (column) => Array.isArray(column) ? column
+  : column.at.length ? column.at.map((k) => column.values[k]) : Array(HOW_MANY).fill(column.values[0]);
+const COLUMNS = Object.fromEntries(Object.entries(DATA.columns).map(([name, column]) => [name, decoded(column)]));
+const RUNS = (COLUMNS.run || []).length;
+
+const state = {
+  text: "",
+  verdicts: new Set(DATA.verdicts.map((v) => v.word)),
+  selects: {},
+  range: { column: "", low: null, high: null },
+  brushes: {},
+  sort: { column: null, descending: false },
+  page: 0,
+  allColumns: false,
+  chosen: -1,
+  group: { by: null, metric: null },
+  picked: new Set(),
+};
+
+const ALL_TEXT = Array.from({ length: RUNS }, (_, i) =>
+  Object.keys(COLUMNS).filter((name) => typeof COLUMNS[name][i] === "string").map((name) => COLUMNS[name][i]).join(" ").toLowerCase());
+
+function within(value, low, high) {
+  return value !== null && value !== undefined && (low === null || value >= low) && (high === null || value <= high);
+}
+
+/** 1 for each run that passes every filter and every brush. */
+function mask() {
+  const words = state.text.toLowerCase().split(/\s+/).filter(Boolean);
+  const selects = Object.entries(state.selects).filter(([, value]) => value !== "");
+  const brushes = Object.values(state.brushes).flatMap((brush) => Object.entries(brush));
+  const ranged = state.range.column && (state.range.low !== null || state.range.high !== null);
+  return Array.from({ length: RUNS }, (_, i) => Number(
+    state.verdicts.has(COLUMNS.verdict[i]) &&
+    words.every((word) => ALL_TEXT[i].includes(word)) &&
+    selects.every(([name, value]) => String(setting(name, i)) === value) &&
+    (!ranged || within(COLUMNS[state.range.column][i], state.range.low, state.range.high)) &&
+    brushes.every(([name, [low, high]]) => within(COLUMNS[name][i], low, high))));
+}
+
+const listeners = [];
+let waiting = false;
+
+/** Redraw once per frame however fast the filters change: a brush fires with every pixel. Each listener hears which
+ * runs are shown and whether that is news; the first, the table, is on the screen before the others begin. */
+function changed(keepPage = false) {
+  if (!keepPage) state.page = 0;
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(async () => {
+    waiting = false;
+    const shown = mask(), news = !state.shown || shown.some((here, i) => here !== state.shown[i]);
+    if (news) state.shown = shown;
+    for (const listener of listeners) {
+      listener(state.shown, news);
+      await pause();
+    }
+  });
+}
+
+/** Let the page draw a frame and take a key or a click before the next piece of work. */
+function pause() {
+  return new Promise((done) => { setTimeout(done); });
+}
+
+function element(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
+    else if (value === true) node.setAttribute(name, "");
+    else if (value !== false && value !== null) node.setAttribute(name, value);
+  }
+  node.append(...children);
+  return node;
+}
+
+function printed(value) {
+  if (value === null || value === undefined) return "–";
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (typeof value !== "number" || Number.isInteger(value)) return String(value);
+  return String(Number(value.toPrecision(4)));
+}
+
+function isNumeric(name) {
+  return COLUMNS[name].some((value) => typeof value === "number") && !COLUMNS[name].some((value) => typeof value === "string");
+}
+
+const SHAPES = {
+  "certified, settles": "M7 1a6 6 0 1 0 .01 0z",
+  "certified, does not settle": "M7 1l6 11H1z",
+  "not certified": "M2 2h10v10H2z",
+  "identified": "M7 13L1 2h12z",
+  "infeasible": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
+  "failed": "M7 0l5 7-5 7-5-7z",
+};
+
+function marker(word) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  svg.setAttribute("viewBox", "0 0 14 14");
+  svg.setAttribute("aria-hidden", "true");
+  path.setAttribute("d", SHAPES[word]);
+  path.setAttribute("fill", shade(DATA.verdicts.find((v) => v.word === word).colour));
+  svg.append(path);
+  return svg;
+}

@@ -1,0 +1,92 @@
+// The table: sorted by a click on a heading, filtered with the plots, 25 runs at a time.
+const PAGE = 25;
+
+function visibleColumns() {
+  const known = Object.keys(COLUMNS);
+  const first = DATA.first.filter((name) => known.includes(name));
+  return [...new Set(state.allColumns ? [...first, ...known] : first)];
+}
+
+const ALPHABET = new Intl.Collator(); // ten times faster than localeCompare
+
+function sorted(rows) {
+  const { column, descending } = state.sort;
+  if (column === null) return rows; // the table comes best first
+  const values = COLUMNS[column], sign = descending ? -1 : 1;
+  const missing = (value) => value === null || value === undefined;
+  return rows.sort((i, j) => {
+    const a = values[i], b = values[j];
+    if (missing(a) || missing(b)) return missing(a) - missing(b) || i - j; // missing last, both ways
+    return (typeof a === "string" ? ALPHABET.compare(a, b) : a - b) * sign || i - j;
+  });
+}
+
+function sortBy(column) {
+  const same = state.sort.column === column;
+  state.sort = same && state.sort.descending ? { column: null, descending: false } : { column, descending: same };
+  changed();
+}
+
+function drawHead() {
+  const names = visibleColumns(), said = JSON.stringify([names, state.sort]);
+  if (said === drawHead.said) return; // a drag filters with every pixel and leaves the headings alone
+  drawHead.said = said;
+  document.getElementById("head").replaceChildren(element("tr", {}, ...names.map((name) => {
+    const here = state.sort.column === name;
+    const arrow = here ? (state.sort.descending ? " ▼" : " ▲") : "";
+    return element("th", { scope: "col", class: isNumeric(name) ? "" : "text",
+      "aria-sort": here ? (state.sort.descending ? "descending" : "ascending") : "none" },
+    element("button", { type: "button", "data-column": name, onclick: () => sortBy(name) }, (DATA.words[name] || name) + arrow));
+  })));
+}
+
+function drawRow(i, names) {
+  return element("tr", { class: i === state.chosen ? "chosen" : "", "data-run": String(i) }, ...names.map((name) => name === "run"
+    ? element("th", { scope: "row" }, picker(i), element("button", { type: "button", title: COLUMNS.run[i], onclick: () => choose(i) }, ...nameParts(COLUMNS.run[i])))
+    : element("td", { class: isNumeric(name) ? "" : "text" }, printed(COLUMNS[name][i]))));
+}
+
+/** A run's name; a phone shows the digits alone, which tell runs apart. */
+function nameParts(name) {
+  const [, settings, digits] = /^(.*-)([0-9a-f]{10})$/.exec(name) || [null, "", printed(name)];
+  return [element("span", { class: "settings" }, settings), digits];
+}
+
+/** A box that puts the run among those shown side by side. */
+function picker(i) {
+  return element("input", { type: "checkbox", class: "picker", "aria-label": `Compare ${COLUMNS.run[i]}`, checked: state.picked.has(i), onchange: (event) => {
+    if (event.target.checked) state.picked.add(i); else state.picked.delete(i);
+    drawSideBySide();
+    keepInLink();
+  } });
+}
+
+function drawTable(shown) {
+  const place = focusedPlace();
+  const rows = sorted([...shown.keys()].filter((i) => shown[i]));
+  const pages = Math.max(1, Math.ceil(rows.length / PAGE));
+  state.page = Math.min(state.page, pages - 1);
+  state.order = rows;
+  drawHead();
+  const names = visibleColumns();
+  document.getElementById("body").replaceChildren(...rows.slice(state.page * PAGE, (state.page + 1) * PAGE).map((i) => drawRow(i, names)));
+  drawPager(pages);
+  document.getElementById("count").textContent = `${rows.length} of ${RUNS} runs shown`;
+  const again = place && document.querySelector(place);
+  if (again) again.focus({ preventScroll: true });
+}
+
+/** Where the keyboard is in the table, as a selector: drawing anew must not lose it. */
+function focusedPlace() {
+  const here = document.activeElement, row = here && here.closest("tr[data-run]");
+  if (row) return `tr[data-run="${row.dataset.run}"] button`;
+  return here && here.dataset.column ? `[data-column="${here.dataset.column}"]` : here && here.closest("#pager") ? `#${here.id}` : null;
+}
+
+function drawPager(pages) {
+  const turn = (by) => () => { state.page += by; changed(true); };
+  document.getElementById("pager").replaceChildren(
+    element("button", { type: "button", id: "page-before", onclick: turn(-1), disabled: state.page === 0 }, "Previous"),
+    element("span", {}, `Page ${state.page + 1} of ${pages}`),
+    element("button", { type: "button", id: "page-after", onclick: turn(1), disabled: state.page >= pages - 1 }, "Next"));
+}

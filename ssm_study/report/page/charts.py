@@ -1,0 +1,136 @@
+"""The page's plots as Vega-Lite specifications: one point per run, brushed together, coloured by verdict."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from ssm_study.report import style
+from ssm_study.report.words import VERDICTS, words
+from ssm_study.table.columns import column
+
+HEIGHT = 250  # pixels
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot: what it asks, the two columns, where a rule stands, and which axis is logarithmic if it can be."""
+
+    question: str
+    x: str
+    y: str
+    note: str = ""
+    log: str = ""
+    rule_x: float | None = None
+    rule_y: str = ""  # a column: a horizontal rule at its median
+    tick: str = ""  # a column: a short bar per run at this height
+
+
+PLANT = "Does the {} predict what the plant does?"
+ABOVE_ONE = "Dashed: margin one; to its right every start should settle."
+ALL_SETTLE = "All starts of all runs settle, so the plot shows how fast."
+OWN_LIMIT = "Bars: the exact rate limit of each model; nothing above its own bar can be certified."
+ALONE = "Dashed: the plant left alone."
+PANELS = (
+    Panel("Does a better fit mean a better loop?", "fit_test_percent", "stable_fraction"),
+    Panel("What does a faster rate buy?", "rate_controller", "settling_time_mean_s", ALONE,
+          rule_y="settling_time_open_loop_s"),
+    Panel("Where does feasibility end?", "slope_ratio", "rate_controller", OWN_LIMIT, log="x",
+          tick="controller_rate_limit"),
+    Panel(PLANT.format("mismatch margin"), "mismatch_margin", "stable_fraction", ABOVE_ONE, log="x", rule_x=1.0),
+    Panel(PLANT.format("margin by frequency"), "resolved_margin", "stable_fraction", ABOVE_ONE, log="x", rule_x=1.0),
+    Panel("What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"),
+)  # fmt: skip
+
+# The script fills these two fields with any columns. (Not x and y: Vega names a brush's own signals so.)
+EXPLORER = Panel("Any column against any other", "across", "up")
+
+
+def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The plots this table has numbers for: question, columns used, and specification without data."""
+    usable = [
+        panel
+        for panel in map(partial(_telling, table), PANELS)
+        if (column(table, panel.x) * column(table, panel.y)).notna().any()
+    ]
+    return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
+
+
+def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
+    """Where every start of every run settles, a share says nothing: then the plot shows how fast they settle."""
+    shares = column(table, panel.y).dropna()
+    if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
+        return panel
+    return replace(panel, y="settling_time_mean_s", note=f"{panel.note} {ALL_SETTLE}".strip())
+
+
+def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
+    """The script sets the parameters `mask` (runs shown) and `chosen` (run looked at), and hears `brush`.
+
+    It also fills the data sets `runs` and `ticks`.
+    """
+    upright = [] if panel.rule_x is None else [panel.rule_x]
+    level = [float(value) for value in [column(table, panel.rule_y).median()] if value == value]  # NaN: no rule
+    ticks = column(table, panel.tick).dropna().tolist()
+    across = _scale(panel.x, table, panel.log == "x", upright)
+    up = _scale(panel.y, table, panel.log == "y", level + ticks)
+    x = alt.X(f"{panel.x}:Q", title=words(panel.x), scale=across)
+    points = _points().encode(x=x, y=alt.Y(f"{panel.y}:Q", title=words(panel.y), scale=up))
+    layers = [_rule().encode(x=alt.datum(value)) for value in upright]
+    layers += [_rule().encode(y=alt.datum(value)) for value in level]
+    if panel.tick:
+        bars = alt.Chart(alt.NamedData("ticks")).mark_tick(
+            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8, aria=False,
+            tooltip=alt.TooltipContent("data"),
+        )  # fmt: skip
+        layers.append(bars.encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))  # else this layer's scale includes zero
+    chart = alt.layer(*layers, points, data=alt.NamedData("runs")).properties(
+        width="container", height=HEIGHT,
+        description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, one point per run",
+    )  # fmt: skip
+    chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(stroke=None)
+    spec: dict[str, Any] = chart.configure_axis(
+        labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12, labelFontSize=11,
+        labelSeparation=8,  # pixels: else neighbours read as one number ("1.82.0")
+        gridColor="#E6E6E6", domainColor=style.GREY, tickColor=style.GREY,
+    ).to_dict(validate=True)  # fmt: skip
+    return spec
+
+
+def _points() -> alt.Chart:
+    mask, chosen = alt.param(name="mask", value=[]), alt.param(name="chosen", value=-1)
+    known, here, names = "!length(mask) || mask[datum.i]", "datum.i === chosen", [v.word for v in VERDICTS]
+    colours = alt.Scale(domain=names, range=[v.colour for v in VERDICTS])
+    shapes = alt.Scale(domain=names, range=[v.shape for v in VERDICTS])
+    points = alt.Chart().mark_point(filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data"))
+    return points.encode(
+        color=alt.Color("verdict:N", scale=colours, legend=None),
+        shape=alt.Shape("verdict:N", scale=shapes, legend=None),
+        opacity=alt.condition(known, alt.value(0.85), alt.value(0.06)),
+        size=alt.condition(here, alt.value(220), alt.value(45)),
+        stroke=alt.condition(here, alt.value(style.INK), alt.value(None)),
+    ).add_params(alt.selection_interval(name="brush"), mask, chosen)
+
+
+def _rule() -> alt.Chart:
+    """One line: on the data of the points it would be drawn once per run."""
+    return alt.Chart(alt.InlineData([{}])).mark_rule(strokeDash=[4, 3], color=style.GREY, aria=False)
+
+
+def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
+    """Logarithmic only if all values allow it and they spread over more than a decade; a share from 0 to 1.
+
+    `beside`: what else is drawn on this axis, so has to lie on it.
+    """
+    if name == "stable_fraction":
+        return alt.Scale(domain=[-0.05, 1.05], nice=False)  # points at 0 and 1 are drawn whole
+    values = pd.concat([column(table, name).dropna(), pd.Series(beside, dtype=float)])
+    if values.nunique() == 1:  # an axis of one value would have no room around it
+        only = float(values.iloc[0])
+        room = 0.1 * abs(only) or 1.0
+        return alt.Scale(domain=[only - room, only + room], nice=False)
+    if log and (values > 0).all() and values.max() > 10 * values.min():
+        return alt.Scale(type="log", padding=8)
+    return alt.Scale(zero=False, padding=8)

@@ -1,0 +1,89 @@
+"""`ssm-study watch`: the report page while its sweep runs, from a local port; it reloads itself when records change."""
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Lock
+
+from ssm_study.engine.records import RECORD, read_record
+from ssm_study.refusal import BadRequest, require
+from ssm_study.report.page.writing import write_page
+from ssm_study.table.gather import gather, marks_of
+
+LOCALHOST = "127.0.0.1"  # nobody else on the network sees the study
+POLICY = "default-src 'none'"  # what the page on disk says; the live one may ask its own server as well
+WAITING = "<!doctype html><title>waiting</title><h1>No run has left a record yet.</h1>"
+SCRIPT = """<script>
+(() => { let seen = null; const line = document.createElement("p");
+line.id = "live"; line.setAttribute("role", "status"); document.body.prepend(line);
+setInterval(async () => { try { const now = await (await fetch("/state")).json();
+  line.textContent = now.line; if (seen !== null && now.mark !== seen) location.reload(); seen = now.mark;
+} catch { line.textContent = "The server has ended; this is the study as it was last seen."; } }, 2000); })();
+</script>"""
+
+
+class LivePage:
+    """The page of one study, written again when a record has changed since; safe to ask from several threads."""
+
+    def __init__(self, study: Path) -> None:
+        require(study.is_dir(), "study", study, "no such study folder", "start the sweep first, or correct the name")
+        self.study, self.lock, self.mark, self.html = study, Lock(), "", WAITING
+
+    def page(self) -> str:
+        """The page with the script that asks for `/state` every two seconds."""
+        with self.lock:
+            mark = self.current_mark()
+            if mark != self.mark and marks_of(self.study):
+                gather(self.study)
+                self.html, self.mark = write_page(self.study).read_text(encoding="utf-8"), mark
+            allowed = self.html.replace(POLICY, f"{POLICY}; connect-src 'self'", 1)
+            return allowed + SCRIPT
+
+    def current_mark(self) -> str:
+        """Changes whenever a record does."""
+        return str(hash(tuple(sorted((name, *mark) for name, mark in marks_of(self.study).items()))))
+
+    def state(self) -> dict[str, str]:
+        """The mark, and the progress in a line: `12 runs: 9 ok, 1 failed, 2 running`."""
+        records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
+        counts = Counter(str(record["status"]) for record in records if record is not None)
+        told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+        return {"mark": self.current_mark(), "line": f"Live: {counts.total()} runs: {told or 'none yet'}"}
+
+
+def serve(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
+    """A server on the local port (0: any free one) that is ready to serve; raises `BadRequest` if the port is taken."""
+    try:
+        server = ThreadingHTTPServer((LOCALHOST, port), _handler(LivePage(study)))  # a page may take seconds to write
+    except OSError as error:
+        remedy = "give another with --port, or 0 for any free one"
+        raise BadRequest("port", port, error.strerror or "cannot be opened", remedy) from error
+    announce(f"http://{LOCALHOST}:{server.server_address[1]}/")
+    return server
+
+
+def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
+    answers: dict[str, tuple[str, Callable[[], str]]] = {
+        "/": ("text/html; charset=utf-8", live.page),
+        "/state": ("application/json", lambda: json.dumps(live.state())),
+    }
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:  # the name that http.server looks for
+            if self.path not in answers:
+                self.send_error(404)
+                return
+            kind, answer = answers[self.path]
+            body = answer().encode()
+            self.send_response(200)
+            for name, value in {"Content-Type": kind, "Content-Length": len(body), "Cache-Control": "no-store"}.items():
+                self.send_header(name, str(value))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            """Nothing: a line every two seconds would bury what matters."""
+
+    return Handler

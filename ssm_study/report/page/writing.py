@@ -1,0 +1,52 @@
+"""The report page of a study: one HTML file that opens from disk, with no server and no network."""
+
+import json
+from pathlib import Path
+
+from ssm_study.refusal import BadRequest
+from ssm_study.report.page.data import best_ordered, page_data
+from ssm_study.report.study_folder import StudyFolder
+
+ASSETS = Path(__file__).parent / "assets"
+SCRIPTS = ("state", "shades", "plots", "table", "compared", "run", "lead", "groups", "main")  # in this order
+
+
+def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
+    """Write `study_folder/report.html`; returns its path. Raises `BadRequest` without the extra `report` (Altair).
+
+    With `others`, one page shows all studies beside one another: `study_folder/report_with_OTHER.html`.
+    The file carries data, style, scripts and the plotting library; its content policy forbids any request.
+    """
+    try:
+        from ssm_study.report.page.charts import EXPLORER, panels, specification
+    except ImportError as error:
+        remedy = "pip install 'ssm-study[report]'"
+        raise BadRequest("report", "page", f"{error.name} is not installed", remedy) from error
+    study = StudyFolder(folder=study_folder, others=others)
+    table = best_ordered(study.table)
+    data = page_data(study) | {"panels": panels(table), "explorer": specification(EXPLORER, table)}
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    for letter in "<>&":  # whatever the texts of a run contain, they end no <script> element
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    html = (ASSETS / "page.html").read_text(encoding="utf-8")
+    for name, content in {
+        "title": study.name,
+        "style": (ASSETS / "page.css").read_text(encoding="utf-8"),
+        "data": text,
+        "library": _library(),
+        "script": "\n".join((ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS),
+    }.items():
+        html = html.replace(f"<!--{name}-->", content, 1)
+    path = study_folder / ("_".join(["report", *(f"with_{other.resolve().name}" for other in others)]) + ".html")
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+def _library() -> str:
+    """Vega, Vega-Lite and vega-embed as one script, out of the wheel."""
+    import altair
+    import vl_convert
+
+    version = ".".join(altair.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
+    bundle: str = vl_convert.javascript_bundle(vl_version=version)  # type: ignore[call-arg]  # the stub has no default
+    return bundle.replace("</script", "<\\/script")

@@ -1,0 +1,99 @@
+"""The words of the report: what print calls a column, a choice, and what became of a run, with its colour and mark."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from ssm_study.report import style
+from ssm_study.table.columns import label
+from ssm_study.table.rank import standing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Columns that the report adds to the table.
+DERIVED = {"verdict": "Outcome", "slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)"}
+CHOICES: dict[str, str] = {
+    "pi": "PI", "lqg": "LQG", "mpc": "MPC", "lmi": "LMI", "paper_lmi": "paper's LMI", "modal_lmi": "modal LMI",
+    "auto_integral": "auto, integral",
+    "load_periodic": "load sine", "noise_free": "no noise", "noise_4x": "noise × 4", "spread": "off-nominal",
+    "dc_motor": "DC motor", "dc_motor_limited": "DC motor, limited", "stribeck_drive": "Stribeck drive",
+    "DCMotor": "DC motor", "StribeckDrive": "Stribeck drive", "CascadedTanks": "cascaded tanks",
+    "QuadrupleTank": "quadruple tank",
+}  # fmt: skip
+
+
+def spoken(choice: object) -> str:
+    """The printed name of a controller, situation or plant, e.g. `paper_lmi` -> `paper's LMI`."""
+    return CHOICES.get(str(choice), str(choice).replace("_", " "))
+
+
+def words(column: object) -> str:
+    """The printed name of a column, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
+    return DERIVED.get(str(column)) or label(str(column))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A word with its sentence; colour and mark differ both, so that either alone tells them apart.
+
+    The mark is `marker` in a figure and `shape` on the page; `style` is for the terminal.
+    """
+
+    word: str
+    sentence: str
+    colour: str
+    marker: str
+    shape: str
+    style: str
+
+
+SETTLED = Verdict(
+    "certified, settles", "both certificates hold and every start settles", style.BLUE, "o", "circle", "bold green"
+)
+LOST = Verdict(
+    "certified, does not settle", "both certificates hold for the model, yet some start does not settle",
+    style.VERMILLION, "^", "triangle-up", "bold yellow",
+)  # fmt: skip
+UNCERTIFIED = Verdict(
+    "not certified", "a design exists, but a certificate did not pass", style.ORANGE, "s", "square", "bold yellow"
+)
+IDENTIFIED = Verdict(
+    "identified", "a baseline, identified and scored; no controller is designed for it",
+    style.PURPLE, "v", "triangle-down", "bold cyan",
+)  # fmt: skip
+INFEASIBLE = Verdict(
+    "infeasible", "no certificate exists at the requested rate", style.GREY, "x", "cross", "bold magenta"
+)
+FAILED = Verdict("failed", "the run ended with an error", style.INK, "P", "diamond", "bold red")
+VERDICTS = (SETTLED, LOST, UNCERTIFIED, IDENTIFIED, INFEASIBLE, FAILED)  # in the order of `table.rank.standing`
+
+
+def verdicts(table: pd.DataFrame) -> pd.Series:
+    """One word per row, see `table.rank.standing`."""
+    return standing(table).map(lambda place: VERDICTS[place].word).astype(object).rename("verdict")
+
+
+def counts(table: pd.DataFrame) -> str:
+    """A line such as `12 runs: 9 certified, settles; 2 infeasible; 1 failed`."""
+    tally = verdicts(table).value_counts()
+    parts = [f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally]
+    return f"{len(table)} run{'s' if len(table) != 1 else ''}" + (": " + "; ".join(parts) if parts else "")
+
+
+def scatter(axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0) -> None:
+    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the legend.
+
+    `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each other.
+    """
+    word = verdicts(table)
+    for k, verdict in enumerate(VERDICTS):
+        here = (word == verdict.word) & x.notna() & y.notna()
+        if not here.any():
+            continue
+        edge, width = (verdict.colour, 0.9) if verdict.marker == "x" else ("white", 0.3)  # a cross is all edge
+        axes.scatter(
+            x[here] + k * dodge, y[here], s=18, c=verdict.colour, marker=verdict.marker, edgecolors=edge,
+            linewidths=width, label=verdict.word, zorder=3,
+        )  # fmt: skip

@@ -1,1 +1,0 @@
-"""Stages, store, records, gathering into one tidy table, verification."""

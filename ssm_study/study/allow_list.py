@@ -1,0 +1,107 @@
+"""A configuration from a stranger must not run a program: only what is named here may be instantiated."""
+
+import re
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from ssm_study.engine.settings import plain
+from ssm_study.extensions import packages
+from ssm_study.refusal import require
+
+# The rooms whose classes are specifications; the others (cli, results, report) act on the world.
+ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop")
+TORCH = re.compile(r"torch\.optim\.(lr_scheduler\.)?[A-Z][A-Za-z]+")
+LIGHTNING = re.compile(
+    r"lightning\.pytorch\.(loggers\.(CSV|TensorBoard|Wandb|MLFlow)Logger|callbacks\.(EarlyStopping|LearningRateMonitor|"
+    r"ModelCheckpoint|Timer|RichProgressBar|TQDMProgressBar|GradientAccumulationScheduler))"
+)
+# Hydra's own section: what Hydra instantiates before any of our code is asked.
+PLUGINS = re.compile(r"(hydra\._internal\.core_plugins|hydra_plugins)(\.[a-z_]\w*)+\.[A-Z]\w*")
+OUR_CALLBACKS = re.compile(r"ssm_study\.cli\.endings\.StudyCallback")
+FOLDERS = {
+    "hydra.output_subdir": (None,),
+    "hydra.run.dir": ("${results_dir}/${study}/${run}",),
+    "hydra.sweep.dir": ("${results_dir}/${study}",),
+    "hydra.sweep.subdir": ("${run}",),
+}
+# What a study may be made of: a key that nobody reads is a mistake.
+KEYS = frozenset(
+    {"seed", "loop_seed", "refine", "study", "run", "results_dir", "hydra"}
+    | {"dry_run", "progress", "retry_failed", "strict"}
+)
+PARTS = ("plant", "excitation", "data", "model", "training", "reduction", "synthesis", "loop")
+ENVIRONMENT = re.compile(r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_")
+RESOLVERS = re.compile(r"\$\{\s*(oc\.env|env|oc\.decode|oc\.create|oc\.deprecated)\s*:")
+REMEDY = "name a specification of ssm_study, a class of torch.optim, or a Lightning part listed in allow_list.py"
+
+
+def refuse_foreign_targets(config: DictConfig) -> None:
+    """Walk the whole tree before anything is instantiated; raises `BadRequest` for the first key that is not ours.
+
+    Allowed as `_target_`: classes defined in our own specification rooms, `torch.optim`, and the named Lightning parts;
+    in Hydra's section its plugins and our callbacks. Refused as well: interpolations that read the environment (secrets
+    would end up in saved configurations) or build nodes from text, and logging handlers made by factories.
+    """
+    tree = OmegaConf.to_container(config, resolve=False)
+    assert isinstance(tree, dict)
+    hydra = tree.pop("hydra", None)
+    _refuse_in_task(tree)  # before anything is resolved: an interpolation may already read what it must not
+    for path, key, value in nodes(hydra, "hydra."):
+        _refuse_in_hydra(path, key, value)
+    if any("${" in str(value) for key, value in tree.items() if key != "run"):
+        _refuse_in_task(plain(config))  # what the remaining interpolations bring in
+
+
+def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
+    """Dotted path, last key and value of everything in plain containers, from the outside in."""
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
+        yield f"{prefix}{key}", str(key), value
+        if isinstance(value, dict | list):
+            yield from nodes(value, f"{prefix}{key}.")
+
+
+def _refuse_in_task(tree: Any) -> None:
+    problem = "this interpolation reads the environment or builds configuration from text"
+    for path, key, value in nodes(tree):
+        require(key != "_target_" or is_ours(value), path, value, "this may not be instantiated", REMEDY)
+        resolves = isinstance(value, str) and RESOLVERS.search(value) is not None
+        require(not resolves, path, value, problem, "write the value itself")
+
+
+def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
+    if key == "_target_":
+        allowed = (OUR_CALLBACKS if path.startswith("hydra.callbacks.") else PLUGINS).fullmatch(str(value)) is not None
+        require(allowed, path, value, "this may not be instantiated", "use Hydra's own plugins")
+    if key in ("()", "class") and "_logging." in path:  # `()` is the factory of logging.config: any function at all
+        standard, remedy = key == "class" and str(value).startswith("logging."), "use a handler class of logging"
+        require(standard, path, value, "logging is not made by foreign classes", remedy)
+    if path in FOLDERS:
+        kept = value in FOLDERS[path]
+        require(kept, path, value, "a run lies in results_dir/study/run", "choose results_dir and study")
+    if path.startswith("hydra.job.env_set."):
+        require(bool(ENVIRONMENT.fullmatch(key)), path, value, "this variable may not be set", "set it in your shell")
+
+
+def is_ours(target: Any) -> bool:
+    """Whether `target` names a class that a configuration may instantiate."""
+    if not isinstance(target, str):
+        return False
+    if TORCH.fullmatch(target) or LIGHTNING.fullmatch(target):
+        return True
+    trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, packages())])
+    return bool(re.fullmatch(rf"({trusted})(\.[a-z]\w*)+\.[A-Z]\w*", target)) and _is_own_class(target)
+
+
+def _is_own_class(target: str) -> bool:
+    """A class that the source of the very module defines: nothing that it has imported from elsewhere."""
+    module, _, name = target.rpartition(".")
+    try:
+        spec = find_spec(module)  # imports the packages above it, not the module
+    except ModuleNotFoundError:
+        return False
+    source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
+    return re.search(rf"^class {name}\b", source, re.MULTILINE) is not None

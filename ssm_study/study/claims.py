@@ -1,0 +1,289 @@
+"""What the files of a run and its configuration give, section by section: columns derived again and findings.
+
+Each section is a function of the run that yields `Finding`s (a claim of a file that holds or does not), `Derived`
+(columns of the record, to be compared) or `NotChecked` (what this run cannot be asked, with the reason).
+"""
+
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
+from ssm_study.data import metrics as data_metrics
+from ssm_study.engine.durable import unsealed
+from ssm_study.engine.records import INFEASIBLE, OK, RECORD
+from ssm_study.engine.settings import run_name
+from ssm_study.engine.store import MANIFEST, damaged_files
+from ssm_study.evidence import metrics as evidence_metrics
+from ssm_study.evidence.metrics import evidence_facts, withheld
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.rollout import Rollouts, replay_error
+from ssm_study.models.metrics import Simulation, fit_facts, size_facts
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import DataSet, Trajectory
+from ssm_study.study import trials
+from ssm_study.study.line import parameters
+from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_cases, read_experiment, signal
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
+from ssm_study.study.stages import STAGES, read_judgement
+from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
+from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.theorem import Theorem, condition, margin
+from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.table.columns import BY_NAME
+from ssm_study.training.metrics import mean_fit
+
+READ = frozenset({".csv", ".json", ".mcap"})  # the kinds of file that somebody reads as a run's
+NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One claim, whether it holds, and what was found."""
+
+    claim: str
+    holds: bool
+    found: str
+
+    def __str__(self) -> str:
+        return f"{'holds' if self.holds else 'FAILS'}  {self.claim}: {self.found}"
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Columns as the run's files give them."""
+
+    columns: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class NotChecked:
+    """Columns or files by name, each with the reason why it cannot be checked."""
+
+    reasons: Mapping[str, str]
+
+
+Claims = Iterator[Finding | Derived | NotChecked]
+
+
+def files(run: RunFiles) -> Claims:
+    """Every file that such a run leaves is there, sealed, and as it was written."""
+    manifest = unsealed((run.path / MANIFEST).read_bytes()) if (run.path / MANIFEST).is_file() else None
+    sums = manifest["files"] if manifest else {}
+    damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
+    changed = f"changed since: {', '.join(damaged)}"
+    yield Finding(claim="files", holds=not damaged, found=changed if damaged else "as they were written")
+    if not (run.path / CONFIGURATION).is_file():
+        yield Finding(claim=CONFIGURATION, holds=False, found="is absent")
+        return
+    needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
+    needed |= {"certificate.json", "evidence.json"} if run.claims_certificate else set()
+    closed = run.claims_certificate and run.record["status"] == OK
+    needed |= {"closed_loop.mcap", "closed_loop_model.mcap"} if closed else set()
+    there = {CONFIGURATION, *(path.name for path in run.path.iterdir() if path.suffix in READ)} - {MANIFEST, RECORD}
+    made = {CONFIGURATION, OVERRIDES, *(name for stage in (*STAGES, trials.TRIALS) for name in stage.files)}
+    made -= {"comparison.csv"} if run.specification.loop.comparison is None else set()
+    for found, names in {
+        "is absent": {name for name in needed if not (run.path / name).is_file()},
+        "is not sealed": there - sums.keys(),
+        "no stage of such a run writes it": sums.keys() - made,
+    }.items():
+        yield from (Finding(claim=name, holds=False, found=found) for name in sorted(names))
+    repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
+    yield NotChecked(dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"})
+    if run.specification.loop.comparison is not None:
+        yield NotChecked({"comparison.csv": "its loops are not kept"})
+
+
+def requested(run: RunFiles) -> Claims:
+    """The settings are those of the configuration, and the run's name is its hash."""
+    name, hashed = str(run.config.run), run_name(run.config)  # what a name shows before its hash is the user's choice
+    yield Derived({"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"})
+    asked = parameters(run.specification)
+    # The record holds the rates of the design, which the theorem may have chosen itself.
+    designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()
+    yield Derived({name: value for name, value in asked.items() if name not in designed})
+    for name in sorted(designed & {name for name, rate in asked.items() if rate is not None}):
+        same = run.record.get(name) == asked[name]
+        yield Finding(claim=f"synthesis.{name}", holds=same, found=f"{asked[name]} was requested")
+
+
+def status(run: RunFiles) -> Claims:
+    """A run is infeasible exactly if a part of its design is missing."""
+    yield Derived({"status": OK if run.closes_loop or not run.claims_certificate else INFEASIBLE})
+
+
+def data(run: RunFiles) -> Claims:
+    """The records are those that the configuration gives, simulated or read anew.
+
+    A recording of somebody else's may be elsewhere by now: then what follows from it is not checked.
+    """
+    try:
+        records = run.data
+    except (BadRequest, OSError) as error:
+        if run.specification.plant is not None:
+            raise
+        reason = f"the recorded data cannot be read: {one_line(error)}"
+        columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
+        names = [column.name for column in columns if not column.setting]
+        scores = [name for name in run.record if name.startswith("score_test_")]
+        yield NotChecked(dict.fromkeys((*names, *scores, "excitation.mcap", "evidence.json"), reason))
+    else:
+        yield from data_read(run, records)
+
+
+def data_read(run: RunFiles, records: DataSet) -> Claims:
+    """The columns and recordings that follow from the records."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the warning is a column
+        yield Derived(data_metrics.data_facts(records))
+    yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
+    recorded = [("validation.mcap", run.simulated.validation, records.validation)]
+    recorded += [("test.mcap", run.simulated.test, records.test)]
+    for file, kept, made in recorded:
+        pairs = {"start_up_samples": (kept.start_up_samples, records.start_up_samples)} | of_records(kept.records, made)
+        yield agreement(f"{file} records", pairs, ITERATED, "the configuration gives them")
+    if records.trials or run.trials:
+        yield agreement(f"{TRIALS} records", of_records(run.trials, records.trials), ITERATED, "made again alike")
+    if run.claims_certificate:
+        judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))
+        found = f"records and model give {judged['evidence']}"
+        yield Finding(claim="evidence.json", holds=stated == judged, found=found)
+        yield Derived(judged)
+    if "benchmark" in records.metadata:
+        scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
+        yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
+    cases = read_cases(run.path / "excitation.mcap")[0].values()
+    kept_inputs = [signal(case, "input", run.path / "excitation.mcap").values for case in cases]
+    inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(kept_inputs, records.training, strict=True))}
+    yield agreement("excitation.mcap", inputs, ITERATED, "the configuration gives it")
+
+
+def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
+    """The signals of two sets of records, and their sampling times, side by side."""
+    pairs: dict[str, tuple[Any, Any]] = {"records": (len(kept), len(made))}
+    for i, (one, other) in enumerate(zip(kept, made, strict=False)):
+        pairs |= {
+            f"{name} {i}": (getattr(one, name), getattr(other, name)) for name in ("u", "y", "step_s", "closed_loop")
+        }
+    return pairs
+
+
+def model(run: RunFiles) -> Claims:
+    """What is proved of the stored model, and that it runs at the records' sampling time."""
+    if run.claims_certificate:
+        yield Derived(bound_facts(run.model) | size_facts(run.model))
+    steps = run.model.step_s, run.simulated.validation.records[0].step_s
+    yield agreement("model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records")
+
+
+def certificate(run: RunFiles) -> Claims:
+    """Both theorems in exact rational arithmetic on the stored matrices, and the columns that follow from them."""
+    design, system = run.design, run.model.system
+    balls, feedback = certified_balls(run.model), run.design.state_feedback
+    controlled = controlled_system(run.model, feedback.k) if isinstance(feedback, StateFeedback) else system
+    broken = broken_claims(run.certificate, system, balls, controlled)
+    for label, part in design.content.items():
+        wrong = [sentence for sentence in broken if re.match(rf"{label}\b", sentence)] + information(part)
+        if label in SIDES and part.method != run.record.get("synthesis_method"):
+            wrong.append(f"method {part.method}: another one was requested")
+        why = part.reason if isinstance(part, Infeasible) else part.solver_status
+        found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
+        at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
+        yield Finding(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
+    kept = run.simulated.validation
+    facts = design_facts(design, run.model, balls, kept.records, kept.start_up_samples, run.trials)
+    yield Derived(withheld(facts, run.record.get("evidence")))
+
+
+def information(part: Theorem | Infeasible) -> list[str]:
+    """What stands beside the matrices and decides nothing: the margin and the condition number, derived again."""
+    if isinstance(part, Infeasible):
+        return []
+    again = margin(next(iter(part.in_floats(**part.numbers).values())))
+    wrong = [] if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE else [f"margin: it is {again:.6g}"]
+    number = condition(getattr(part, part.metric_matrix))
+    return wrong + ([] if abs(number / part.condition - 1) <= ITERATED else [f"condition: it is {number:.6g}"])
+
+
+def fits(run: RunFiles) -> Claims:
+    """The stored model replays the stored simulations, and the errors are theirs."""
+    again = []
+    for file, kept in (("validation.mcap", run.simulated.validation), ("test.mcap", run.simulated.test)):
+        made = Simulation.of(run.model, kept.records, kept.start_up_samples)
+        pairs = {str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))}
+        yield agreement(f"{file} /simulated", pairs, ONE_FORMULA, "model.json replays it")
+        again.append(made)
+    yield Derived(fit_facts(again[0], again[1]))
+
+
+def loop(run: RunFiles) -> Claims:
+    """The recorded loops are those of the stored model and gains on the configured plant; the columns are theirs."""
+    if not run.closes_loop:
+        return
+    spec, design, plant = run.specification, run.design, run.plant
+    kept, loop_on = read_experiment(run.path)
+    controller = ObserverFeedback.of(run.model, design)
+    apart = replay_error(controller, kept.controlled, spec.loop.input_lower, spec.loop.input_upper)
+    said = f"the certified gains give it from the measured output to {apart:.1e}"
+    yield Finding(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
+    again = spec.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
+    pairs = of_rollouts(kept.controlled, again.controlled) | {
+        "settling_band": (kept.settling_band, again.settling_band),
+        "input_equilibrium": (kept.input_equilibrium, again.input_equilibrium),
+        "uncontrolled": (kept.uncontrolled.y, again.uncontrolled.y),
+    }
+    yield agreement("closed_loop.mcap", pairs, ITERATED, "the configured plant with the certified gains gives it")
+    on_model = "closed_loop_model.mcap", kept.on_model, again.on_model
+    for name, stored, made in (on_model, (NOISE_FREE, kept.noise_free, again.noise_free)):
+        if stored is not None or made is not None:
+            yield agreement(name, of_rollouts(stored, made), ITERATED, "stored model and gains give it")
+    same = loop_on == ("plant" if spec.plant else "identified model")
+    yield Finding(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
+    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
+
+
+def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
+    """The signals of two sets of closed loops side by side; those that left their bound count up to there."""
+    if kept is None or made is None:
+        return {"recording": (kept is not None, made is not None)}
+    names = ("step_s", "reference", "u", "y", "measured", "estimate", "states", "bound", "left_at_sample")
+    return {name: (getattr(kept, name), getattr(made, name)) for name in names}
+
+
+def agreement(claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str) -> Finding:
+    """Whether each stored value is the one made again, to `tolerance` of its largest entry."""
+    apart = {name: distance(*pair) for name, pair in pairs.items()}
+    worst = max(apart, key=lambda name: apart[name])
+    wrong = [name for name in apart if not apart[name] <= tolerance]  # so written that NaN is wrong
+    found = f"{said} to {apart[worst]:.1e}" if not wrong else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
+    return Finding(claim=claim, holds=not wrong, found=found)
+
+
+def distance(stored: Any, made: Any) -> float:
+    """`max |stored - made| / max |made|`; infinite for another shape, a missing side or a number that is none."""
+    if stored is None or made is None:
+        return 0.0 if stored is made else float("inf")
+    one, other = np.asarray(stored, dtype=float), np.asarray(made, dtype=float)
+    if one.shape != other.shape:
+        return float("inf")
+    apart = float(np.abs(one - other).max(initial=0.0))
+    largest = float(np.abs(other).max(initial=0.0))
+    return apart / largest if largest > 0 and apart > 0 else apart  # NaN passes through, and agrees with nothing
+
+
+def one_line(error: BaseException) -> str:
+    """The error as one line of at most 300 characters."""
+    return (" ".join(str(error).split()) or type(error).__name__)[:300]
+
+
+SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (files, requested, status, data, model, certificate, fits, loop)
+OF_A_BASELINE = (files, requested, status, data, model, fits)

@@ -1,0 +1,164 @@
+"""One run, read top to bottom: data -> model -> bounds -> synthesis -> closed loop -> record.
+
+Each stage is a pure function of its part of the configuration and of the stages before it. It is computed into a folder
+of the store, so that what is computed and what is reused are the same bits.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from ssm_study.engine.records import INFEASIBLE, OK, RECORD
+from ssm_study.engine.runs import Run
+from ssm_study.engine.settings import Settings, entry
+from ssm_study.engine.stages import Facts, Kept, Stages
+from ssm_study.engine.task import Task
+from ssm_study.refusal import require
+from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
+
+if TYPE_CHECKING:
+    from ssm_study.signals import DataSet
+    from ssm_study.study.specification import Specification
+    from ssm_study.study.stages import Simulated, Trained
+    from ssm_study.synthesis.certificate import Design
+
+LIBRARIES = ("torch", "lightning", "numpy", "scipy", "cvxpy", "clarabel", "python-flint", "hydra-core", "ssm-study")
+
+
+class Study(Task["Specification"]):
+    """The line of stages from data to closed loop, for one configuration."""
+
+    libraries = LIBRARIES
+
+    def refuse(self, config: DictConfig) -> None:
+        refuse_foreign_targets(config)
+        for key in map(str, config):
+            require(key in {*KEYS, *PARTS}, key, config[key], "is no part of a study", "leave it out, or name its part")
+
+    def inputs(self, settings: Settings) -> list[Path]:
+        # By its name: building the data to ask them would import what a finished run does without.
+        simulated = str(settings["data"].get("_target_", "")).endswith(".SimulatedData")
+        if simulated and "'path'" not in str(settings):
+            return []
+        from ssm_study.study.specification import files_of  # only for what names files
+
+        return files_of(settings)
+
+    def check(self, settings: Settings) -> "Specification":
+        """Raises `BadRequest` for whatever can be known beforehand; recorded data are read for it."""
+        from ssm_study.data.simulated import SimulatedData
+        from ssm_study.study.specification import Specification  # what finds itself finished needs no parts
+
+        specification = Specification.from_config(settings)
+        if not isinstance(specification.data, SimulatedData):
+            found = specification.data.build(specification.seed)  # wrong columns are known only by reading
+            if isinstance(specification.refine, list):
+                from ssm_study.study.trials import read_logs
+
+                read_logs(specification.refine, specification.data, found.step_s)
+        return specification
+
+    def stages(self, request: "Specification", stages: Stages) -> None:
+        """A baseline is scored, and there it ends. With `refine` the design is tried before it is chosen again."""
+        from ssm_study.study.trials import LOGS, TRIALS  # a refusal does without
+
+        data, _, bounded = self.identified(request, stages)
+        if not request.model.gives_ssm:
+            return
+        known, tried, aside = data, list[Kept[Any]](), stages.aside()
+        for left in reversed(range(request.refine if isinstance(request.refine, int) else 0)):
+            tried += self.designed(request, aside, known, bounded)
+            known = (aside if left else stages).take(TRIALS, {}, {}, data, *tried)
+        if isinstance(request.refine, list):
+            known = stages.take(LOGS, *request.select("refine", "data"), data)
+        self.designed(request, stages, known, bounded)
+
+    def designed(
+        self, request: "Specification", stages: Stages, data: Kept["DataSet"], bounded: Kept["Simulated"]
+    ) -> tuple[Kept["Design"], Kept[Any]]:
+        """Controller and observer by what these records show, and the loop that they close."""
+        from ssm_study.study.stages import EVIDENCE, LOOP, SYNTHESIS
+
+        plant = ("plant",) if request.plant else ()
+        judged = stages.take(EVIDENCE, {}, {}, data, bounded)
+        design = stages.take(SYNTHESIS, *request.select("synthesis"), data, bounded, judged)
+        return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)
+
+    def identified(
+        self, request: "Specification", stages: Stages
+    ) -> tuple[Kept["DataSet"], Kept["Trained"], Kept["Simulated"]]:
+        """The data, the model as trained, and as it goes on: what is proved of it, or how well a baseline simulates."""
+        from ssm_study.study.stages import BOUNDS, DATASET, MODEL, SCORE
+
+        plant = ("plant", "excitation") if request.plant else ()
+        settings, parts = request.select("data", "seed", *plant)
+        data = stages.take(DATASET, settings, parts)
+        unkeyed = {"progress": request.progress}  # a bar on the screen changes no number
+        model = stages.take(MODEL, *request.select("model", "training", "seed"), data, unkeyed=unkeyed)
+        if not request.model.gives_ssm:
+            return data, model, stages.take(SCORE, {}, {}, data, model)
+        return data, model, stages.take(BOUNDS, *request.select("reduction"), data, model)
+
+    def run(self, request: "Specification", run: Run) -> Facts:
+        """Infeasible where controller or observer is missing."""
+        del request
+        missing = run.facts.get("controller_feasible") is False or run.facts.get("observer_feasible") is False
+        seconds = run.facts.get("stage_synthesis_seconds")
+        facts = {} if seconds is None else {"synthesis_seconds": seconds}
+        return facts | {"status": INFEASIBLE if missing else OK}
+
+    def parameters(self, request: "Specification") -> Facts:
+        return parameters(request)
+
+    def warm(self) -> None:
+        from ssm_study.study.warm import warm
+
+        warm()
+
+
+STUDY = Study()
+
+
+def study_folder(config: DictConfig) -> Path:
+    """`results_dir/study`."""
+    return Path(str(config.results_dir)) / str(config.study)
+
+
+def check_retry(config: DictConfig, run: str = "*") -> None:
+    """Raise `BadRequest` where failed runs are to be run again and there is no run yet."""
+    study = study_folder(config)
+    there = any(study.glob(f"{run}/{RECORD}"))
+    problem, remedy = f"there is nothing in {study} to run again", "leave it out the first time"
+    require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
+
+
+def parameters(specification: "Specification") -> Facts:
+    """What was asked for: the columns a study is read by before anything is computed.
+
+    A number stands where the configuration has it (`Column.setting`), a part is named by its kind.
+    """
+    from ssm_study.study.trials import lineage
+    from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
+
+    model = specification.configuration["model"]
+    asked = {column.name: entry(specification.configuration, column.setting) for column in SETTINGS}
+    numbers = {name: value for name, value in asked.items() if isinstance(value, int | float | None)}
+    rates = (
+        {side: asked[f"rate_{side}"] for side in ("controller", "observer")} if asked["rates_chosen"] == "auto" else {}
+    )
+    return numbers | {
+        "scaffold_in": kind_of(model.get("scaffold_in")),
+        "scaffold_out": kind_of(model.get("scaffold_out")),
+        "plant": type(specification.plant).__name__ if specification.plant else None,
+        "excitation": specification.excitation.kind if specification.plant else None,
+        "synthesis_method": type(specification.synthesis).method,
+        **lineage(specification.configuration),
+        "rates_chosen": ", ".join(side for side, rate in rates.items() if rate == "auto") or "neither",
+    }
+
+
+def kind_of(scaffold: Any) -> str | None:
+    """`ssm_study.models.scaffolds.monotone.Monotone` -> `monotone`."""
+    target = str(scaffold.get("_target_", "")) if isinstance(scaffold, dict) else ""
+    return target.rsplit(".", 1)[-1].lower() or None

@@ -1,0 +1,171 @@
+"""The recordings of a run folder, written and read back: simulated beside measured output, and every closed loop."""
+
+import json
+import re
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
+from ssm_study.loop.regulation import LoopRuns
+from ssm_study.loop.rollout import STAYED, Rollouts
+from ssm_study.models.metrics import Simulation
+from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require
+from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
+
+TRIALS = "trials.mcap"  # the records that serve the mismatch alone, beside the model's free runs
+LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop, without free runs
+NO_BOUND = 1e300  # a recorded bound is finite
+NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
+
+Case = dict[str, SignalGroup]
+Shown = dict[str, tuple[tuple[Channel, ...], Float[np.ndarray, "T c"]]]
+# What is recorded of each closed loop, topic by field of `Rollouts`.
+TOPICS = {"u": "input", "y": "output", "measured": "measured", "estimate": "estimate", "states": "states"}
+
+
+def groups(prefix: str, time_s: Float[np.ndarray, "T"], shown: Shown) -> list[SignalGroup]:
+    """Signals sampled together, each under a topic of its own."""
+    return [
+        SignalGroup(topic=f"{prefix}/{name}", time_s=time_s, channels=channels, values=values)
+        for name, (channels, values) in shown.items()
+    ]
+
+
+def write_simulation(path: Path, kept: Simulation, data: DataSet) -> None:
+    """`/input`, `/measured` and `/simulated` (free run of the model), physical; several records under `/record_<i>`."""
+    written: list[SignalGroup] = []
+    for i, (record, simulated) in enumerate(zip(kept.records, kept.simulated, strict=True)):
+        prefix = "" if len(kept.records) == 1 else f"/record_{i}"
+        shown = {"input": (data.inputs, record.u), "measured": (data.outputs, record.y)}
+        written += groups(prefix, record.time_s, shown | {"simulated": (data.outputs, simulated)})
+    about = {"start_up_samples": str(kept.start_up_samples), "step_s": repr(data.step_s)}
+    write_mcap(path, tuple(written), data.metadata | about)
+
+
+def write_records(path: Path, data: DataSet, records: Trajectories, outputs: bool) -> None:
+    """`/record_<i>/input` and, with `outputs`, `/record_<i>/measured`, physical."""
+    written: list[SignalGroup] = []
+    for i, record in enumerate(records):
+        measured: Shown = {"measured": (data.outputs, record.y)} if outputs else {}
+        written += groups(f"/record_{i}", record.time_s, {"input": (data.inputs, record.u)} | measured)
+    write_mcap(path, tuple(written), data.metadata | {"step_s": repr(data.step_s)})
+
+
+def read_trials(folder: Path) -> Trajectories:
+    """The records for the mismatch alone, open loop first; none where the run has no such file."""
+    found: list[Trajectory] = []
+    for path in (folder / TRIALS, folder / LOOPS):
+        cases, about = read_cases(path) if path.is_file() else ({}, {})
+        for prefix, case in cases.items():
+            u, y = (signal(case, name, path).values for name in ("input", "measured"))
+            step_s, looped = float(about["step_s"]), path.name == LOOPS
+            found.append(Trajectory(u=u, y=y, step_s=step_s, name=prefix or path.stem, closed_loop=looped))
+    return tuple(found)
+
+
+def read_simulation(path: Path) -> Simulation:
+    """Raises `BadRequest` if the file lacks a topic."""
+    cases, about = read_cases(path)
+    step_s = float(about["step_s"])
+    records, simulated = [], []
+    for prefix, case in cases.items():
+        u, y, y_hat = (signal(case, name, path).values for name in ("input", "measured", "simulated"))
+        records.append(Trajectory(u=u, y=y, step_s=step_s, name=prefix or path.stem))
+        simulated.append(y_hat)
+    start_up = int(about["start_up_samples"])
+    return Simulation(records=tuple(records), simulated=tuple(simulated), start_up_samples=start_up)
+
+
+def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]) -> None:
+    """`/case_<i>/` reference, input, true and measured output, estimate (scaled), states; the output left alone."""
+    estimates = tuple(Channel(name=f"x{i + 1}", unit="1") for i in range(run.estimate.shape[2]))
+    channels = {"u": plant.inputs, "estimate": estimates, "states": plant.states}
+    written: list[SignalGroup] = []
+    for case in range(len(run.y)):
+        shown = {"reference": (plant.outputs, run.reference)}
+        for name, topic in TOPICS.items():
+            shown[topic] = channels.get(name, plant.outputs), getattr(run, name)[case]
+        if alone is not None:
+            shown["uncontrolled"] = (plant.outputs, alone.y[case])
+        written += groups(f"/case_{case}", run.time_s, shown)
+    facts = {
+        "step_s": repr(run.step_s),
+        "settling_band": repr(plant.settling_band),
+        "input_equilibrium": json.dumps(plant.equilibrium().u.tolist()),
+        "left_at_sample": json.dumps(run.left_at_sample.tolist()),
+        "bound": json.dumps(np.minimum(run.bound, NO_BOUND).tolist()),
+    }
+    write_mcap(path, tuple(written), about | facts)
+
+
+def read_rollouts(path: Path) -> tuple[Rollouts, list[Case], dict[str, str]]:
+    """The loops, and the cases and metadata that they were read from. Raises `BadRequest` if the file lacks a topic."""
+    found, about = read_cases(path)
+    cases = list(found.values())
+    signals: dict[str, Any] = {name: stacked(cases, topic, path) for name, topic in TOPICS.items()}
+    run = Rollouts(
+        step_s=float(about["step_s"]),
+        reference=stacked(cases, "reference", path)[0],
+        bound=np.array(json.loads(about["bound"]), dtype=float),
+        left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
+        **signals,
+    )
+    return run, cases, about
+
+
+def write_experiment(folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]) -> None:
+    """Every closed loop of a run into its file; `on` is the plant, `twin` the identified model."""
+    about = about | {"plant": type(on).__name__}
+    write_rollouts(folder / "closed_loop.mcap", closed.controlled, closed.uncontrolled, on, about)
+    if closed.noise_free is not None:
+        write_rollouts(folder / NOISE_FREE, closed.noise_free, None, on, about)
+    if closed.on_model is not None:
+        write_rollouts(folder / "closed_loop_model.mcap", closed.on_model, None, twin, about)
+
+
+def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
+    """What `write_experiment` kept, and what the loop was closed on. Raises `BadRequest` if a file lacks a topic."""
+    path, on_model, noise_free = (folder / name for name in ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE))
+    run, cases, about = read_rollouts(path)
+    alone = stacked(cases, "uncontrolled", path)
+    closed = LoopRuns(
+        controlled=run,
+        uncontrolled=replace(run, y=alone, left_at_sample=np.full(len(cases), STAYED)),  # left alone, none is stopped
+        on_model=read_rollouts(on_model)[0] if on_model.is_file() else None,
+        settling_band=float(about["settling_band"]),
+        input_equilibrium=np.array(json.loads(about["input_equilibrium"]), dtype=float),
+        noise_free=read_rollouts(noise_free)[0] if noise_free.is_file() else None,
+    )
+    return closed, about["loop_on"]
+
+
+def read_cases(path: Path) -> tuple[dict[str, Case], dict[str, str]]:
+    """Signals by what stands before the last `/` of their topic, in the order of its number, and the metadata.
+
+    `/case_3/output` is the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name.
+    """
+    groups, about = read_mcap(path)
+    cases: dict[str, Case] = defaultdict(dict)
+    for group in groups:
+        prefix, _, name = group.topic.rpartition("/")
+        cases[prefix][name] = group
+    # By number, not by text: case 10 comes after case 9.
+    numbered = sorted(cases.items(), key=lambda case: int((re.findall(r"\d+$", case[0]) or ["0"])[0]))
+    return dict(numbered), about
+
+
+def signal(case: Case, name: str, path: Path) -> SignalGroup:
+    """Raises `BadRequest` if the recording lacks it."""
+    require(name in case, "topic", name, f"{path.name} lacks it", "run the study again")
+    return case[name]
+
+
+def stacked(cases: list[Case], name: str, path: Path) -> Float[np.ndarray, "N T c"]:
+    """One signal of all cases; raises `BadRequest` if one of them lacks it."""
+    return np.stack([signal(case, name, path).values for case in cases])

@@ -1,0 +1,99 @@
+"""What `verify` goes by: the files of a run folder, each read once, and the parts that its configuration describes."""
+
+import json
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from ssm_study.evidence.judgement import Judgement, judge
+from ssm_study.loop.regulation import IdentifiedPlant
+from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require
+from ssm_study.signals import DataSet, Trajectories
+from ssm_study.study.allow_list import refuse_foreign_targets
+from ssm_study.study.recordings import read_trials
+from ssm_study.study.specification import Specification
+from ssm_study.study.stages import Simulated
+from ssm_study.study.trials import repeated
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.mismatch import mismatch
+
+CONFIGURATION, OVERRIDES = ".hydra/config.yaml", ".hydra/overrides.yaml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFiles:
+    """A run folder. What is damaged or absent raises when it is asked for, each reader what it raises."""
+
+    path: Path
+    record: dict[str, Any]
+
+    @cached_property
+    def config(self) -> DictConfig:
+        """The resolved configuration that the run was made from."""
+        config = OmegaConf.load(self.path / CONFIGURATION)
+        require(isinstance(config, DictConfig), CONFIGURATION, "a list", "is no configuration", "run the study again")
+        assert isinstance(config, DictConfig)
+        return config
+
+    @cached_property
+    def specification(self) -> Specification:
+        """Refuses targets that are not allowed before anything is built."""
+        refuse_foreign_targets(self.config)
+        return Specification.from_config(self.config)
+
+    @cached_property
+    def data(self) -> DataSet:
+        """Simulated or read anew."""
+        spec = self.specification
+        build: Any = spec.data.build
+        records: DataSet = build(spec.seed) if spec.plant is None else build(spec.plant, spec.excitation, spec.seed)
+        return replace(records, trials=(*records.trials, *repeated(spec, self.path)))
+
+    @cached_property
+    def simulated(self) -> Simulated:
+        """The stored model beside its free runs, each read when first asked for."""
+        return Simulated(self.path)
+
+    @property
+    def model(self) -> Any:
+        return self.simulated.model
+
+    @cached_property
+    def trials(self) -> Trajectories:
+        """The records for the mismatch alone, where the run has such."""
+        return read_trials(self.path)
+
+    @cached_property
+    def judgement(self) -> Judgement:
+        """What data and model allow to be said of the plant."""
+        shown = mismatch(self.model, self.data.validation, self.data.start_up_samples, self.data.trials)
+        return judge(self.data, self.model, self.simulated.validation, self.simulated.test, shown)
+
+    @cached_property
+    def certificate(self) -> dict[str, Any]:
+        name = "certificate.json"
+        content = json.loads((self.path / name).read_text(encoding="utf-8"))
+        require(isinstance(content, dict), name, type(content).__name__, "is no object", "run the study again")
+        return dict(content)
+
+    @cached_property
+    def design(self) -> Design:
+        return Design.from_json(self.certificate)
+
+    @property
+    def plant(self) -> Plant:
+        """What the loop was closed on."""
+        return self.specification.plant or IdentifiedPlant.of(self.model)
+
+    @property
+    def claims_certificate(self) -> bool:
+        return self.specification.model.gives_ssm
+
+    @property
+    def closes_loop(self) -> bool:
+        """Whether a controller and an observer are there, certified or not."""
+        return self.claims_certificate and self.design.feasible

@@ -1,0 +1,182 @@
+"""From a composed configuration to the frozen parts of one run; whatever is wrong is said here, before any work."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from inspect import signature
+from pathlib import Path
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
+
+import hydra
+from beartype import BeartypeConf
+from beartype.door import is_bearable
+from omegaconf import DictConfig
+
+from ssm_study.data.simulated import SimulatedData
+from ssm_study.engine.durable import sha256_of_file
+from ssm_study.engine.settings import Settings, plain
+from ssm_study.refusal import BadRequest, require
+from ssm_study.study.allow_list import PARTS, nodes
+
+if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
+    from ssm_study.bounds.reduction import Reduction
+    from ssm_study.data.excitations.excitation import Excitation
+    from ssm_study.data.recorded import RecordedSource
+    from ssm_study.loop.regulation import Loop
+    from ssm_study.models.spec import ModelSpec
+    from ssm_study.plants.plant import Plant
+    from ssm_study.synthesis.design import Synthesis
+    from ssm_study.training.training import Training
+
+MOST = 10_000_000  # samples of one kind, and any whole number of a part: more is said before memory runs out
+WIDEST = {"model.order": 512, "model": 4096}  # what matrices and networks are as wide as
+_PARTS: dict[tuple[str, str], Any] = {}  # the runs of a sweep share the parts in which they do not differ
+NUMBERS = BeartypeConf(is_pep484_tower=True)  # a whole number is a number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Specification:
+    """Everything one run depends on. `plant` is None when the data are recorded: the loop then runs on the model."""
+
+    plant: "Plant | None"
+    excitation: "Excitation"
+    data: "SimulatedData | RecordedSource"
+    model: "ModelSpec"
+    training: "Training"
+    reduction: "Reduction"
+    synthesis: "Synthesis"
+    loop: "Loop"
+    seed: int
+    loop_seed: int
+    refine: int | list[str] | None
+    progress: bool
+    configuration: Mapping[str, Any]
+
+    @classmethod
+    def from_config(cls, config: DictConfig | Settings) -> "Specification":
+        """Build and check every part; raises `BadRequest` for the first that cannot be."""
+        settings = plain(config)
+        # OmegaConf's own search resolves every name, which takes 15 ms a run.
+        missing = next((path for path, _, value in nodes(settings) if value == "???"), "")
+        require(not missing, missing, "???", "is missing", "give it a value on the command line")
+        seed = settings.seed
+        whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32
+        require(whole, "seed", seed, "not a whole number from 0 to 2^32 - 1", "use 0")
+        parts = {name: part(name, settings[name]) for name in PARTS if name != "plant"}
+        recorded = not isinstance(parts["data"], SimulatedData)
+        found = cls(
+            plant=None if recorded else part("plant", settings["plant"]),
+            **parts,
+            seed=seed,
+            loop_seed=settings.loop_seed,
+            refine=_refine(settings.get("refine"), recorded),
+            progress=bool(settings.progress),
+            configuration=settings,
+        )
+        found.refuse_sizes()
+        return found
+
+    def refuse_sizes(self) -> None:
+        """Raise `BadRequest` for what no memory holds, and for more states than there are, before any is allocated."""
+        order, kept = self.configuration["model"].get("order"), self.reduction.truncate_to
+        fits = kept is None or not isinstance(order, int) or kept <= order
+        require(fits, "reduction.truncate_to", kept, f"the model has {order} states", "give fewer, or null for all")
+        if self.plant is None:
+            return
+        assert isinstance(self.data, SimulatedData)
+        samples = self.loop.initial_conditions * self.loop.samples(self.plant.step_s)
+        counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
+        for field, count in (counts | {"loop.initial_conditions * horizon_s / step_s": samples}).items():
+            require(count <= MOST, field, count, f"more than {MOST} samples", "use fewer")
+
+    def select(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What a stage depends on: the settings of these parts, and the parts themselves."""
+        settings = Settings({name: self.configuration[name] for name in names})
+        sums = {"files": [sha256_of_file(path) for path in found]} if (found := files_of(settings)) else {}
+        return Settings(settings | sums), {name: getattr(self, name) for name in names}
+
+
+def files_of(settings: Mapping[str, Any]) -> list[Path]:
+    """The files that the settings name: their content is part of what results depend on.
+
+    Raises `BadRequest` for data that cannot be described.
+    """
+    data = settings.get("data", {})
+    recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
+    read = part("data", data).files() if recorded else ()
+    given = [
+        value for _, key, value in nodes(settings) if key == "path" or (key == "refine" and isinstance(value, list))
+    ]
+    paths = [Path(one) for value in given for one in (value if isinstance(value, list) else [value]) if one is not None]
+    return sorted({*read, *(path for path in paths if path.is_file())})
+
+
+def _refine(asked: Any, recorded: bool) -> int | list[str] | None:
+    """How often the choice is made again by the closed loop on the plant, or logs of trials, where there is none."""
+    if recorded and asked is not None:
+        logs = [asked] if isinstance(asked, str) else asked
+        named = isinstance(logs, list) and bool(logs) and all(isinstance(log, str) for log in logs)
+        require(named, "refine", asked, "there is no plant to try the controller on", "name the log of a trial")
+        missing = next((log for log in logs if not Path(log).is_file()), None)
+        require(missing is None, "refine", missing, "no such file", "check the spelling")
+        return list(logs)
+    count = asked is None or (isinstance(asked, int) and not isinstance(asked, bool) and asked > 0)
+    require(count, "refine", asked, "is no number of iterations", "use 1, or null for none")
+    return asked
+
+
+def part(name: str, settings: Mapping[str, Any]) -> Any:
+    """One group of the configuration as the object it describes; refuses fields that its constructor does not take."""
+    key = name, repr(settings)  # unlike `==`, it tells 1 from 1.0 and from True
+    if key not in _PARTS:
+        try:
+            _PARTS[key] = built(name, settings)
+        except BadRequest:
+            raise
+        except Exception as error:  # whatever a constructor raises for values that have the right types
+            cause = " ".join(str(error).split()).rstrip(".")
+            raise BadRequest(name, settings.get("_target_"), cause, f"see conf/{name}/ for its fields") from error
+    return _PARTS[key]
+
+
+def built(path: str, node: Any) -> Any:
+    """The tree with every `_target_` called on its fields, inner ones first: the constructor is the schema.
+
+    Raises `BadRequest` for unknown or mistyped fields. A whole number given where any number is wanted is made a float.
+    """
+    if isinstance(node, list):
+        return [built(f"{path}[{i}]", item) for i, item in enumerate(node)]
+    if not isinstance(node, dict):
+        return node
+    if "_target_" not in node:
+        return {key: built(f"{path}.{key}", value) for key, value in node.items()}
+    kind = hydra.utils.get_object(node["_target_"])
+    hints, known = fields_of(kind)
+    given = {key: value for key, value in node.items() if key != "_target_"}
+    for key, value in given.items():  # its keys stay while their values are replaced
+        field, remedy = f"{path}.{key}", f"its fields are {', '.join(known)}"
+        require(key in known, field, value, f"{kind.__name__} has no such field", remedy)
+        if isinstance(value, dict | list):
+            given[key] = built(field, value)
+        elif key in hints:
+            fits = is_bearable(value, hints[key], conf=NUMBERS)
+            require(fits, field, value, f"is not {_words(hints[key])}", "correct the value")
+            given[key] = value if is_bearable(value, hints[key]) else float(value)
+            if type(given[key]) is int:
+                most = WIDEST.get(field) or WIDEST.get(path.split(".")[0], MOST)
+                require(key == "seed" or value <= most, field, value, f"more than {most}", "use a smaller number")
+    return kind(**given)
+
+
+@cache
+def fields_of(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The types of a constructor's parameters, and their names."""
+    return get_type_hints(kind.__init__), tuple(signature(kind).parameters)  # type: ignore[misc] # of a class
+
+
+def _words(hint: Any) -> str:
+    """A type as a reader would say it."""
+    said = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", type(None): "null"}
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return " or ".join(said.get(part, str(part).replace("typing.", "")) for part in parts)

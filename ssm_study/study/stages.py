@@ -1,0 +1,282 @@
+"""The stages of a run: what each computes, keeps and measures.
+
+To add a stage: write `compute(folder, *values of earlier stages, **parts of the configuration)`, which leaves files in
+`folder`; `read(folder)`, which gives back the value they hold; `measure(value, *values of earlier stages)`, which gives
+its columns (declared in the `metrics` module of their room). Name the three in a `Stage`, and take it in `line.py` with
+the parts of the configuration that it depends on. Keys need no care: they follow from the parts, the earlier stages and
+the sources of the functions (`engine/code.py`); `measure` has a key of its own, so a new column computes nothing again.
+What only computing takes is imported inside the functions: a run that reuses a stage then never loads it.
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.data.metrics import benchmark_rmse, data_facts
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.evidence.finding import CANNOT_JUDGE
+from ssm_study.evidence.judgement import Judgement, judge
+from ssm_study.evidence.metrics import evidence_facts, withheld
+from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.regulation import Loop, LoopRuns
+from ssm_study.models.metrics import Simulation, fit_facts, size_facts
+from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.plants.plant import Plant
+from ssm_study.signals import DataSet
+from ssm_study.study import recordings
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.metrics import design_facts, opinion_facts
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.training.metrics import mean_fit, training_facts
+
+if TYPE_CHECKING:
+    from ssm_study.bounds.reduction import Reduction
+    from ssm_study.models.spec import ModelSpec
+    from ssm_study.synthesis.design import Synthesis
+    from ssm_study.training.training import Training
+
+
+def compute_dataset(folder: Path, *, data: Any, seed: int, plant: Plant | None = None, excitation: Any = None) -> None:
+    """Simulate or read the records; kept as tensors."""
+    records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
+    write_dataset(folder, records)
+    recordings.write_records(folder / "excitation.mcap", records, records.training, outputs=False)
+
+
+def write_dataset(folder: Path, records: DataSet) -> None:
+    """What `read_dataset` reads."""
+    from safetensors.numpy import save_file
+
+    from ssm_study.data.tensors import dataset_to_tensors
+
+    arrays, about = dataset_to_tensors(records)
+    save_file(arrays, folder / "records.safetensors")
+    write_json(folder / "records.json", about)
+
+
+def read_dataset(folder: Path) -> DataSet:
+    """The records in physical units, with their splits."""
+    from safetensors.numpy import load_file
+
+    from ssm_study.data.tensors import dataset_from_tensors
+
+    return dataset_from_tensors(load_file(folder / "records.safetensors"), read_json(folder / "records.json"))
+
+
+@dataclass(frozen=True)
+class Trained:
+    """An identified model, how long its training took in seconds, and why it ended."""
+
+    model: Any
+    seconds: float
+    ended: str
+
+
+def compute_model(
+    folder: Path, data: DataSet, *, model: "ModelSpec", training: "Training", seed: int, progress: bool
+) -> None:
+    """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has no infinity."""
+    identified = training.identify(model, data, seed, folder, progress)
+    write_json(folder / "model.json", identified.model.to_json())
+    write_json(folder / "training.json", {"seconds": identified.seconds, "ended": identified.ended})
+    write_json(folder / "training_curve.json", with_gaps(identified.curve))
+    if identified.choice:
+        write_json(folder / "choice.json", list(identified.choice))
+
+
+def read_trained(folder: Path) -> Trained:
+    """The model with the seconds its training took and why it ended."""
+    return Trained(read_model(folder), **read_json(folder / "training.json"))
+
+
+def measure_model(trained: Trained, _: DataSet) -> Facts:
+    """The columns of the training: its time, its end, the model's size."""
+    return training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+
+
+def read_model(folder: Path) -> Any:
+    """The model as explicit numbers, without torch."""
+    return model_from_json(read_json(folder / "model.json"))
+
+
+class Simulated:
+    """A model and its free runs beside the validation and test records; each is read when first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def model(self) -> Any:
+        return read_model(self.folder)
+
+    @cached_property
+    def validation(self) -> Simulation:
+        return recordings.read_simulation(self.folder / "validation.mcap")
+
+    @cached_property
+    def test(self) -> Simulation:
+        return recordings.read_simulation(self.folder / "test.mcap")
+
+
+def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None) -> None:
+    """The model and its free runs beside the validation and test records.
+
+    In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is claimed of it.
+    """
+    model = trained.model if reduction is None else reduction.reduce(trained.model)
+    write_json(folder / "model.json", model.to_json())
+    for name, records in (("validation", data.validation), ("test", data.test), ("trials", data.trials)):
+        if records:
+            made = Simulation.of(model, records, data.start_up_samples)
+            recordings.write_simulation(folder / f"{name}.mcap", made, data)
+
+
+def measure_score(simulated: Simulated, data: DataSet, _: Trained) -> Facts:
+    """The columns of the free run: fits in percent, errors in the output's unit, a benchmark's score."""
+    scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
+    train = {"fit_train_percent": mean_fit(simulated.model, data.training, data)}
+    return train | fit_facts(simulated.validation, simulated.test, scores)
+
+
+def measure_bounds(simulated: Simulated, data: DataSet, trained: Trained) -> Facts:
+    """The columns of the certified model: fits, linear part, slopes."""
+    before = {"fit_test_before_reduction_percent": mean_fit(trained.model, data.test, data)}
+    return measure_score(simulated, data, trained) | before | bound_facts(simulated.model)
+
+
+def compute_evidence(folder: Path, data: DataSet, bounded: Simulated) -> None:
+    """What data and model allow to be said of the plant, before anything is."""
+    shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
+    judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
+    write_json(folder / "evidence.json", judged.to_json())
+
+
+def read_judgement(folder: Path) -> Judgement:
+    """What the records allow to be said of the plant."""
+    return Judgement.from_json(read_json(folder / "evidence.json"))
+
+
+def measure_evidence(judged: Judgement, *_: Any) -> Facts:
+    """The columns of the evidence: its level and the reasons."""
+    return evidence_facts(judged)
+
+
+def compute_synthesis(
+    folder: Path, data: DataSet, bounded: Simulated, judged: Judgement, *, synthesis: "Synthesis"
+) -> None:
+    """Controller and observer, decided in exact arithmetic; chosen from the model and the records alone.
+
+    Where the evidence allows no judgement, `auto` takes the largest margin.
+    """
+    from ssm_study.synthesis.auto import Auto
+    from ssm_study.synthesis.deployed import as_deployed
+
+    cautious = judged.level == CANNOT_JUDGE and isinstance(synthesis, Auto)
+    chosen_by = synthesis.cautious() if cautious else synthesis  # type: ignore[attr-defined]  # an Auto
+    model, balls = bounded.model, certified_balls(bounded.model)
+    records = data.validation, data.start_up_samples, data.trials
+    design = as_deployed(chosen_by.design(model, balls, *records), model, balls, mismatch(model, *records))
+    design.save(folder / "certificate.json")
+
+
+def read_design(folder: Path) -> Design:
+    """Controller and observer, or why there is none."""
+    return Design.load(folder / "certificate.json")
+
+
+def measure_synthesis(design: Design, data: DataSet, bounded: Simulated, judged: Judgement) -> Facts:
+    """The columns of the design and of its prediction."""
+    model, balls = bounded.model, certified_balls(bounded.model)
+    facts = design_facts(design, model, balls, data.validation, data.start_up_samples, data.trials)
+    return withheld(facts, judged.level) | opinion_facts(design, model, balls)
+
+
+Experiment = tuple[LoopRuns, str]  # and what it was done on
+
+
+def compute_loop(
+    folder: Path,
+    data: DataSet,
+    bounded: Simulated,
+    design: Design,
+    *,
+    loop: Loop,
+    loop_seed: int,
+    plant: Plant | None = None,
+) -> Experiment | None:
+    """The certified pair on the true plant, or on the identified model where there is no plant; none without a pair.
+
+    None either where a structured model, in the place of a plant, reads its input at once: it is scored and certified.
+    """
+    from ssm_study.loop.regulation import IdentifiedPlant
+
+    model = bounded.model
+    if not design.feasible or (plant is None and isinstance(model, StructuredSSM) and model.d.any()):
+        return None
+    twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
+    on, loop_on = (twin, "identified model") if plant is None else (plant, "plant")
+    fitted = loop.fitted(model)
+    closed = fitted.run(on, model, design, loop_seed)
+    recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
+    if fitted.comparison is not None:
+        write_comparison(folder, on, data, model, fitted, loop_seed)
+    return closed, loop_on  # as `read_loop` reads it back, to the last bit
+
+
+def write_comparison(folder: Path, on: Plant, data: DataSet, model: Any, loop: Loop, loop_seed: int) -> None:
+    """The peers, or other situations, on the same plant: `comparison.csv`."""
+    import pandas as pd
+
+    from ssm_study.loop.peers.peer import Identified
+
+    assert loop.comparison is not None
+    rows = loop.comparison.rows(on, Identified.of(model, certified_balls(model), data), loop, loop_seed)
+    table = pd.DataFrame(rows, dtype=object)  # else whole numbers beside an empty field become fractions
+    table.to_csv(folder / "comparison.csv", index=False, lineterminator="\n")
+
+
+def read_loop(folder: Path) -> Experiment | None:
+    """None where there was no pair to close the loop with."""
+    return recordings.read_experiment(folder) if (folder / "closed_loop.mcap").is_file() else None
+
+
+def measure_loop(experiment: Experiment | None, data: DataSet, bounded: Simulated, design: Design) -> Facts:
+    """The columns of the closed loop; none without a loop."""
+    del data, bounded
+    if experiment is None:
+        return {}
+    closed, loop_on = experiment
+    return {"loop_on": loop_on} | behaviour(closed) | certified(closed, design)
+
+
+def read_json(path: Path) -> Any:
+    """The content of a file of the stage."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Readable JSON; refuses numbers that JSON does not have (`ValueError`)."""
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
+    """The curve with null for what is not finite."""
+    return [{name: value if math.isfinite(value) else None for name, value in row.items()} for row in curve]
+
+
+CURVES = ("training_curve.json", "choice.json")
+SIMULATED = ("model.json", "validation.mcap", "test.mcap", recordings.TRIALS)
+LOOPS = ("closed_loop.mcap", "closed_loop_model.mcap", recordings.NOISE_FREE, "comparison.csv")
+DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap",))
+MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
+SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
+BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
+EVIDENCE = Stage("evidence", compute_evidence, read_judgement, measure_evidence, ("evidence.json",))
+SYNTHESIS = Stage("synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",))
+LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
+STAGES = (DATASET, MODEL, SCORE, BOUNDS, EVIDENCE, SYNTHESIS, LOOP)

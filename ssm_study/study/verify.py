@@ -1,0 +1,148 @@
+"""`verify`: derive every claim of a run again from its files, and say of every column what was found.
+
+A column of the record is derived and compared, or listed as not checked with its reason; one that nothing gives is a
+claim that does not hold. What is derived from what: `study.claims`.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ssm_study.columns import Column
+from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
+from ssm_study.refusal import printable, require
+from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Derived, Finding, NotChecked, one_line
+from ssm_study.study.run_files import RunFiles
+from ssm_study.table.columns import declared
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """What became of every claim; iterating gives the findings."""
+
+    findings: tuple[Finding, ...]
+    unchecked: Mapping[str, str]
+
+    def __iter__(self) -> Iterator[Finding]:
+        return iter(self.findings)
+
+    def __len__(self) -> int:
+        return len(self.findings)
+
+    @property
+    def holds(self) -> bool:
+        return all(finding.holds for finding in self.findings)
+
+    def demand(self, field: str, value: Any) -> None:
+        """Raise `BadRequest` that names the claims which do not hold."""
+        wrong = [str(finding) for finding in self.findings if not finding.holds]
+        problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {'; '.join(wrong)[:300]}"
+        require(not wrong, field, value, problem, "run the study again; `ssm-study verify` names every claim")
+
+    def summary(self) -> str:
+        """`54 of 54 claims hold; 3 not checked: ...`."""
+        reasons = Counter(self.unchecked.values())
+        told = ", ".join(f"{reason} ({count})" for reason, count in reasons.most_common())
+        held = sum(finding.holds for finding in self.findings)
+        left_out = f"{len(self.unchecked)} not checked" + (f": {told}" if told else "")
+        return f"{held} of {len(self.findings)} claims hold; {left_out}"
+
+    def lines(self) -> list[str]:
+        """One line per claim, one per reason for not checking, and the summary."""
+        reasons: dict[str, list[str]] = {}
+        for name, reason in self.unchecked.items():
+            reasons.setdefault(reason, []).append(name)
+        skipped = [f"not checked  {', '.join(names)}: {reason}" for reason, names in reasons.items()]
+        return [*map(str, self.findings), *skipped, self.summary()]
+
+    def to_json(self) -> str:
+        claims = [asdict(finding) for finding in self.findings]
+        return json.dumps({"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}, indent=1)
+
+
+def verify(run: Path) -> Verification:
+    """Every claim of the run, derived again. Raises `BadRequest` if `run` is no finished run folder."""
+    record = read_record(run) or {}
+    require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
+    state = record.get("status")
+    require(state != FAILED, "run", run, "the run failed and claims nothing", f"see {run / 'traceback.txt'}")
+    if state == CORRUPT:
+        damaged = Finding(claim=RECORD, holds=False, found="is not as it was written")
+        return Verification(findings=(damaged,), unchecked={})
+    remedy = "give a run that is ok or infeasible"
+    require(state in (OK, INFEASIBLE), "run", run, f"its status is {state}, so it claims nothing yet", remedy)
+    return _judged(RunFiles(path=run, record=record))
+
+
+def _judged(run: RunFiles) -> Verification:
+    findings: list[Finding] = []
+    derived: dict[str, Any] = {}
+    unchecked: dict[str, str] = {}
+    for found in _found(run):
+        if isinstance(found, Finding):
+            findings.append(found)
+        elif isinstance(found, Derived):
+            derived |= found.columns
+        else:
+            unchecked |= found.reasons
+    for name in dict.fromkeys((*derived, *run.record)):  # also what the record lacks although its files give it
+        judged = judge(name, run.record, derived, unchecked)
+        if isinstance(judged, Finding):
+            findings.append(judged)
+        elif judged:
+            unchecked[name] = judged
+    return Verification(findings=tuple(findings), unchecked=unchecked)
+
+
+def _found(run: RunFiles) -> Iterator[Finding | Derived | NotChecked]:
+    """What the sections give; whatever a damaged file makes a reader raise is a claim that does not hold."""
+    try:
+        sections = SECTIONS if run.claims_certificate else OF_A_BASELINE
+    except Exception:  # a configuration that cannot be read: the section that needs it says so
+        sections = SECTIONS
+    for section in sections:
+        try:
+            yield from section(run)
+        except Exception as error:
+            yield Finding(claim=section.__name__, holds=False, found=f"cannot be derived: {one_line(error)}")
+
+
+def judge(
+    name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
+) -> Finding | str:
+    """The finding on a column of the record, or why it is not checked; empty where the record claims nothing."""
+    column = declared(name)
+    if name in derived:
+        return compared(name, record.get(name), derived[name])
+    if record.get(name) is None:
+        return ""
+    if reason := unchecked.get(name) or (column.unchecked if column else ""):
+        return reason
+    problem = "nothing in the run's files gives it" if column else "no such column is declared"
+    return Finding(claim=name, holds=False, found=f"stored {_short(record[name])}, yet {problem}")
+
+
+def compared(name: str, stored: Any, value: Any) -> Finding:
+    """The stored column beside the derived one."""
+    column = declared(name) or Column(name, "Float64")
+    value = storable(name, value)  # as a record holds it: an infinite margin is the text `inf`
+    holds = _agrees(stored, value, column)
+    return Finding(claim=name, holds=holds, found=f"{value}" if holds else f"derived {value}, stored {_short(stored)}")
+
+
+def _agrees(stored: Any, value: Any, column: Column) -> bool:
+    """Equal, or finite numbers as near as two machines' roundings."""
+    if isinstance(value, float) and type(stored) in (int, float):
+        try:
+            return bool(abs(float(stored) - value) <= column.tolerance * abs(value) + column.resolution)
+        except OverflowError:  # an integer of hundreds of digits
+            return False
+    return type(stored) is type(value) and bool(stored == value)  # True is not 1
+
+
+def _short(value: Any) -> str:
+    text = printable(" ".join(str(value).split()))
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,0 +1,36 @@
+"""What every job of a sweep would find out for itself: imported once by the server its processes are forked from.
+
+The code versions are those of the modules as they are in memory now: a file edited while a sweep runs changes neither
+what its jobs compute nor the keys under which they keep it.
+"""
+
+import importlib
+import pkgutil
+from contextlib import suppress
+
+import numpy as np
+from hydra.core.plugins import Plugins
+
+import ssm_study
+from ssm_study.engine.code import CODE, code_version
+from ssm_study.plants.dc_motor import MotorConstants
+from ssm_study.plants.dc_motor_kernel import advance_batch
+from ssm_study.study.allow_list import ROOMS
+from ssm_study.study.stages import STAGES
+
+
+def warm() -> None:
+    """Everything that this module speaks of, in the process that jobs are forked from."""
+    for room in ROOMS:
+        package = importlib.import_module(f"{ssm_study.__name__}.{room}")
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
+                importlib.import_module(module.name)
+    # The motor's compiled step, from its cache on disk: a third of a second that each job would spend on its own.
+    constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
+    advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)
+    Plugins.instance()  # Hydra looks for them once per process
+    for stage in STAGES:
+        for function in (stage.compute, stage.read, stage.measure):
+            code_version(function)
+    CODE.remember()  # last: what is loaded by now is what counts

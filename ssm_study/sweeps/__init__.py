@@ -1,1 +1,0 @@
-"""Many runs: processes that survive their jobs, groups that train together, search, Slurm, progress."""

@@ -1,0 +1,116 @@
+"""The numbers of a record that describe the design: feasible, certified, how far from the limit, what is predicted.
+
+Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
+"""
+
+from typing import Any
+
+from ssm_study.columns import EIGENVALUE, ITERATED, Column
+from ssm_study.models.structured import Model
+from ssm_study.signals import Trajectories
+from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.prediction import predict
+from ssm_study.synthesis.theorems.observer import ObserverOfBall
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import Balls, StructuredSystem
+
+OPINION = "another solver's opinion, which decides nothing"
+
+
+def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
+    said = side.capitalize()
+    setting, reason = f"synthesis.rate_{side}", f"Why there is no {side}"
+    return (
+        Column(f"rate_{side}", "Float64", "", f"r {short}", f"{said} rate, ρ", "1/sample", ITERATED, setting=setting),
+        Column(f"{side}_feasible", "boolean", "high", word=f"{said} feasible"),
+        Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{said} certified"),
+        Column(f"{side}_reason", "string", word=reason),
+        Column(f"{side}_margin", "Float64", "high", "", f"{said} LMI margin", "", ITERATED, EIGENVALUE),
+        Column(f"{side}_rate_limit", "Float64", "low", "", f"{said} rate limit, ρ", "1/sample", ITERATED),
+        Column(f"{side}_certified_rate", "Float64", "high", "", f"{said} rate proved", "1/sample", ITERATED),
+        Column(f"{side}_gain_norm", "Float64", "low", "", f"{said} gain ‖{gain}‖", "scaled", ITERATED),
+    )
+
+
+COLUMNS = (
+    Column("parent_run", "string", word="Refined from run"),
+    Column("refinements", "Int64", word="Refined so many times"),
+    Column("synthesis_method", "string", head="method", word="Synthesis", setting="synthesis"),
+    Column("rates_chosen", "string", word="Rates chosen by auto", setting="synthesis.rate"),
+    *_of_side("controller", "ctl", "K"),
+    *_of_side("observer", "obs", "L"),
+    Column("infeasible_reason", "string", word="Why it is infeasible"),
+    Column("uncertified_reason", "string", word="Why it is not certified"),
+    Column("synthesis_seconds", "Float64", "low", word="Synthesis time", unit="s", unchecked="depends on when it ran"),
+    Column("certified_tolerance", "Float64", "high", "", "Mismatch gain tolerated for certain", "", ITERATED),
+    Column("certified_tolerance_resolved", "Float64", "high", "", "The same, over what records show", "–", ITERATED),
+    Column("mismatch_gain", "Float64", "low", word="Model mismatch gain", tolerance=ITERATED),
+    Column("mismatch_seen", "Float64", "low", word="Largest mismatch gain of any record", tolerance=ITERATED),
+    Column("mismatch_in_loop", "Float64", "low", word="Mismatch gain of trials in closed loop", tolerance=ITERATED),
+    Column("mismatch_spread", "Float64", "low", word="Spread of the mismatch among blocks", tolerance=ITERATED),
+    Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin", "–", ITERATED),
+    Column("resolved_margin", "Float64", "high", "margin", "Mismatch margin by frequency", "–", ITERATED, shown=True),
+    Column("controller_radius", "Float64", "low", "ctl radius", "Controller's own spectral radius", "–", ITERATED),
+    Column("predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True),
+    Column("lmi_*_status", "string", unchecked=OPINION),
+    Column("lmi_*_certified", "boolean", unchecked=OPINION),
+)
+
+
+def design_facts(
+    design: Design,
+    model: Model,
+    balls: Balls,
+    validation: Trajectories,
+    start_up_samples: int,
+    trials: Trajectories = (),
+) -> dict[str, Any]:
+    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant."""
+    feedback, observer = design.state_feedback, design.observer
+    facts = part_facts("controller", feedback) | part_facts("observer", observer)
+    facts |= {"controller_certified_rate": design.certified_rate("state_feedback")}
+    facts |= {"observer_certified_rate": design.certified_rate("observer")}
+    sides = (("controller", feedback), ("observer", observer))
+    if not design.feasible:
+        reasons = (part.reason for _, part in sides if isinstance(part, Infeasible))
+        return facts | {"infeasible_reason": "; ".join(reasons)}
+    if not design.certified:
+        missed = (f"{side}: {part.solver_status}" for side, part in sides if not part.certified)
+        facts["uncertified_reason"] = "; ".join(missed)
+    shown = mismatch(model, validation, start_up_samples, trials)
+    predicted = predict(model, design.pair, balls, shown)
+    tolerated = {"tolerance": "certified_tolerance", "tolerance_by_frequency": "certified_tolerance_resolved"}
+    facts |= {column: getattr(design.beside.get(part), "s", None) for part, column in tolerated.items()}
+    seen = {"mismatch_gain": shown.gain, "mismatch_seen": shown.seen, "mismatch_spread": shown.spread}
+    seen |= {} if shown.loop is None else {"mismatch_in_loop": shown.loop.gain}
+    return facts | seen | vars(predicted) | {"predicted_stable": predicted.keeps_the_plant()}
+
+
+def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
+    """What the two LMIs of [Z26], solved by Clarabel at the same rates, have to say: information, not the verdict."""
+    from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
+
+    feedback, observer = design.state_feedback, design.observer
+    neurons = isinstance(getattr(model, "system", None), StructuredSystem)  # of which [Z26] says nothing
+    if neurons or isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
+        return {}
+    asked: Any = (("controller", feedback, StateFeedbackOfBall), ("observer", observer, ObserverOfBall))
+    facts: dict[str, Any] = {}
+    for (side, part, theorem), ball in zip(asked, (balls.input, balls.output), strict=True):
+        opinion = paper_lmi(model.linear, ball, part.rate, theorem)
+        facts |= {f"lmi_{side}_status": opinion.solver_status, f"lmi_{side}_certified": opinion.certified}
+    return facts
+
+
+def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
+    """The columns of one side of the design; null where there is no certificate."""
+    facts = {
+        f"rate_{side}": part.rate,
+        f"{side}_feasible": not isinstance(part, Infeasible),
+        f"{side}_certified": part.certified,
+        f"{side}_rate_limit": part.rate_limit,
+    }
+    if isinstance(part, Infeasible):
+        return facts | {f"{side}_reason": part.reason}
+    return facts | {f"{side}_margin": part.margin, f"{side}_gain_norm": part.gain_norm}

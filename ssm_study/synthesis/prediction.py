@@ -1,0 +1,131 @@
+"""Will a certified design be stable on the plant? What its loop tolerates against the mismatch that the records show.
+
+Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue` (`synthesis.sensitivity`).
+At each amplitude on record (`synthesis.mismatch`) one of two conditions must hold, at every slope of the scaffoldings:
+
+    small gain      max_w g(w) sigma_max(T_ue(w)) < 1
+    with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    M = s_u s_y G T_ue
+
+the second with e split into `Q y_model + r` (one input, one output), G the model's linear part. Between neighbouring
+amplitudes that do not both pass by small gain, mixtures of their Q and r must pass too: a limit cycle may lie between.
+Where the plant all but holds still (`HOLDS`), what it does between its moves is not counted: the controller then runs
+alone, so it must be stable by itself (`controller_radius` below one), which `1 - M Q` says at Q = -1. Integrators of
+the tracking error hold there (`1 - M Q` is zero at w = 0), so only `controller_radius`, without them, speaks of it.
+
+The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
+predicted to hold the plant stable when it exceeds one and the controller is stable. A predictor, not a certificate.
+Source: THEORY sections 5 and 7 for small gain by amplitude; docs/trust.md for the phase and what was measured.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ssm_study.models.structured import Model
+from ssm_study.synthesis import sensitivity as loops
+from ssm_study.synthesis.mismatch import ANGLES, Mismatch
+from ssm_study.synthesis.sensitivity import frequency_response
+from ssm_study.systems import Balls, Pair
+
+HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time
+MIXTURES = (0.25, 0.5, 0.75)  # shares of the larger of two neighbouring amplitudes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """What a pair of gains is expected to do on the plant; every table names its columns so (all -)."""
+
+    mismatch_margin: float
+    resolved_margin: float
+    controller_radius: float
+
+    def keeps_the_plant(self, margin: float = 1.0) -> bool:
+        return self.resolved_margin > margin and self.controller_radius < 1
+
+
+def predict(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> Prediction:
+    """Margins of one controller and observer: 0 if the loop is unstable at a slope, infinite without any mismatch."""
+    peak, number = loops.sensitivity_peak(model.system, pair, balls), worst(model, pair, balls, shown)
+    total = shown.gain * peak if np.isfinite(peak) else np.inf
+    return Prediction(
+        mismatch_margin=1 / total if total else float("inf"),
+        resolved_margin=1 / number if number else float("inf"),
+        controller_radius=float(loops.controller_radius(model.system, pair, balls)),
+    )
+
+
+def worst(model: Model, pair: Pair, balls: Balls, shown: Mismatch, shared: loops.Responses | None = None) -> float:
+    """The largest number that must stay below one, over views, mixtures and slopes; infinite for an unstable loop.
+
+    On `FINE_ANGLES` and at the angles of the loop's own modes, where it is sharpest. With `shared`, on its angles, and
+    what pairs have in common is computed once for all: the same number but for rounding.
+    """
+    if not shown.rests:
+        return float("inf")
+    integrates = pair.k.shape[1] > model.order
+    largest, grid = 0.0, loops.FINE_ANGLES if shared is None else shared.angles
+    for linear, l, *slope in loops.ends(model.system, pair, balls):  # noqa: E741
+        loop = loops.sensitivity(linear, Pair(k=pair.k, l=l), *slope)
+        modes = np.linalg.eigvals(loop.a)
+        if np.abs(modes).max() >= 1:
+            return float("inf")
+        angles = np.union1d(grid, np.maximum(np.abs(np.angle(modes)), grid[0]))
+        if shared is None:
+            answer, open_loop = frequency_response(loop, angles), frequency_response(linear, angles)
+        else:
+            on_grid = np.isin(angles, grid)
+            answer = np.empty((len(angles), *loop.d.shape), dtype=complex)
+            open_loop = np.empty((len(angles), *linear.d.shape), dtype=complex)
+            answer[on_grid] = shared.of(linear, pair.k, [l], *slope)[0]
+            open_loop[on_grid] = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
+            answer[~on_grid] = frequency_response(loop, angles[~on_grid])
+            open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])
+        single = answer.shape[1:] == open_loop.shape[1:] == (1, 1)
+        through = slope[0] * slope[1] * open_loop[:, 0, 0] * answer[:, 0, 0] if single else None
+        size = loops.sizes(answer)
+        largest = max(
+            largest, _over_views(shown, _Loop(angles=angles, size=size, through=through, integrates=integrates))
+        )
+    return largest
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Loop:
+    """`|T_ue|` at `angles (K,)`, and `M` where there is one input and one output."""
+
+    angles: Float[np.ndarray, "K"]
+    size: Float[np.ndarray, "K"]
+    through: Complex[np.ndarray, "K"] | None
+    integrates: bool
+
+    def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
+        return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
+
+    def with_phase(self, linear: Complex[np.ndarray, "F"], rest: Float[np.ndarray, "F"]) -> float:
+        """Infinite if `1 - M Q` winds around zero: its phase at pi must be the one at 0."""
+        if self.through is None:
+            return float("inf")
+        q = np.interp(self.angles, ANGLES, linear.real) + 1j * np.interp(self.angles, ANGLES, linear.imag)
+        returned = 1 - self.through * q
+        phase = np.unwrap(np.angle(returned))
+        if abs(phase[-1] - phase[0]) > np.pi / 2 or returned[0].real <= 0:
+            return float("inf")
+        return float((np.interp(self.angles, ANGLES, rest) * self.size / np.abs(returned)).max())
+
+
+def _over_views(shown: Mismatch, loop: _Loop) -> float:
+    views = [(loop.small_gain(view.by_frequency), view.response < HOLDS, view) for view in shown.views]
+    split = [(view.linear, np.where(holds, 0.0, view.rest)) for _, holds, view in views]
+    largest = 0.0
+    for (value, holds, _), parts in zip(views, split, strict=True):
+        if not (holds and loop.integrates):
+            largest = max(largest, value if value < 1 and not holds else min(value, loop.with_phase(*parts)))
+    for ((small, holds, _), (large, above_too, _)), (below, above) in zip(
+        pairwise(views), pairwise(split), strict=True
+    ):
+        if max(small, large) >= 1 and np.isfinite(largest) and not (holds and above_too and loop.integrates):
+            mixed = [[(1 - t) * a + t * b for a, b in zip(below, above, strict=True)] for t in MIXTURES]
+            largest = max(largest, *(loop.with_phase(*one) for one in mixed))
+    return largest if shown.loop is None else max(largest, loop.small_gain(shown.loop.by_frequency))

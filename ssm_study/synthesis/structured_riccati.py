@@ -1,0 +1,117 @@
+"""Guaranteed-cost gains of a structured model from game Riccati equations, multipliers found by a gradient search.
+
+With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = Delta u`, the inequality of
+`theorems.structured_state_feedback` at given `Lambda` and `lambda_p = 1 / sigma` is the equation
+
+    X = A'X A + Q - (A'X B + S)(R + B'X B)^{-1}(B'X A + S'),     inputs (u, p, v),  Bg = B + E G/2,  C = G' Lambda G/2,
+    A = (A + E F/2)/r,  B = [alpha Bg, beta Bg, E/2]/r,  Q = (Q_x + F' Lambda F/2)/r^2,
+    S = [alpha F' Lambda G/2, beta F' Lambda G/2, 0]/r^2,
+    R = diag([R_u + lambda_p I + alpha^2 C, alpha beta C; ., -lambda_p I + beta^2 C], -Lambda/2)/r^2.
+
+It holds if `X > 0` and the (p, v) block of `H = R + B'X B` is negative definite: then `P = X^{-1}` and K is the first
+row of the saddle point. An observer is the same for transposed data; one that injects knows v before it acts, so its u
+block is positive, what is left of the v block negative, and with `g = B'X A + S'` `L' = -H_11^{-1} (g_1 - H_12 E')`,
+`L_z' = -2 H_11^{-1} H_12`; where `beta > 0` it does not inject. The gradient costs one Lyapunov equation, because the
+saddle point stays put to first order: in the norm of the loop's Gramian it is `(|z_i|^2 - |v_i|^2) / 2 r^2` for
+`Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`. Source: THEORY section 6; Basar & Bernhard 1995 (games),
+Petersen & Hollot 1986 (guaranteed cost).
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.synthesis.game import Game, descend, evaluate
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+
+# Where the first multipliers do not hold, the search starts slower by this factor a step, up to the second.
+SLOWER, SLOWEST = 1.5, 1e3
+# Weight of the barrier, and evaluations, at each rate on the way; the second where the first gets stuck.
+TRIES = ((3.0, 4), (30.0, 16))
+LAST, AT_LAST = 1e-3, 30  # the same at the asked rate, where the cost decides
+SHORTEST = 0.02  # share of the way, in log r, below which the search has come to its end
+BALL_SLACK = 1e-9  # of the metric: what a multiplier without effect may take of it, where the ball has no radius
+
+
+def least_cost(problem: Problem) -> Solution:
+    """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck before the rate."""
+    game = game_of(problem)
+    for centred, per_rate in TRIES:
+        logs, reached = searched(game, centred, per_rate)
+        if reached <= game.r:
+            return solution(problem, game, logs)
+    raise NoSolution(f"multipliers found down to a factor {reached:.4f} a sample")
+
+
+def game_of(problem: Problem) -> Game:
+    """The problem as the search takes it; raises `ValueError` for a problem without neurons."""
+    if problem.neurons is None:
+        raise ValueError("a game needs neurons")
+    neurons, ball = problem.neurons.scaled(), problem.ball
+    return Game(
+        a=problem.a, b=problem.b, e=neurons.e, f=neurons.f, g=neurons.g, alpha=ball.alpha, beta=ball.beta,
+        r=problem.contraction, state_weight=problem.state_weight, input_weight=problem.input_weight,
+        injects=problem.neurons.injects and ball.beta == 0,
+    )  # fmt: skip
+
+
+def searched(
+    game: Game, centred: float = TRIES[0][0], per_rate: int = TRIES[0][1]
+) -> tuple[Float[np.ndarray, "s"], float]:
+    """Log multipliers, and the factor they hold at: from a slow rate to the asked one, centred on the way."""
+    # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's step
+    logs = np.log(2 * np.einsum("nq,nj,jq->q", game.e, game.state_weight, game.e) + 1e-9)
+    if game.beta > 0:
+        logs = np.append(logs, np.log(1 + 4 * game.beta**2 * np.linalg.norm(game.b.T @ game.state_weight @ game.b, 2)))
+    slow, share = game, 1.0
+    while evaluate(slow, logs, 0.0) is None:
+        slow = slow._replace(r=slow.r * SLOWER)
+        if slow.r > SLOWEST:
+            return logs, slow.r
+    while slow.r > game.r:
+        logs = descend(slow, logs, centred, per_rate)
+        while evaluate(_between(game, slow, share), logs, 0.0) is None:
+            share /= 2
+            if share < SHORTEST:
+                return logs, slow.r
+        slow, share = _between(game, slow, share), min(1.0, 4 * share)
+    return descend(game, logs, LAST, AT_LAST), game.r
+
+
+def _between(game: Game, slow: Game, share: float) -> Game:
+    return game if share == 1.0 else game._replace(r=slow.r * (game.r / slow.r) ** share)
+
+
+def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solution:
+    """The theorem's matrices at these multipliers. Raises `NoSolution` where they do not hold."""
+    assert problem.neurons is not None
+    saddle = evaluate(game, logs, 0.0)
+    if saddle is None:
+        raise NoSolution("the game has no saddle point at these multipliers")
+    x, h, toward = saddle.x, saddle.h, saddle.toward
+    m, q = game.b.shape[1], game.e.shape[1]
+    if game.injects:
+        known = np.linalg.solve(h[:m, :m], np.hstack([toward[:m], h[:m, m:]]))
+        k, k_w = known[:, len(x) :] @ game.f - known[:, : len(x)], -2 * known[:, len(x) :]
+    else:
+        k, k_w = -np.linalg.solve(h, toward)[:m], np.zeros((m, q))
+    inverse = np.linalg.inv(x)
+    p, weights = (inverse + inverse.T) / 2, np.exp(logs[:q])
+    sigma = float(np.exp(-logs[-1])) if game.beta > 0 else 0.0
+    if problem.neurons.observes:
+        # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4 divides one by r and
+        # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2 sigma`.
+        r2 = 1 - problem.rate
+        weights, sigma = r2 / weights, r2 * game.beta**2 * sigma
+    sigma = sigma if game.beta > 0 else without_ball(problem, p, k)
+    found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game")
+    return found.of_neurons(problem.neurons)
+
+
+def without_ball(problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]) -> float:
+    """A sigma so large (of an observer an eta so small) that it takes next to nothing of P: for a ball without radius.
+
+    What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
+    """
+    if problem.neurons is not None and problem.neurons.observes:
+        return float(BALL_SLACK * np.linalg.eigvalsh(p)[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300))
+    return float(np.linalg.norm(k @ p @ k.T, 2) / BALL_SLACK + 1.0)

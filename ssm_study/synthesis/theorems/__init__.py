@@ -1,0 +1,1 @@
+"""One theorem a file, in one form: problem, hypotheses, statement, when not to use it, reference, example."""

@@ -1,0 +1,90 @@
+"""An observer of a model with neurons contracts its error, with injection also inside the neurons.
+
+Problem. For `x+ = A x + B v + E w`, `w = phi(F x + G v + bias) - phi(bias)`, `y = S_y(C x + D v + H w)`: find `L` and
+`L_z` such that `xh+ = A xh + B v + E wh + L (yh - y)`, `wh = phi(F xh + G v + bias + L_z (yh - y)) - phi(bias)`, comes
+nearer to `x` by `r = sqrt(1 - rate)` a sample. `B, D, G` cancel.
+
+Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_y` in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`;
+`L_z = 0` where `H != 0`, for the injection would then depend on itself.
+
+Statement. If `Q = Q^T, U, V, eta` and a diagonal `Lambda > 0`, with `N = Lambda L_z`, satisfy
+
+    [ r^2 Q - eta C^T C   0       -(Lambda F + alpha N C)^T - eta C^T H   (U A + alpha V C)^T ]
+    [ *                   eta I   -beta N^T                               beta V^T            ]
+    [ *                   *       2 Lambda - eta H^T H                    (U E + alpha V H)^T ]  > 0
+    [ *                   *       *                                       U + U^T - Q         ]
+
+then `L = U^{-1} V` and `L_z` do so in the metric `M = Q`. Row 2 makes eta positive: with a negative one the first
+corner would certify anything. For a linear `S_y`, `beta = 0`, a small eta drops out.
+
+When not to use it. Without neurons: `observer` has an exact frontier.
+
+Reference. THEORY section 6; `E = 0` is [Z26] Theorem 2. `U = Q` loses nothing.
+
+Example. `x+ = 0.5 x + 0.4 phi(x)`, `y = x`. With `L = -0.5` alone the error shrinks by 0.4 at slope one; injected into
+the neuron as well, `L_z = -1`, nothing is left of it.
+
+>>> import numpy as np
+>>> one = np.ones((1, 1))
+>>> numbers = dict(a=0.5 * one, c=one, e=0.4 * one, f=one, h=0 * one, alpha=1.0, beta=0.0, q=one, u=one, l=-0.5 * one)
+>>> numbers |= dict(eta=1e-6, lambda_=np.ones(1), rate=1 - 0.1**2)
+>>> print(*(StructuredObserver.holds(**numbers, l_z=l_z * one) for l_z in (-1.0, 0.0)))
+True False
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.synthesis.certificate import Observer, OfProblem
+from ssm_study.synthesis.theorem import Blocks, Known, diagonal
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuredObserver(OfProblem, Observer):
+    """The statement above: `e (n, q)`, `f (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q, p)`, `lambda_ (q,)`."""
+
+    e: Float[np.ndarray, "n q"]
+    f: Float[np.ndarray, "q n"]
+    h: Float[np.ndarray, "p q"]
+    u: Float[np.ndarray, "n n"]
+    v: Float[np.ndarray, "n p"]
+    eta: float
+    l_z: Float[np.ndarray, "q p"]
+    lambda_: Float[np.ndarray, "q"]
+
+    products: ClassVar[Mapping[str, tuple[str, str]]] = {"v": ("u", "l")}
+
+    @staticmethod
+    def inequality(of: Any) -> Blocks:
+        weights = diagonal(of.lambda_)
+        return inequality(of, weights, weights @ of.l_z)
+
+    @classmethod
+    def holds(cls, **numbers: Any) -> bool:
+        """The conditions, and the hypothesis on `L_z`."""
+        return not _looped(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
+
+    def broken(self, known: Known) -> list[str]:
+        """As every theorem, and the hypothesis on `L_z`."""
+        looped = _looped(self.h, self.l_z) and self.certified
+        return [".l_z: must be zero, for neurons stand in the output (H)"] * looped + super().broken(known)
+
+
+def _looped(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:
+    return bool(np.any(h) and np.any(l_z))
+
+
+def inequality(of: Any, weights: Any, n: Any) -> Blocks:
+    """The statement with `N = Lambda L_z` as given; `weights` is the diagonal matrix Lambda."""
+    neurons = -1.0 * (weights @ of.f + of.alpha * (n @ of.c)).T - of.eta * (of.c.T @ of.h)
+    step = (of.u @ of.a + of.alpha * (of.v @ of.c)).T
+    return [
+        [(1 - of.rate) * of.q - of.eta * (of.c.T @ of.c), 0, neurons, step],
+        [of.eta * np.eye(of.c.shape[0]), (-1.0 * of.beta) * n.T, of.beta * of.v.T],
+        [2.0 * weights - of.eta * (of.h.T @ of.h), (of.u @ of.e + of.alpha * (of.v @ of.h)).T],
+        [of.u + of.u.T - of.q],
+    ]

@@ -1,0 +1,77 @@
+"""A linear state feedback contracts a model with neurons inside its recurrence, whatever their slopes.
+
+Problem. `x+ = A x + B v + E w`, `v = S_u(u)`, `w = phi(F x + G v + bias) - phi(bias)` with q neurons: find `K` such
+that `u = K x` makes the distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.
+
+Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_u` in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`.
+
+Statement. If `P = P^T, Y, X, sigma > 0` and a diagonal `Lambda > 0` satisfy
+
+    [ r^2 (Y + Y^T - P)   0         -(F Y + alpha G X)^T Lambda   (A Y + alpha B X)^T   X^T     ]
+    [ *                   sigma I   -beta sigma G^T Lambda        beta sigma B^T        0       ]
+    [ *                   *         2 Lambda                      E^T                   0       ]  > 0
+    [ *                   *         *                             P                     0       ]
+    [ *                   *         *                             *                     sigma I ]
+
+then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. With rows and columns 3 multiplied by `T = Lambda^{-1}` it is
+linear in `(P, Y, X, T, sigma)`: the form that is solved. For a linear `S_u`, `beta = 0`, a large sigma drops out.
+
+When not to use it. Without neurons: `state_feedback` has an exact frontier. Where a neuron can cut the input off.
+
+Reference. THEORY section 6; Revay, Wang & Manchester 2024 (multiplier); `E = 0` is [Z26] Theorem 1. `Y = P` loses
+nothing.
+
+Example. `x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, slopes of `S_u` in [0.8, 1], `K = -0.7`: between `0.9 - 0.56 = 0.34` and
+`0.5 - 0.7 = -0.2` for frozen slopes, so 0.5 is proved and 0.3 is not.
+
+>>> import numpy as np
+>>> one = np.ones((1, 1))
+>>> numbers = dict(a=0.5 * one, b=one, e=0.4 * one, f=one, g=0 * one, alpha=0.9, beta=0.1, p=one, y=one, k=-0.7 * one)
+>>> numbers |= dict(sigma=4.0, lambda_=np.full(1, 0.2))
+>>> print(*(StructuredStateFeedback.holds(**numbers, rate=1 - r**2) for r in (0.5, 0.3)))
+True False
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.synthesis.certificate import OfProblem, StateFeedback
+from ssm_study.synthesis.theorem import Blocks, diagonal
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuredStateFeedback(OfProblem, StateFeedback):
+    """The statement above: `e (n, q)`, `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_ (q,)`, `sigma > 0`."""
+
+    e: Float[np.ndarray, "n q"]
+    f: Float[np.ndarray, "q n"]
+    g: Float[np.ndarray, "q m"]
+    y: Float[np.ndarray, "n n"]
+    x: Float[np.ndarray, "m n"]
+    sigma: float
+    lambda_: Float[np.ndarray, "q"]
+
+    products: ClassVar[Mapping[str, tuple[str, str]]] = {"x": ("k", "y")}
+
+    @staticmethod
+    def inequality(of: Any) -> Blocks:
+        weights = diagonal(of.lambda_)
+        return inequality(of, (weights, np.eye(weights.shape[0]), weights))
+
+
+def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
+    """The statement with the neurons' row scaled by any diagonal S: `row` is `(S, S T, S T S)`."""
+    scale, scaled_t, t = row
+    one, step = np.eye(of.b.shape[1]), (of.a @ of.y + of.alpha * (of.b @ of.x)).T
+    neurons = (of.f @ of.y + of.alpha * (of.g @ of.x)).T @ scale
+    return [
+        [(1 - of.rate) * (of.y + of.y.T - of.p), 0, -1.0 * neurons, step, of.x.T],
+        [of.sigma * one, (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale), (of.sigma * of.beta) * of.b.T, 0],
+        [2.0 * t, scaled_t @ of.e.T, 0],
+        [of.p, 0],
+        [of.sigma * one],
+    ]

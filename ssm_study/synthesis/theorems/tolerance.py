@@ -1,0 +1,219 @@
+"""The largest mismatch of the model under which contraction of the closed loop is proved, for slopes that vary at will.
+
+Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = y_model + e`, `e = Delta(W u)`: how
+large may the mismatch Delta be? Shapes: `K (m, s)`, `L (n, p)`, W a stable filter of the input, m channels.
+
+Hypotheses. `S_u` as in `state_feedback`; `S_y` linear, `S_y(v) = alpha_out v`; Delta is causal, and for any two inputs
+`||e - e'||_2 <= s ||W (u - u')||_2` from rest. Nothing is asked of it sample by sample, so no rate is claimed.
+
+Statement. With `xi = (x, eps, x_W)`, `eps = xh - x`, `C_u = [K, K_x, 0]`, `C_W = [D_W C_u, C_w]`,
+
+    A_xi = [A + alpha B K, alpha B K_x, 0; 0, A_x + alpha_out L C, 0; B_W K, B_W K_x, A_W],
+    B_p = [B; 0; 0],    B_e = [E; -L; 0]
+
+(x with its integrators, which E feeds e to), if `P > 0`, `lambda_p > 0` and `s > 0` satisfy
+
+    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I ) - [A_xi B_p B_e]^T P [A_xi B_p B_e]  >  0
+
+then differences of trajectories are square-summable and tend to zero. Without a ball this is small gain,
+`s = 1 / ||W T_ue||_inf`; with one, slopes may vary at will, and s is below what the margin at constant slopes says.
+
+When not to use it. As a forecast: that the plant's mismatch is below s is a premise. With a nonlinear output map.
+
+Reference. THEORY section 8; [Z26] Theorem 3 is the case without mismatch; cf. Megretski & Rantzer 1997 (multipliers).
+
+Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: `T_ue = 0.125 (z - 0.5) / (z (z - 0.25))`, 0.15 at z = -1.
+
+>>> import numpy as np
+>>> from ssm_study.systems import Balls, JacobianBall, StateSpace
+>>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
+>>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
+>>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
+>>> found = largest_tolerance(Known(system=loop, controlled=loop, balls=balls, gains=gains), weight=one)
+>>> print(f"{found.s:.3f} = 0.999 / 0.15, certified: {found.certified}")
+6.660 = 0.999 / 0.15, certified: True
+"""
+
+import time
+from dataclasses import dataclass
+from itertools import product
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.synthesis.modes import doubled
+from ssm_study.synthesis.sensitivity import frequency_response
+from ssm_study.synthesis.theorem import Blocks, Known, Theorem, stacked
+from ssm_study.systems import JacobianBall, StateSpace
+
+# Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again around the worst.
+ANGLES = np.concatenate([[0.0], np.geomspace(1e-4, np.pi, 400)])
+MULTIPLIERS = np.geomspace(1e-8, 1e8, 65)  # lambda_p over the gain from e to u: the coarse search, then a line search
+INSIDE = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # of the largest s, in order of trial; the equation is solved half way there
+SLACKS = (1e-7, 1e-10)  # of the inequality, as shares of its supply, where the loop's Gramian is the identity
+FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean in these coordinates
+Into = Float[np.ndarray, "m x"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance(Theorem):
+    """`s` and its proof `p (n_xi, n_xi)`, `lambda_p`; the loop `a, b, k` (controlled), `c, l, alpha_out` (observed).
+
+    `weight (w + m, w + m)` is `[A_W, B_W; C_W, D_W]`, of order w: for a constant weight just `D_W`.
+    """
+
+    a: Float[np.ndarray, "s s"]
+    b: Float[np.ndarray, "s m"]
+    c: Float[np.ndarray, "p n"]
+    k: Float[np.ndarray, "m s"]
+    l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
+    alpha_out: float
+    weight: Float[np.ndarray, "v v"]
+    s: float
+    lambda_p: float
+    p: Float[np.ndarray, "x x"]
+
+    part: ClassVar[str] = "tolerance"
+    metric_matrix: ClassVar[str] = "p"
+
+    @staticmethod
+    def conditions(of: Any) -> dict[str, Blocks]:
+        loop, into_u, into_w = loop_matrices(of)
+        m, p, order = of.b.shape[1], of.c.shape[0], of.p.shape[0]
+        storage = of.p - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u) - of.s * of.s * (into_w.T @ into_w)
+        blocks = [[storage, np.zeros((order, m)), np.zeros((order, p))]]
+        blocks += [[np.zeros((m, order)), of.lambda_p * np.eye(m), np.zeros((m, p))]]
+        blocks += [[np.zeros((p, order)), np.zeros((p, m)), np.eye(p)]]
+        inequality = stacked(blocks) - loop.T @ of.p @ loop
+        return {"inequality": [[inequality]], "p": [[of.p]], "lambda_p": [[of.lambda_p]], "s": [[of.s]]}
+
+    def given(self, known: Known) -> dict[str, Any]:
+        nonlinear = known.balls.output.beta > 0
+        seen = {"c": known.system.c, "alpha_out": np.nan if nonlinear else known.balls.output.alpha}
+        return {"a": known.controlled.a, "b": known.controlled.b, **seen, **known.gains}
+
+    @staticmethod
+    def ball(known: Known) -> JacobianBall:
+        return known.balls.input
+
+    @classmethod
+    def rate_limit_of(cls, known: Known) -> None:
+        """No rate is claimed."""
+
+    @property
+    def gain(self) -> Float[np.ndarray, "m s"]:
+        return self.k
+
+    @property
+    def metric(self) -> Float[np.ndarray, "x x"]:
+        """`P`: the energy of a difference of two trajectories."""
+        return self.p
+
+    @property
+    def claim(self) -> str:
+        return f"differences of trajectories vanish under every mismatch of incremental gain up to {self.s:.6g}"
+
+
+def loop_matrices(of: Any) -> tuple[Any, Any, Any]:
+    """`[A_xi B_p B_e]`, `C_u`, `C_W` of the statement, in the numbers of `of`."""
+    (s, m), (p, n) = of.b.shape, of.c.shape
+    w = of.weight.shape[0] - m
+    k_x, none = of.k[:, :n], np.zeros((s, w))
+    a_w, b_w, c_w, d_w = of.weight[:w, :w], of.weight[:w, w:], of.weight[w:, :w], of.weight[w:, w:]
+    closed, observed = of.a + of.alpha * (of.b @ of.k), of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
+    top = [closed, of.alpha * (of.b @ k_x), none, of.b, np.eye(s, p, -n)]
+    middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
+    bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
+    into_u = stacked([[of.k, k_x, np.zeros((m, w))]])
+    return stacked([top, middle, bottom]), into_u, stacked([[d_w @ of.k, d_w @ k_x, c_w]])
+
+
+def largest_tolerance(known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance") -> Tolerance | None:
+    """The largest s that is certified for this weight; None with a nonlinear output map, where none is found, and where
+    no mismatch has an effect (K or L is zero): no number is the largest then.
+
+    A search over the one multiplier: at a given `lambda_p` the largest s is a peak over frequency, and P the least
+    solution of a Riccati equation. No solver is asked; one is the oracle of the test.
+    """
+    started, ball = time.perf_counter(), known.balls.input
+    if known.balls.output.beta > 0:
+        return None
+    given: dict[str, Any] = {"a": known.controlled.a, "b": known.controlled.b, "c": known.system.c, **known.gains}
+    given |= {"alpha": ball.alpha, "beta": ball.beta, "alpha_out": known.balls.output.alpha, "weight": weight}
+    loop, into_u, into_w = loop_matrices(SimpleNamespace(**given))
+    order = len(loop)
+    if np.abs(np.linalg.eigvals(loop[:, :order])).max() >= 1:
+        return None
+    lambda_p, largest = _search(loop, ball.beta * into_u, into_w)
+    for inside, slack in product(INSIDE, SLACKS if largest < np.inf else ()):
+        s = largest * (1 - inside)
+        p = _energy(loop, lambda_p**0.5 * ball.beta * into_u, largest * (1 - inside / 2) * into_w, lambda_p, slack)
+        if p is None or not s > 0:
+            continue
+        told: Any = {"status": f"{inside:.1%} inside the largest at this multiplier", "method": method}
+        found: Tolerance = Tolerance.proved(given | {"s": s, "lambda_p": lambda_p, "p": p}, started=started, **told)
+        if found.certified:
+            return found
+    return None
+
+
+def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple[float, float]:
+    """The multiplier, and the largest s that it allows: peaks on a grid of frequencies, refined around the worst."""
+    order, m, outputs = len(loop), len(into_u), np.vstack([into_u, into_w])
+    direct = np.zeros((len(outputs), loop.shape[1] - order))
+    system = StateSpace(a=loop[:, :order], b=loop[:, order:], c=outputs, d=direct)
+    angles = np.union1d(ANGLES, np.abs(np.angle(np.linalg.eigvals(system.a))))
+    response = frequency_response(system, angles)
+    # the square of the largest gain from e to `beta u`, one if there is none: the scale of `1 / lambda_p`
+    gain = float(np.linalg.norm(response[:, :m, m:], ord=2, axis=(1, 2)).max())
+    logs = np.log(MULTIPLIERS * (1 / gain**2 if gain > 0 else 1.0))
+
+    def peak(log_multiplier: float) -> float:
+        return float(_inverse_squares(response, m, log_multiplier).max())
+
+    best = int(np.argmin([peak(log) for log in logs]))
+    around = logs[max(best - 1, 0)], logs[min(best + 1, len(logs) - 1)]
+    refined = float(scipy.optimize.minimize_scalar(peak, bounds=around, method="bounded").x)
+    log = min((float(logs[best]), refined), key=peak)
+    worst = int(np.argmax(_inverse_squares(response, m, log)))
+    near = np.linspace(angles[max(worst - 1, 0)], angles[min(worst + 1, len(angles) - 1)], len(ANGLES))
+    between = float(_inverse_squares(frequency_response(system, near), m, log).max())
+    highest = max(peak(log), between)
+    return float(np.exp(log)), highest**-0.5 if highest > 0 else np.inf
+
+
+def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Float[np.ndarray, "F"]:
+    """`1 / s^2` at each frequency: the largest eigenvalue of `M_2 (I - M_1^* M_1)^{-1} M_2^*`, infinite if that fails.
+
+    `M_1` maps `(p, e)` to `beta u` and `M_2` to `W u`, scaled by the multiplier: `p / sqrt(lambda)`, `sqrt(lambda) u`.
+    """
+    root = np.exp(log_multiplier / 2)
+    scaled = response.copy()
+    scaled[:, :, :m] /= root  # the first input is p, the others e
+    first, second = root * scaled[:, :m], scaled[:, m:]
+    room = np.eye(scaled.shape[2]) - np.conj(first.transpose(0, 2, 1)) @ first
+    through = second @ np.linalg.solve(room, np.conj(second.transpose(0, 2, 1)))
+    largest = np.linalg.eigvalsh((through + np.conj(through.transpose(0, 2, 1))) / 2)[:, -1]
+    return np.where(np.linalg.eigvalsh(room)[:, 0] > 0, largest, np.inf)
+
+
+def _energy(
+    loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into, lambda_p: float, slack: float
+) -> Float[np.ndarray, "x x"] | None:
+    """`P = A^T P A + A^T P B (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's coordinates."""
+    order, m = len(loop), len(into_u)
+    a, b = loop[:, :order], loop[:, order:].copy()
+    b[:, :m] /= lambda_p**0.5  # sqrt(lambda_p) p then has unit weight, as e has
+    gramian = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
+    right = np.linalg.cholesky((gramian + gramian.T) / 2 + FLOOR * np.trace(gramian) / order * np.eye(order))
+    left = np.linalg.inv(right)
+    energy = (into_u @ right).T @ (into_u @ right) + (into_w @ right).T @ (into_w @ right)
+    scaled = left @ b
+    p = doubled(left @ a @ right, -scaled @ scaled.T, energy + slack * np.trace(energy) * np.eye(order))
+    if p is None:
+        return None
+    whole = left.T @ p @ left
+    return (whole + whole.T) / 2

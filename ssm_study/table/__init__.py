@@ -1,0 +1,1 @@
+"""A study as one table: gathered, filtered, ranked, shown."""

@@ -1,0 +1,127 @@
+"""A thousand run folders, one tidy table: `runs.parquet` and `runs.csv`, one row per run, missing is null."""
+
+import io
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ssm_study.columns import Column, Kind
+from ssm_study.engine.durable import sealed, sha256_of_file, unsealed, write_atomically, write_json_atomically
+from ssm_study.engine.records import LOST, RECORD, RUNNING, read_record
+from ssm_study.refusal import require
+from ssm_study.table.columns import BY_NAME, declared
+
+PARQUET, CSV, MARKS = "runs.parquet", "runs.csv", ".gathered.json"
+EXACT = {"string": str, "Int64": int, "Float64": float, "boolean": bool}  # no conversion is needed of these
+FORMULA = r"^[=+\-@\t\r]"  # how a text begins that a spreadsheet would run instead of showing it
+
+
+def gather(study: Path) -> pd.DataFrame:
+    """Bring `runs.parquet` and `runs.csv` of the study folder up to date with its runs; returns the table.
+
+    The declared columns come first, typed; whatever else the records hold follows by name. Runs are sorted by name, so
+    that equal studies give equal tables. Only records that have changed since the last time are read again.
+    """
+    remedy = "give the folder that holds the run folders"
+    require(study.is_dir(), "study", study, "no such study folder", remedy)
+    marks = marks_of(study)
+    require(bool(marks), "study", study, "there is no run in it", remedy)
+    last, known = _gathered(study)
+    ended = last["run"][~last["status"].isin([RUNNING, LOST])]
+    same = {name for name in ended if name in marks and marks[name] == known.get(name)}
+    if len(same) == len(last) == len(marks):  # nothing new, nothing gone, nothing changed
+        return last
+    kept = _records(last[last["run"].isin(same)])
+    found = {name: kept.get(name) or read_record(study / name) for name in sorted(marks)}
+    this = study.resolve().name
+    table = table_of(record | {"study": this, "run": name} for name, record in found.items() if record is not None)
+    parquet = io.BytesIO()
+    table.to_parquet(parquet, index=False)
+    write_atomically(study / PARQUET, parquet.getvalue())
+    write_atomically(study / CSV, _harmless(table).to_csv(index=False).encode())
+    sums = {name: sha256_of_file(study / name) for name in (PARQUET, CSV)}
+    write_json_atomically(study / MARKS, sealed(sums | {"marks": marks}))  # last: it vouches for both
+    return table
+
+
+def marks_of(study: Path) -> dict[str, list[int]]:
+    """Modification time, size and inode of every record below the study folder, by the name of its run."""
+    marks = {}
+    with os.scandir(study) as entries:
+        names = [entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()]
+    for name in names:
+        with suppress(OSError):  # a folder without a record, or one that another process deletes
+            facts = (study / name / RECORD).stat()
+            marks[name] = [facts.st_mtime_ns, facts.st_size, facts.st_ino]  # a record is replaced, so its inode changes
+    return marks
+
+
+def _gathered(study: Path) -> tuple[pd.DataFrame, dict[str, list[int]]]:
+    """The last table and the marks it was made by; without rows where its files are not unharmed."""
+    with suppress(OSError):
+        index = unsealed((study / MARKS).read_bytes())
+        if index is not None and all(sha256_of_file(study / name) == index[name] for name in (PARQUET, CSV)):
+            return pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable"), index["marks"]
+    return pd.DataFrame({"run": [], "status": []}), {}
+
+
+def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """The rows by run, as JSON has them: no NA of pandas."""
+    columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
+    made = (dict(zip(map(str, rows), row, strict=True)) for row in zip(*columns, strict=True))
+    return {record["run"]: record for record in made}
+
+
+def _harmless(table: pd.DataFrame) -> pd.DataFrame:
+    """A text that a spreadsheet would take for a formula is quoted by an apostrophe, as spreadsheets do."""
+    texts: pd.Index = table.select_dtypes("string").columns
+    risky = [name for name in texts if table[name].str.match(FORMULA, na=False).any()]
+    return table.assign(**{name: table[name].str.replace(FORMULA, r"'\g<0>", regex=True) for name in risky})
+
+
+def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """The records as a table of typed, nullable columns; of the further ones those that hold a value somewhere."""
+    records = list(records)
+    names = {name for record in records for name, value in record.items() if value is not None}
+    extra = sorted(name for name in names if name not in BY_NAME)
+    return pd.DataFrame({name: _typed([r.get(name) for r in records], declared(name)) for name in (*BY_NAME, *extra)})
+
+
+def _typed(values: list[Any], column: Column | None) -> pd.Series:
+    kind = column.kind if column else _kind_of([value for value in values if value is not None])
+    if set(map(type, values)) <= {EXACT[kind], type(None)} and kind != "Int64":  # as records have them
+        return pd.Series(values, dtype=kind)
+    return pd.Series([_fitting(value, kind) for value in values], dtype=kind)
+
+
+def _fitting(value: Any, kind: Kind) -> Any:
+    """`value` as the column's kind, or None if it is of another: a text in a column of numbers is missing, not 0."""
+    if kind == "string":
+        return None if value is None else str(value)
+    if isinstance(value, bool) or kind == "boolean":
+        return value if isinstance(value, bool) and kind == "boolean" else None
+    if not _is_number(value):
+        return None
+    if kind == "Float64":
+        return float(value)
+    return int(value) if isinstance(value, int) or float(value).is_integer() else None
+
+
+def _kind_of(present: list[Any]) -> Kind:
+    """Of a column that nobody declares."""
+    truths = [isinstance(value, bool) for value in present]
+    if any(truths) and all(truths):
+        return "boolean"
+    if not present or any(truths) or not all(map(_is_number, present)):
+        return "string"
+    if not all(isinstance(value, int) for value in present):
+        return "Float64"
+    return "Int64" if all(abs(value) < 2**63 for value in present) else "string"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) or value in ("inf", "-inf")

@@ -1,0 +1,196 @@
+"""The table of a study as a person reads it: best first, failures counted and explained, 80 columns wide."""
+
+import re
+import textwrap
+from math import fsum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.text import Text
+
+from ssm_study.engine.plan import duration
+from ssm_study.refusal import printable
+from ssm_study.table.columns import BY_NAME, RESULTS, SETTINGS, listed, requested
+from ssm_study.table.filters import where as filtered
+from ssm_study.table.gather import gather
+from ssm_study.table.rank import ranked
+
+WIDTH = 80  # of a pipe, and the least of a terminal
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\w)")  # not the 2 of S_u2
+OUTCOMES = ("settled", "certified", *(column.name for column in RESULTS if column.shown))
+CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
+COLOURS = {"": "bold", "failed": "red", "lost": "red", "corrupt": "red", "infeasible": "yellow", "running": "cyan"}
+AGAIN = {
+    "lost": "stopped before it ended; the same command runs it again",
+    "corrupt": "record.json is damaged; the same command runs it again",
+}
+REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
+
+
+def show(
+    study: Path, by: str | None = None, where: str | None = None, cost: bool = False, columns: bool = False
+) -> None:
+    """Print the study's table, best first, after gathering it anew; `where` filters, `by` sorts.
+
+    With `cost`: instead of it what was computed and what reused, stage by stage. With `columns`: which columns hold
+    values, what they are called, which way is better and whether `verify` checks them.
+    """
+    table = gather(study)
+    chosen = filtered(table, where) if where else table
+    if columns or cost:
+        print("\n".join(column_lines(table) if columns else cost_lines(chosen)))
+        return
+    rows = ranked(chosen, by)
+    console = Console(force_jupyter=False)
+    lines = plain_table(rows, by, max(WIDTH, console.width) if console.is_terminal else WIDTH).splitlines()
+    for line, status in zip(lines, ["", *rows["status"]], strict=True):
+        console.print(Text(line, style=COLOURS.get(str(status), "")), soft_wrap=True)  # no colour in a pipe
+    for line in summary(table, shown=len(rows)):
+        print(textwrap.fill(line, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+
+
+def column_lines(table: pd.DataFrame | None = None) -> list[str]:
+    """The declared columns as text, one a line: of the table those that hold values, else all."""
+    rows = list(listed(table))
+    widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
+    lines = ["".join(f"{row[i]:<{widths[i]}}  " for i in range(3)) + row[3] for row in rows]
+    return [line.rstrip() for line in lines]
+
+
+def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
+    """A row per stage that the records name, the costliest first: each distinct one counts once, here or in an earlier
+    study. How many runs needed it, how many distinct ones, what these took, and what reuse saved."""
+    rows: dict[str, tuple[float, ...]] = {}
+    for match in filter(None, (re.fullmatch(r"stage_(\w+)_key", str(column)) for column in table)):
+        key, seconds = match[0], f"stage_{match[1]}_seconds"
+        uses = table[[key, seconds]].dropna()
+        once = uses.drop_duplicates(key)  # the store computes what has this key once
+        spent_s = float(once[seconds].sum())
+        rows[match[1]] = (len(uses), len(once), spent_s, float(uses[seconds].sum()) - spent_s)
+    costs = pd.DataFrame.from_dict(rows, orient="index", columns=["runs", "distinct", "spent_s", "saved_s"])
+    return costs.sort_values("spent_s", ascending=False, kind="stable")
+
+
+def cost_lines(table: pd.DataFrame) -> list[str]:
+    """The costs as text: stage, runs, how many are distinct, how many reused, time of each, of all, time saved."""
+    costs = stage_costs(table)
+    lines = [f"{'stage':<14}{'runs':>7}{'distinct':>10}{'reused':>8}{'each':>10}{'cost':>10}{'saved':>10}"]
+    for name, runs, distinct, spent_s, saved_s in costs.itertuples(name=None):
+        each = f"{spent_s / max(distinct, 1):>8.2f} s{duration(spent_s):>10}{duration(saved_s):>10}"
+        lines.append(f"{name:<14}{runs:>7}{distinct:>10}{runs - distinct:>8}{each}")
+    spent_s, saved_s = (fsum(costs[name]) for name in ("spent_s", "saved_s"))
+    return [*lines, f"{'together':<14}{'':>35}{duration(spent_s):>10}{duration(saved_s):>10}"]
+
+
+def short_names(names: pd.Series) -> pd.Series:
+    """The digits that end a run's name, which every command takes for it, where no two runs share them."""
+    digits = names.str.rsplit("-", n=1).str[-1]
+    return digits if digits.is_unique else names
+
+
+def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
+    """Fixed-width text with as many columns as fit: what pipes and files get.
+
+    Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are known. Of each run's
+    name only its digits, both certificates in one word, and how many starts settled of how many.
+    """
+    controller, observer = table["controller_certified"], table["observer_certified"]
+    pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
+    certified = pd.Series([CERTIFIED[bool(one), bool(other)] for one, other in pairs], table.index, dtype="string")
+    certified = certified.where(controller.notna() | observer.notna())
+    settled = table["stable_count"].astype("string") + "/" + table["initial_conditions"].astype("string")
+    table = table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
+    names = ["run", "status", *([by] if by else [])]
+    settings = [c.name for c in SETTINGS if c.name in table and c.name != "rates_chosen"]
+    names += [name for name in settings if requested(table, name).nunique(dropna=False) > 1]
+    names += [name for name in OUTCOMES if table[name].notna().any()]
+    columns: list[list[str]] = []
+    taken = 0
+    for name in dict.fromkeys(names):  # what the table is sorted by stands once
+        head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
+        cells = [head, *map(cell, table[name])]
+        room = max(map(len, cells))
+        if taken + room + 2 > width and columns:  # a narrower one may still fit
+            continue
+        columns.append([text.ljust(room) if name in ("run", "status") else text.rjust(room) for text in cells])
+        taken += room + 2
+    return "\n".join("  ".join(line).rstrip() for line in zip(*columns, strict=True))
+
+
+def cell(value: object) -> str:
+    """Four digits, yes or no; `-` for what is missing."""
+    if value is None or value is pd.NA:
+        return "-"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else printable(str(value))
+
+
+def summary(table: pd.DataFrame, shown: int) -> list[str]:
+    """Counts by status, then the runs that did not end `ok`, or without a certificate: each reason once."""
+    table = table.assign(run=short_names(table["run"]))
+    counts = table["status"].value_counts()
+    order = [status for status in ("ok", "infeasible", "failed", "lost", "corrupt", "running") if status in counts]
+    found = f"{len(table)} run{'s' if len(table) != 1 else ''}" + (f" ({shown} shown)" if shown < len(table) else "")
+    uncertified = table[table["uncertified_reason"].notna()] if "uncertified_reason" in table else table[:0]
+    parts = [(status, table[table["status"] == status]) for status in ("failed", "infeasible", "lost", "corrupt")]
+    parts.insert(2, ("not certified", uncertified))
+    told = [*over_folds(table), *(line for status, rows in parts for line in _reasons(status, rows))]
+    return ["", f"{found}: " + ", ".join(f"{counts[status]} {status}" for status in order), *told]
+
+
+def over_folds(table: pd.DataFrame) -> list[str]:
+    """Of each model's settings: mean and standard deviation of the fit on what the folds held out."""
+    if "fold" not in table or table["fold"].nunique() < 2:
+        return []
+    others = [c.name for c in SETTINGS if c.name in table and not c.setting.startswith(("synthesis", "data.fold"))]
+    varied = [name for name in others if table[name].nunique(dropna=False) > 1]
+    lines = []
+    for values, runs in table.groupby(varied, dropna=False) if varied else [((), table)]:
+        fits = runs.groupby("fold")["fit_test_percent"].mean().dropna()
+        which = "".join(f", {name} {cell(value)}" for name, value in zip(varied, values, strict=True))
+        lines.append(f"  {len(fits)} folds: mean test fit {cell(fits.mean())} %, deviation {cell(fits.std())} %{which}")
+    return lines
+
+
+def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
+    """A line per reason; reasons that differ in numbers alone are one."""
+    runs: dict[str, list[tuple[str, str]]] = {}
+    for row in _plain(rows):
+        why = printable(AGAIN.get(status) or _reason(row))
+        runs.setdefault(NUMBER.sub("#", why), []).append((str(row["run"]), why))
+    lines = []
+    for alike in list(runs.values())[:limit]:
+        names = ", ".join(name for name, _ in alike[:5]) + (f" and {len(alike) - 5} more" if len(alike) > 5 else "")
+        lines.append(f"  {status} {names}: {ranged([why for _, why in alike])}")
+    return lines + ([f"  ... {status} for {len(runs) - limit} more reasons"] if len(runs) > limit else [])
+
+
+def _plain(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    """What reasons are made of, row by row; None for what is missing."""
+    sides = ("rate_{}", "{}_rate_limit", "{}_feasible")
+    named = ("run", *REASONS, *(name.format(part) for part in ("controller", "observer") for name in sides))
+    rows = rows[[name for name in named if name in rows]].astype(object)
+    return rows.where(rows.notna(), None).to_dict("records")  # type: ignore[return-value]
+
+
+def _reason(row: dict[str, Any]) -> str:
+    """What the record says, or else which request was infeasible."""
+    said = [str(row[name]) for name in REASONS if row.get(name) is not None]
+    parts = [
+        f"{part} at rate {cell(row[f'rate_{part}'])}, limit {cell(row[f'{part}_rate_limit'])}"
+        for part in ("controller", "observer")
+        if row[f"{part}_feasible"] is False
+    ]
+    return said[0] if said else "; ".join(parts) or "no reason recorded"
+
+
+def ranged(sentences: list[str]) -> str:
+    """Sentences that differ in numbers alone as one, each number that varies as its range: `rate 0.4 to 0.9`."""
+    found = [NUMBER.findall(sentence) for sentence in sentences]
+    columns = [sorted(set(column), key=float) for column in zip(*found, strict=True)]
+    said = iter(column[0] if len(column) == 1 else f"{column[0]} to {column[-1]}" for column in columns)
+    return NUMBER.sub(lambda _: next(said), sentences[0])

@@ -1,0 +1,50 @@
+"""What identifying a model leaves behind: the model, the evidence that it fits, and what training says of itself."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ssm_study.columns import Column
+from ssm_study.models.identified import Simulator
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import DataSet, Trajectories
+
+NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
+
+COLUMNS = (
+    Column("training_seconds", "Float64", "low", "train s", "Training time", "s", unchecked="depends on when it ran"),
+    Column("training_ended", "string", word="Training ended", unchecked=NOT_REPEATED),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """An identified model, the fits its stored numbers reproduce, and how they were reached.
+
+    Fits are recomputed from `model` itself (float64, `free_run`), never taken from training. `curve` holds one
+    row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why training stopped.
+    `choice` is the table of what was tried where sizes were chosen from the data.
+    """
+
+    model: Simulator
+    fit_training_percent: float
+    fit_validation_percent: float
+    seconds: float
+    curve: list[dict[str, float]]
+    ended: str
+    choice: tuple[dict[str, object], ...] = ()
+
+    @classmethod
+    def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
+        """The model with its fits to the training and to the validation records."""
+        fits = (mean_fit(model, records, data) for records in (data.training, data.validation))
+        return cls(model=model, fit_training_percent=next(fits), fit_validation_percent=next(fits), **how)
+
+
+def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
+    """`Simulation.fit_percent` of the records of a data set."""
+    return Simulation.of(model, records, data.start_up_samples).fit_percent
+
+
+def training_facts(seconds: float, ended: str) -> dict[str, Any]:
+    """The numbers of one training."""
+    return {"training_seconds": seconds, "training_ended": ended}

@@ -1,0 +1,188 @@
+"""The simulation error of a structured model as a function of its parameters, its Jacobian written out, a step down."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve
+
+from ssm_study.models.contracting import Free, derivative, explicit
+from ssm_study.models.structured import codes
+from ssm_study.models.structured_kernel import Matrices, blocks, free_run, sensitivities, split
+from ssm_study.models.structured_spec import Pieces
+from ssm_study.training.fit import Pairs, padded
+from ssm_study.training.levenberg import WRITTEN_OUT, damped
+
+# Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out, x0.
+Theta = dict[str, Float[np.ndarray, "..."]]
+Columns = dict[str, Float[np.ndarray, "N T p _"]]
+FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
+
+
+class Batch(NamedTuple):
+    """Records in scaled units, padded; `weight` is 0 where padded, and such that `|r|^2 = (1 - fit / 100)^2`."""
+
+    u: Float[np.ndarray, "N T m"]
+    y: Float[np.ndarray, "N T p"]
+    weight: Float[np.ndarray, "N T 1"]
+
+    @classmethod
+    def padded(cls, pairs: Pairs) -> "Batch":
+        (u, y), whole = padded(pairs), np.concatenate([y for _, y in pairs])
+        there = np.arange(u.shape[1])[None, :, None] < np.array([len(one) for one, _ in pairs])[:, None, None]
+        return cls(u=u, y=y, weight=there / np.linalg.norm(whole - whole.mean(axis=0)))
+
+    @property
+    def scored(self) -> np.ndarray:
+        return self.weight[..., 0] > 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """`r = weight (y_hat - y)`, all records from their own x0 (zero where `x0` is not among the parameters).
+
+    With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrated`: the output is the
+    running sum of the model's, started at `x0`'s last entry.
+    """
+
+    records: Batch
+    neurons: tuple[str, ...]
+    lift: Pieces
+    read: Pieces
+    rate: float | None = None
+    integrated: bool = False
+
+    def matrices(self, theta: Theta) -> Matrices:
+        """What the compiled recurrence takes."""
+        if self.rate is not None:
+            theta = theta | explicit(Free(*(theta[name] for name in FREE_CORE)), self.rate)._asdict()
+        return Matrices.of(theta, codes(self.neurons))
+
+    def starts(self, theta: Theta) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
+        """States and, where the output is summed up, outputs that the records start from."""
+        n, p, count = len(theta["b"]), len(theta["c"]), len(self.records.u)
+        x0 = theta.get("x0", np.zeros((count, n + p * self.integrated)))
+        return np.ascontiguousarray(x0[:, :n]), x0[:, n:]
+
+    def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1, n)`."""
+        v = np.ascontiguousarray(self.lift.freeze(theta["scaffold_in"])(self.records.u))
+        return v, *free_run(self.matrices(theta), v, self.starts(theta)[0])
+
+    def output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
+        """The simulated output, scaled."""
+        ybar = self.simulated(theta)[1]
+        if self.integrated:
+            return self.starts(theta)[1][:, None, :] + summed(ybar)
+        return self.read.freeze(theta["scaffold_out"])(ybar)
+
+    def residual(self, theta: Theta) -> Float[np.ndarray, "R"]:
+        """`weight (y_hat - y)`, flat."""
+        with np.errstate(all="ignore"):  # a trial step may be unstable: its loss is infinite, and it is refused
+            return (self.records.weight * (self.output(theta) - self.records.y)).ravel()
+
+    def linearised(
+        self, theta: Theta, free: tuple[str, ...]
+    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R P"]]:
+        """Residual and its Jacobian by the blocks `free`, each flattened by rows."""
+        u, target, weight = self.records
+        v, _, moved = self.lift.derivatives(theta["scaffold_in"], u)  # S_u, and what its parameters do to it
+        (x0, begun), k = self.starts(theta), self.matrices(theta)
+        y, j = sensitivities(k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), self.lift.owners)
+        (n, m), p, q = k.b.shape, len(k.c), len(k.bias)
+        columns = split(blocks(n, m, p, q, moved.shape[-1]), j)
+        columns |= {"scaffold_in": columns["lifted"], "scaffold_out": np.zeros((*target.shape, 0))}
+        if self.integrated:
+            y = begun[:, None, :] + summed(y)
+            columns = {name: summed(part) for name, part in columns.items()}
+        elif self.read.knots:
+            y, slope, bent = self.read.derivatives(theta["scaffold_out"], y)
+            columns = {name: slope[..., None] * part for name, part in columns.items()}
+            columns["scaffold_out"] = bent[..., None, :] * (self.read.owners == np.arange(p)[:, None])
+        if self.rate is not None:
+            columns |= self._by_free_core(theta, columns)
+        if "x0" in free:
+            columns["x0"] = self._by_start(columns["x0"])
+        jacobian = np.concatenate([columns[name] for name in free], axis=-1)
+        jacobian *= weight[..., None]  # in place: it is the largest array of a training
+        return (weight * (y - target)).ravel(), jacobian.reshape(target.size, -1)
+
+    def _by_free_core(self, theta: Theta, columns: Columns) -> Columns:
+        """The chain rule through `contracting.explicit`, one direction per free parameter."""
+        free = {name: theta[name] for name in FREE_CORE}
+        shapes = {name: part.shape for name, part in free.items()}
+        unit = split(shapes, np.eye(sum(part.size for part in free.values())))
+        change = Free(**{name: part.reshape(-1, *shapes[name]) for name, part in unit.items()})
+        turned = derivative(Free(**free), change, self.rate or 1.0)  # dA, dE, dF by each free parameter
+        chain = np.concatenate([part.reshape(len(part), -1) for part in turned], axis=1).T
+        return split(shapes, np.concatenate([columns[name] for name in CORE], axis=-1) @ chain)
+
+    def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
+        """Every record has a start of its own, and with `integrated` an output it begins at."""
+        count, samples, p, n = own.shape
+        whole = np.zeros((count, samples, p, count, n + p * self.integrated))
+        for r in range(count):
+            whole[r, :, :, r, :n] = own[r]
+            if self.integrated:
+                whole[r, :, :, r, n:] = np.eye(p)
+        return whole.reshape(count, samples, p, -1)
+
+
+def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
+    """`sum of y[i] over i < k`: an integrator from rest, read before it is driven."""
+    total = np.cumsum(y, axis=1)
+    return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descent:
+    """Where the descent of a structured model stands: parameters, `|r|^2 + penalty` there, the next step's damping."""
+
+    theta: Theta
+    loss: float
+    damping: float = 1e-2
+
+
+def loss(problem: Residuals, theta: Theta, ridge: dict[str, float]) -> float:
+    """`|r|^2 + sum ridge |block|^2`, infinite where the simulation is not finite."""
+    r = problem.residual(theta)
+    with np.errstate(all="ignore"):
+        value = float(r @ r) + sum(weight * float(np.sum(theta[name] ** 2)) for name, weight in ridge.items())
+    return value if np.isfinite(value) else np.inf
+
+
+def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str, float]) -> Descent:
+    """One accepted step in the blocks `free`, or none; `R = diag(ridge)`."""
+    r, j = problem.linearised(at.theta, free)
+    flat, weights = pack(at.theta, free), pack({n: np.full_like(at.theta[n], ridge.get(n, 0.0)) for n in free}, free)
+    normal, gradient = j.T @ j, j.T @ r + weights * flat  # Gauss-Newton: second derivatives of r are left out
+    normal[np.diag_indices_from(normal)] += weights  # J'J + R
+    if not np.isfinite(normal).all():
+        return replace(at, damping=np.inf)
+    scale = np.maximum(np.diagonal(normal), WRITTEN_OUT.weakest * np.diagonal(normal).max())
+    by, value, damping = damped(
+        WRITTEN_OUT, at.loss, gradient, normal, at.damping,
+        lambda damping: _solved(normal + np.diag(damping * scale), gradient),
+        lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), ridge),
+    )  # fmt: skip
+    theta = at.theta if by is None else at.theta | unpack(flat + by, at.theta, free)
+    return Descent(theta=theta, loss=value, damping=damping)
+
+
+def _solved(damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"] | None:
+    try:
+        return -cho_solve(cho_factor(damped_normal), gradient)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def pack(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
+    """The named blocks as one vector."""
+    return np.concatenate([theta[name].ravel() for name in names])
+
+
+def unpack(flat: Float[np.ndarray, "P"], like: Theta, names: tuple[str, ...]) -> Theta:
+    """The inverse of `pack`, with the shapes of `like`."""
+    parts = split({name: like[name].shape for name in names}, flat)
+    return {name: part.reshape(like[name].shape) for name, part in parts.items()}

@@ -1,0 +1,53 @@
+"""Devices made of made-up runs, and their C code compiled: shared by the tests of the export."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_runs import random_run
+
+from ssm_study.export.c import Words, c_files
+from ssm_study.export.device import Device
+from ssm_study.export.targets import load
+
+WARNINGS = [
+    "-pedantic",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wshadow",
+    "-Wundef",
+    "-Wcomment",
+]
+EXACT = ["-O2", "-ffp-contract=off"]
+LIMIT = 1.5  # scaled: within it most set points of a replay can be held, beyond it goes every hard braking
+
+
+def device(folder: Path, *, kind: str, channels: int = 1, real: str = "double", integral: bool = False) -> Device:
+    """With limits that the replay runs into."""
+    controller = load(random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral))
+    ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in (-1, 1))
+    return Device.of(controller, real, *ends)
+
+
+def written(device: Device, folder: Path, about: str = "test", name: str = "controller") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in c_files(device, Words(about=about), name).items():
+        (folder / file).write_text(text)
+    return folder
+
+
+def compiled(
+    folder: Path, *words: str, sources: tuple[str, ...] = ("controller_replay.c",), compiler: str = "gcc"
+) -> str:
+    """Build and run; what the program says. A compiler that is not there skips the test."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    subprocess.run([compiler, *WARNINGS, *EXACT, *words, *sources, "-o", "replay"], cwd=folder, check=True)
+    done = subprocess.run([folder / "replay"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout

@@ -1,0 +1,102 @@
+"""CONTRIBUTING's promises: each guide's example, exactly the files it shows, is found and judged by every law.
+
+The files go into a copy of the project. A guide whose example another page shows names that page.
+"""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+GUIDE = re.compile(r"^### (?:an?) ([a-z]+)\n(.*?)(?=^##)", re.M | re.S)
+FILE = re.compile(r'^( *)```\w+ (?:file|title)="([^"]+)"\n(.*?)^\1```', re.M | re.S)
+PAGE = re.compile(r"\]\((docs/[a-z_]+\.md)\)")
+
+# What a guide promises: how many files, and which laws judge them under which name. A theorem, a figure and a column
+# have tests of their own (test_docs_commands, test_synthesis_theorems, test_table_columns).
+PROMISED = {"plant": 2, "excitation": 2, "reader": 1, "model": 2, "scaffolding": 2, "peer": 1}
+PROMISED |= {"figure": 1, "theorem": 2, "column": 0}
+LAWS = {
+    "ramps": "tests/laws/test_data_excitation.py",
+    "fir": "tests/laws/test_models_yaml.py",
+    "dead_zone": "tests/laws/test_models_yaml.py tests/laws/test_models_scaffold_torch.py",
+    "my_plant": "ssm_study/conformance/test_plants.py",
+}
+HERE = """
+import numpy as np
+from pathlib import Path
+from loop_cases import BALLS, motor, motor_model, motor_record
+from ssm_study.data.readers.reader import read_table
+from ssm_study.loop.comparison import Comparison
+from ssm_study.loop.regulation import Loop
+from ssm_study.loop.peers.peer import Identified
+from ssm_study.refusal import BadRequest
+
+path, wanted = Path("log.npz"), {"u": ""}
+np.savez(path, u=np.arange(5.0))
+assert (read_table(path, wanted).columns["u"] == np.arange(5.0)).all()
+path.write_bytes(path.read_bytes()[:40])
+try:
+    read_table(path, wanted)
+    raise SystemExit("a damaged file was read")
+except BadRequest as refusal:
+    assert "np.savez" in str(refusal)
+known = Identified(model=motor_model(), balls=BALLS, validation=(motor_record(),))
+(row,) = Comparison(controllers=("proportional",)).rows(motor(), known, Loop(initial_conditions=2, horizon_s=0.5), 0)
+assert row["controller"] == "proportional" and row["initial_conditions"] == 2, row
+"""
+
+
+def guides() -> dict[str, dict[str, str]]:
+    """Of each guide the files of its example: path to content."""
+    found: dict[str, dict[str, str]] = {}
+    for name, text in GUIDE.findall((ROOT / "CONTRIBUTING.md").read_text()):
+        shown = text + "".join((ROOT / page).read_text() for page in PAGE.findall(text))
+        found[name] = {path: dedent(content) for _, path, content in FILE.findall(shown)}
+    return found
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project with the examples in it; no file that was there before is touched."""
+    folder = tmp_path_factory.mktemp("copy")
+    for name in ("ssm_study", "hydra_plugins", "conf", "tests"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    for files in guides().values():
+        for path, content in files.items():
+            assert not (folder / path).exists(), f"{path} would be overwritten"
+            (folder / path).write_text(content)
+    return folder
+
+
+def run(copy: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": f"{copy}:{copy / 'tests'}", "HOME": str(copy)}
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True)
+
+
+def test_every_guide_shows_the_files_it_promises() -> None:
+    assert {name: len(files) for name, files in guides().items()} == PROMISED
+
+
+def test_every_law_finds_and_judges_the_examples(copy: Path) -> None:
+    paths = sorted({path for laws in LAWS.values() for path in laws.split()})
+    done = run(copy, "-m", "pytest", "-n", "0", "-rp", "-p", "no:randomly", "-k", " or ".join(LAWS), *paths)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
+    for name, laws in LAWS.items():
+        for path in laws.split():
+            judged = [
+                line for line in done.stdout.splitlines() if line.startswith("PASSED") and path in line and name in line
+            ]
+            assert judged, f"no law of {path} judged {name}"
+
+
+def test_a_reader_and_a_peer_are_found_by_their_names(copy: Path) -> None:
+    done = run(copy, "-c", HERE)
+    assert done.returncode == 0, done.stderr[-3000:]

@@ -1,0 +1,60 @@
+"""`ssm-study excite`: what it promises of the input holds of the file, for any limits."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.cli.main import main
+from ssm_study.data.excitations.own_plant import AMPLITUDES, PERIODS, OwnPlantRecord
+from ssm_study.refusal import BadRequest
+
+LEVEL = st.floats(-1e3, 1e3)
+
+
+@given(
+    LEVEL, st.floats(0.1, 1e3), st.floats(0.05, 0.95), st.floats(0.001, 10.0), st.integers(20, 200), st.integers(0, 9)
+)
+def test_the_signal(lower: float, width: float, share: float, step_s: float, samples: int, seed: int) -> None:
+    upper, rest = lower + width, lower + share * width
+    settle_s = samples * step_s * (1 + 1e-9)
+    record = OwnPlantRecord(lower=lower, upper=upper, rest=rest, step_s=step_s, settle_s=settle_s, seed=seed)
+    u = record.signal()
+    assert lower <= u.min() < u.max() <= upper
+    assert (u[-2 * samples :] == rest).all()
+    assert (u[: 2 * samples] == rest).all()
+    period = (len(u) - 2 * samples * (len(AMPLITUDES) + 1)) // (PERIODS * len(AMPLITUDES))
+    reaches = []
+    for part in range(len(AMPLITUDES)):
+        start = 2 * samples * (part + 1) + part * PERIODS * period
+        first, again = u[start : start + period], u[start + period : start + 2 * period]
+        assert np.array_equal(first, again)
+        assert len(np.unique(first)) > 30
+        reaches.append(np.abs(first - rest).max())
+    assert reaches == sorted(reaches, reverse=True)
+
+
+def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--lower", "0", "--upper", "100", "--rest", "40", "--step-s", "0.5", "--settle-s", "60"]
+    assert main(["excite", "--to", str(tmp_path / "input.csv"), *words]) == 0
+    table = pd.read_csv(tmp_path / "input.csv")
+    assert list(table) == ["time_s", "input"]
+    assert np.allclose(np.diff(table["time_s"]), 0.5)
+    assert "rest 40" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"rest": 5.0}, "rest must lie strictly between"),
+        ({"step_s": 0.0}, "must be positive"),
+        ({"settle_s": 1.9}, "fewer than twenty samples, too few to see how; sample faster"),
+    ],
+)
+def test_refusals(changed: dict[str, float], said: str) -> None:
+    sound = {"lower": -1.0, "upper": 1.0, "rest": 0.0, "step_s": 0.1, "settle_s": 5.0}
+    with pytest.raises(BadRequest, match=said):
+        OwnPlantRecord(**(sound | changed))

@@ -1,0 +1,65 @@
+"""Every file, module and test that the pages name is there: what moves in the code moves in its documentation."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [*ROOT.glob("docs/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+SETTINGS = [*ROOT.glob("conf/**/*.yaml"), ROOT / "mkdocs.yml", ROOT / "Makefile"]
+FOLDERS = "ssm_study|hydra_plugins|benchmarks|conf|docs|examples|experiments|tests|results/reference"
+ROOMS = "|".join(sorted(path.name for path in (ROOT / "ssm_study").iterdir() if path.is_dir()))
+FILE = re.compile(rf"(?<![\w./-])((?:{FOLDERS}|{ROOMS})/[\w./*-]*\w)")
+MODULE = re.compile(r"(?<![\w./-])ssm_study((?:\.\w+)+)")
+TEST = re.compile(r"(test_\w+\.py)?(?:::(test_\w+))")
+# A page may tell its reader to write a file: those it shows with a title, and their classes. One page
+# may name what another shows.
+TO_WRITE = re.compile(r'(?:title|file)="([^"]+)"|# (conf/\S+\.yaml):')
+
+
+def named_files(text: str) -> set[str]:
+    to_write = {found for page in PAGES for pair in TO_WRITE.findall(page.read_text()) for found in pair if found}
+    return {name for name in FILE.findall(text) if name not in to_write}
+
+
+def named_modules(text: str) -> set[str]:
+    own = tuple(found.removesuffix(".py").replace("/", ".") for found, _ in TO_WRITE.findall(text) if found)
+    return {path for path in MODULE.findall(text) if not f"ssm_study{path}".startswith(own or "\0")}
+
+
+def exists(file: str) -> bool:
+    return any(True for base in (ROOT, ROOT / "ssm_study", ROOT / "conf") for _ in base.glob(file))
+
+
+def defined(dotted: str) -> bool:
+    """`.room.module.Name`: the longest part of it that is a module defines or imports what follows."""
+    parts = dotted.strip(".").split(".")
+    for length in range(len(parts), -1, -1):
+        base = ROOT.joinpath("ssm_study", *parts[:length])
+        module = base.with_suffix(".py") if length and base.with_suffix(".py").exists() else base / "__init__.py"
+        if module.exists():
+            return length == len(parts) or re.search(rf"\b{parts[length]}\b", module.read_text()) is not None
+    return False
+
+
+@pytest.mark.parametrize("page", [*PAGES, *SETTINGS], ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_a_page_names_is_there(page: Path) -> None:
+    text = page.read_text()
+    assert [name for name in sorted(named_files(text)) if not exists(name)] == []
+    assert [f"ssm_study{name}" for name in sorted(named_modules(text)) if not defined(name)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_the_tests_that_a_page_cites_are_there(page: Path) -> None:
+    suite = {path.name: path.read_text() for path in ROOT.glob("tests/**/test_*.py")}
+    for file, test in TEST.findall(page.read_text()):
+        sources = [suite.get(file, "")] if file else suite.values()
+        assert any(f"def {test}(" in source for source in sources), f"{file}::{test}"
+
+
+def test_a_file_that_is_not_there_is_found() -> None:
+    assert not exists("ssm_study/synthesis/nowhere.py")
+    assert not defined(".synthesis.frontier.NoSuchName")
+    assert not defined(".synthesis.nowhere")
+    assert named_files("see `engine/nowhere.py`") == {"engine/nowhere.py"}

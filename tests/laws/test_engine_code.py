@@ -1,0 +1,138 @@
+"""Keys follow from code: an edit makes exactly those stages stale whose result it can change."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ssm_study.engine.code import Code, code_version, symbol_of
+from ssm_study.study.stages import BOUNDS, DATASET, LOOP, MODEL, STAGES, SYNTHESIS
+
+ROOT = Path(__file__).resolve().parents[2]
+TARGETS = {
+    DATASET.name: ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.data.simulated.SimulatedData"),
+    MODEL.name: ("ssm_study.models.spec.SSMSpec", "ssm_study.training.training.Training"),
+    BOUNDS.name: ("ssm_study.bounds.reduction.Reduction",),
+    SYNTHESIS.name: ("ssm_study.synthesis.theorems.minimum_energy.ClosedFormSynthesis",),
+    LOOP.name: ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.loop.regulation.Loop"),
+}
+
+
+def versions(folder: Path) -> dict[str, str]:
+    """By stage: the version of what computes it, and of what measures it, over the sources in `folder`."""
+    code, found = Code({"ssm_study": folder}), {}
+    for stage in STAGES:
+        targets = [symbol_of(target) for target in TARGETS.get(stage.name, ())]
+        found[stage.name] = code.version(symbol_of(stage.compute), *targets)
+        found[f"{stage.name} measured"] = code.version(symbol_of(stage.measure))
+    return found
+
+
+@pytest.fixture
+def scratch(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(ROOT / "ssm_study", tmp_path / "ssm_study", ignore=shutil.ignore_patterns("*.pyc")))
+
+
+def stale(folder: Path, file: str, pattern: str, instead: str) -> set[str]:
+    """What an edit makes stale: the first match of `pattern` in `file` becomes `instead`."""
+    path = folder / file
+    before, text = versions(folder), path.read_text()
+    edited, count = re.subn(pattern, instead, text, count=1, flags=re.MULTILINE)
+    assert count == 1, f"{pattern} is not in {file}"
+    path.write_text(edited)
+    after = versions(folder)
+    path.write_text(text)
+    return {name for name, version in after.items() if version != before[name]}
+
+
+def test_a_comment_a_docstring_and_layout_change_nothing(scratch: Path) -> None:
+    assert stale(scratch, "study/stages.py", r'^"""[^"]*"""', '"""Another one."""') == set()
+    assert stale(scratch, "plants/dc_motor.py", r"^import numpy as np$", "# why\nimport numpy as np\n\n") == set()
+    assert stale(scratch, "training/fit.py", r'"""Minimises the training', '"""Makes least the training') == set()
+
+
+def test_a_metric_is_measured_again_and_nothing_else(scratch: Path) -> None:
+    assert stale(scratch, "loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len') == {"loop measured"}
+    edited = stale(scratch, "data/metrics.py", r"^def input_coverage\((.*)\) -> float:$", r"def input_coverage(\1):")
+    assert edited == {"dataset measured"}
+
+
+def test_a_plant_is_stale_where_it_is_named(scratch: Path) -> None:
+    edit = (r"^class DCMotor\(", "class DCMotor(object, ")
+    assert stale(scratch, "plants/dc_motor.py", *edit) == {"dataset", "loop"}
+    assert (
+        stale(scratch, "plants/cascaded_tanks.py", r"^class CascadedTanks\(", "class CascadedTanks(object, ") == set()
+    )
+
+
+def test_training_does_not_make_data_stale_nor_the_other_way_round(scratch: Path) -> None:
+    assert "model" in stale(scratch, "training/saving.py", r"^STILL_EPOCHS = 2$", "STILL_EPOCHS = 3")
+    assert stale(scratch, "training/saving.py", r"^STILL_EPOCHS = 2$", "STILL_EPOCHS = 3") == {"model"}
+    assert "dataset" not in stale(scratch, "loop/rollout.py", r"^def close_loop\(", "@staticmethod\ndef close_loop(")
+
+
+def test_an_import_inside_a_function_counts(scratch: Path) -> None:
+    """`compute_synthesis` imports the slopes inside itself."""
+    edited = stale(scratch, "bounds/slopes.py", r"^def certified_balls\(", "@staticmethod\ndef certified_balls(")
+    assert "synthesis" in edited
+    assert not edited & {"dataset", "model", "dataset measured", "model measured"}
+
+
+TOY = {
+    "a.py": "from toy.b import used\n\ndef root(x):\n    return used(x)\n",
+    "b.py": "import numpy as np\n\nSCALE = 2\n\ndef used(x):\n    from toy.c import inner\n"
+    "    return inner(x) * SCALE\n\ndef unused(x):\n    return np.zeros(x)\n",
+    "room/__init__.py": "",
+    "room/member.py": "found = 1\n",
+    "c.py": "from toy import room\n\ndef inner(x: 'Hint') -> 'Hint':\n"
+    "    try:\n        return deep(room, x)\n    finally:\n        pass\n\n"
+    "def deep(room, x):\n    return x\n",
+    "__init__.py": "from toy.d import everything\n",
+    "d.py": "everything = 1\n",
+}
+EDITS = {
+    ("b.py", "SCALE = 2", "SCALE = 3"): True,
+    ("c.py", "    return x", "    return -x"): True,
+    ("c.py", "'Hint'", "'Other'"): True,
+    ("room/member.py", "= 1", "= 2"): True,
+    ("b.py", "np.zeros", "np.ones"): False,
+    ("d.py", "= 1", "= 2"): False,
+    ("b.py", "def unused", "def another"): False,
+    ("a.py", "def root(x):\n", 'def root(x):\n    """Said."""\n'): False,
+    ("b.py", "def unused", "def used(x):\n    return 0\n\ndef unused"): True,
+    ("b.py", "SCALE = 2", "SCALE = 2\nSCALE += 1"): True,
+    ("b.py", "SCALE = 2", "SCALE = 2\nprint('at import')"): True,
+}
+
+
+@pytest.mark.parametrize(("edit", "counts"), EDITS.items(), ids=lambda x: str(x)[:40])
+def test_every_symbol_that_is_reached_counts_and_no_other(
+    tmp_path: Path, edit: tuple[str, str, str], counts: bool
+) -> None:
+    (tmp_path / "room").mkdir()
+    for name, text in TOY.items():
+        (tmp_path / name).write_text(text)
+    before = Code({"toy": tmp_path}).version(("toy.a", "root"))
+    file, old, new = edit
+    assert old in TOY[file]
+    (tmp_path / file).write_text(TOY[file].replace(old, new, 1))
+    assert (Code({"toy": tmp_path}).version(("toy.a", "root")) != before) is counts
+
+
+def test_a_library_counts_by_its_version_where_it_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "room").mkdir()
+    for name, text in TOY.items():
+        (tmp_path / name).write_text(text)
+
+    def seen(root: str) -> str:
+        return Code({"toy": tmp_path}).version(("toy.b", root))
+
+    before = seen("used"), seen("unused")
+    monkeypatch.setattr("ssm_study.engine.code.library_version", lambda name: f"{name} 99")
+    assert (seen("used") == before[0], seen("unused") == before[1]) == (True, False)
+
+
+def test_a_name_that_is_nowhere_is_refused() -> None:
+    with pytest.raises(ValueError, match="no_such_name"):
+        code_version("ssm_study.signals.no_such_name")

@@ -1,0 +1,204 @@
+"""No finished run is lost and no failure is final that the machine has caused: each case was lost once."""
+
+import errno
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import pytest
+
+from ssm_study.engine.durable import json_bytes, link_or_copy, sealed
+from ssm_study.engine.jobs import Job, kill_group, note_death
+from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
+from ssm_study.engine.runs import error_facts, execute
+from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, Server
+from ssm_study.engine.settings import Settings
+from ssm_study.refusal import BadRequest
+from ssm_study.table.gather import gather
+
+PROGRAM = [sys.executable, str(Path(__file__).resolve().parents[1] / "engine_study.py"), "-m"]
+ROOT = Path(__file__).resolve().parents[2]
+DEATH = {"error_type": "ProcessExit", "error_message": "ended with status 0", "failure_transient": False}
+
+
+def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_path: Path) -> None:
+    """The job of a second sweep ends at once, for the run is another's; that one finishes before the death is noted."""
+    folder = tmp_path / "study" / "run"
+    folder.mkdir(parents=True)
+    with (folder / LOCK).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        write_record(folder, {"status": "running"})
+        noted: list[Any] = []
+        other = Thread(target=lambda: noted.append(note_death(folder, DEATH, "")))
+        other.start()
+        time.sleep(0.3)
+        write_record(folder, {"status": "ok", "fit_test_percent": 90.0})
+    other.join()
+    assert (read_record(folder) or {})["status"] == "ok"
+    assert noted[0].status == "ok"
+    note_death(tmp_path / "study" / "never", DEATH, "text")  # the negative control: nobody has finished that one
+    assert (read_record(tmp_path / "study" / "never") or {})["status"] == "failed"
+
+
+def test_a_run_that_a_killed_sweep_left_is_lost_and_not_failed(tmp_path: Path) -> None:
+    """The job of a second sweep left the run to the first, which was killed before the end of that job was noted."""
+    folder = tmp_path / "study" / "run"
+    folder.mkdir(parents=True)
+    for pid, status in ((4711, "lost"), (4712, "failed")):  # of the process that began the run
+        write_record(folder, {"status": "running", "pid": pid})
+        assert note_death(folder, DEATH, "", pid=4712).status == status
+        assert (read_record(folder) or {})["status"] == status
+    assert execute(folder, {}, lambda _: {}, retry_failed=True).status == "ok"
+
+
+def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Group 0 is the caller's own: its shell and script would die."""
+    killed: list[int] = []
+    monkeypatch.setattr(os, "killpg", lambda pid, _: killed.append(pid))
+    monkeypatch.setattr(os, "kill", lambda pid, _: killed.append(pid))
+    for pid in (UNBORN, 12345):
+        job = Job(overrides=[], settings=Settings(), folder=Path("x"))
+        job.process = Child(pid=pid, listen=lambda _: None, exitcode=SERVER_DIED)
+        kill_group(job)
+    assert killed == [12345]
+
+
+def test_a_server_that_is_killed_is_started_again() -> None:
+    server = Server([lambda: time.sleep(60), lambda: None], warm=lambda: None, threads=1)
+    first = server.fork(0)
+    os.kill(server.pid, signal.SIGKILL)
+    first.join(10.0)
+    assert first.exitcode == SERVER_DIED
+    second = server.fork(1)
+    second.join(10.0)
+    assert second.exitcode == 0
+    os.kill(server.pid, signal.SIGKILL)
+    os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
+    assert server.fork(1).exitcode == SERVER_DIED  # the broken pipe is a death, not an error of the sweep
+    server.close()
+
+
+def start(folder: Path, *words: str, **more: str) -> "subprocess.Popen[str]":
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "HYDRA_FULL_ERROR": "1"} | more
+    command = [*PROGRAM, f"results_dir={folder / 'results'}", *words]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, env=environment, text=True, stdout=pipe, stderr=pipe, start_new_session=True)
+
+
+def finish(process: "subprocess.Popen[str]") -> str:
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, output + errors
+    return output + errors
+
+
+def statuses(folder: Path) -> list[str]:
+    found = [read_record(path.parent) for path in (folder / "results" / "study").glob(f"*/{RECORD}")]
+    return sorted(str((record or {})["status"]) for record in found)
+
+
+def test_jobs_of_a_killed_server_are_done_by_the_same_command(tmp_path: Path) -> None:
+    process = start(tmp_path, "do=wait,work", "hydra.launcher.n_jobs=1")
+    deadline = time.monotonic() + 60
+    while not statuses(tmp_path):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    os.kill(int(children[0]), signal.SIGKILL)
+    finish(process)
+    assert statuses(tmp_path) == ["failed", "ok"]
+    (tmp_path / "results" / "go").touch()
+    finish(start(tmp_path, "do=wait,work"))
+    assert statuses(tmp_path) == ["ok", "ok"]
+
+
+def test_three_sweeps_into_one_study_end_with_the_undisturbed_table(tmp_path: Path) -> None:
+    for process in [start(tmp_path, "seed=range(6)", WORK_S="0.05") for _ in range(3)]:
+        finish(process)
+    assert statuses(tmp_path) == ["ok"] * 6
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    finish(start(alone, "seed=range(6)"))
+    columns = ["run", "status", "attempt", "fit_test_percent", "number"]
+    tables = [gather(folder / "results" / "study")[columns] for folder in (tmp_path, alone)]
+    assert tables[0].equals(tables[1])
+
+
+def test_a_sweep_can_stop_at_its_first_failure(tmp_path: Path) -> None:
+    words = ("do=raise", "seed=range(5)", "hydra.launcher.n_jobs=1")
+    finish(start(tmp_path, *words, "hydra.launcher.fail_fast=true"))
+    assert statuses(tmp_path) == ["failed"]
+    finish(start(tmp_path, *words))
+    assert statuses(tmp_path) == ["failed"] * 5
+
+
+class Unwritable(Exception):
+    """As writers of other libraries raise."""
+
+
+CAUSES = {
+    "the disk, in words of another library": (Unwritable(f"chunk 3: {os.strerror(errno.ENOSPC)}"), True),
+    "the disk": (OSError(errno.ENOSPC, "No space left on device"), True),
+    "memory": (MemoryError(), True),
+    "a file of ours that somebody removed": (FileNotFoundError(2, "No such file", "RESULTS/.store/model/m"), True),
+    "a file that never was": (FileNotFoundError(2, "No such file", "/data/log.csv"), False),
+    "a mistake": (ValueError("singular"), False),
+}
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) -> None:
+    error, transient = CAUSES[cause]
+    if isinstance(error, FileNotFoundError):
+        error = FileNotFoundError(2, "No such file", str(error.filename).replace("RESULTS", str(tmp_path)))
+    facts = error_facts(error, tmp_path / "study" / "run")
+    assert facts["failure_transient"] is transient
+    wrapped = ValueError("in between")
+    wrapped.__cause__ = error
+    assert error_facts(wrapped, tmp_path / "study" / "run")["failure_transient"] is transient
+
+
+def test_a_full_disk_names_its_folder(tmp_path: Path) -> None:
+    message = error_facts(OSError(errno.ENOSPC, "No space left on device"), tmp_path)["error_message"]
+    assert str(tmp_path) in message
+
+
+def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path) -> None:
+    study = tmp_path / "study"
+    execute(study / "good", {"seed": 1}, lambda _: {})
+    execute(study / "huge", {"seed": 1}, lambda _: {})
+    huge = json_bytes(sealed({"record_version": 1, "status": "ok", "seed": 10**30}))
+    (study / "huge" / RECORD).write_bytes(huge)
+    assert parse_record(huge) == {"status": "corrupt"}
+    assert gather(study).set_index("run")["status"].to_dict() == {"good": "ok", "huge": "corrupt"}
+    outcome = execute(study / "noted", {"seed": 1}, lambda _: {"count": 10**30})
+    assert outcome.status == "failed"
+    with pytest.raises(BadRequest, match="count"):
+        write_record(study / "good", {"count": -(1 << 63)})
+
+
+def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_path: Path) -> None:
+    source, target = tmp_path / "a", tmp_path / "b"
+    source.write_bytes(b"x" * 100_000)
+    target.write_bytes(b"old")
+    link_or_copy(source, target)
+    shared = os.statvfs(tmp_path).f_fsid >= 0 and source.stat().st_ino == target.stat().st_ino
+    assert shared or target.stat().st_nlink == 1  # a clone has its own number
+    source.unlink()
+    assert target.read_bytes() == b"x" * 100_000
+
+
+def test_where_files_cannot_be_shared_they_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.EXDEV, "another file system")
+
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(fcntl, "ioctl", refuse)
+    (tmp_path / "a").write_text("text")
+    link_or_copy(tmp_path / "a", tmp_path / "b")
+    assert ((tmp_path / "b").read_text(), (tmp_path / "a").stat().st_nlink) == ("text", 1)

@@ -1,0 +1,71 @@
+"""The engine knows no science: the program of docs/engine.md is a sweep with stages, resuming, failures and a table."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from engine_study import Badly
+
+from ssm_study.engine import code
+from ssm_study.engine.jobs import Job
+from ssm_study.engine.launcher import warm
+from ssm_study.engine.records import read_record
+from ssm_study.engine.settings import Settings
+from ssm_study.engine.store import Store
+from ssm_study.table.gather import gather
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "engine.md").read_text()
+PROGRAM = re.findall(r'```python title="dice.py"\n(.*?)```', PAGE, re.DOTALL)[0]
+FOREIGN = ("torch", "lightning", "cvxpy", "scipy", "ssm_study.signals", "ssm_study.study", "ssm_study.plants")
+WATCHED = PROGRAM + f"    import sys\n    assert not set(sys.modules) & set({FOREIGN})\n"
+
+
+def dice(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "dice.py", "-m", *words]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "HYDRA_FULL_ERROR": "1"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "dice.py").write_text(WATCHED)
+    return tmp_path
+
+
+def test_a_sweep_is_run_resumed_and_gathered(folder: Path) -> None:
+    assert dice(folder, "seed=0,1", "sides=6").returncode == 0
+    planned = dice(folder, "seed=0,1,2", "sides=6", "dry_run=true")
+    assert "3 runs: 2 finished, 1 to do" in planned.stdout, planned.stderr
+    assert dice(folder, "seed=0,1,2", "sides=6").returncode == 0
+    table = gather(folder / "results" / "study")
+    assert table["status"].to_list() == ["ok"] * 3
+    assert table["attempt"].to_list() == [1] * 3
+    assert table["mean"].between(1, 6).all()
+
+
+def test_a_failure_is_a_row_and_a_wrong_request_starts_nothing(folder: Path) -> None:
+    refused = dice(folder, "sides=6,-1")
+    assert "sides (of the run sides=-1) = -1: a die has sides" in refused.stderr
+    assert not (folder / "results" / "study").exists()
+    (folder / "dice.py").write_text(WATCHED.replace("random.Random(seed + i)", "random.Random(1 // seed)"))
+    assert dice(folder, "seed=0,1", "sides=6").returncode == 0
+    records = [read_record(path.parent) for path in sorted((folder / "results" / "study").glob("*/record.json"))]
+    assert sorted((r or {})["status"] for r in records) == ["failed", "ok"]
+    (folder / "dice.py").write_text(WATCHED)
+    assert dice(folder, "seed=0,1", "sides=6", "retry_failed=true").returncode == 0
+    assert gather(folder / "results" / "study")["status"].to_list() == ["ok", "ok"]
+
+
+def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path: Path) -> None:
+    """Read by every job for itself they were three quarters of what the engine costs a run."""
+    settings = Settings(seed=1, do="work", rate=1, study="s", run="r", results_dir=str(tmp_path))
+    task, job = Badly(), Job(overrides=[], settings=settings, folder=tmp_path / "s" / "r")
+    code._version.cache_clear()
+    warm(task, [job])
+    read = code._version.cache_info().misses
+    task.stages(settings, Store(tmp_path / ".store"))
+    assert code._version.cache_info().misses == read > 0

@@ -1,0 +1,150 @@
+"""Other people's packages and folders bring plants, theorems, figures and experiments; no file of ours changes."""
+
+import hashlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from ssm_study import extensions
+from ssm_study.cli.main import main
+from ssm_study.cli.new import new
+from ssm_study.data import readers
+from ssm_study.data.readers.reader import Reader
+from ssm_study.refusal import BadRequest
+from ssm_study.study.allow_list import refuse_foreign_targets
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "examples" / "tclab_study"
+SMALL = ["data.samples=300", "data.validation_samples=300", "data.test_samples=300", "training.max_epochs=3"]
+SMALL += ["synthesis=reserved", "model.order=2", "~loop.comparison", "progress=false"]
+
+
+@pytest.fixture
+def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Whatever a test trusts is forgotten after it."""
+    monkeypatch.setenv(extensions.FOLDER, "")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    extensions.packages.cache_clear()
+    yield
+    monkeypatch.undo()
+    extensions.packages.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example where pip puts it; setuptools builds in a copy, for it leaves files beside the sources."""
+    if importlib.util.find_spec("setuptools") is None or importlib.util.find_spec("pip") is None:
+        pytest.skip("pip and setuptools are needed to install the example")
+    place, copy = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
+    for file in (path for path in EXAMPLE.rglob("*") if path.suffix in (".py", ".yaml", ".toml", ".md")):
+        (copy / file.relative_to(EXAMPLE)).parent.mkdir(parents=True, exist_ok=True)
+        (copy / file.relative_to(EXAMPLE)).write_bytes(file.read_bytes())
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--target", place, copy], check=True)
+    return place
+
+
+def python(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A program of its own: it is no worker of this test run and shares no folder with one before."""
+    words = [sys.executable, *map(str, arguments)]
+    alone = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_XDIST")}
+    return subprocess.run(words, cwd=ROOT, env=alone | environment, capture_output=True, text=True)
+
+
+def fingerprint() -> str:
+    whole = hashlib.sha256()
+    for folder in ("ssm_study", "conf", "hydra_plugins"):
+        for path in sorted(p for p in (ROOT / folder).rglob("*") if p.suffix in (".py", ".yaml", ".txt")):
+            whole.update(str(path).encode() + path.read_bytes())
+    return whole.hexdigest()
+
+
+def test_an_installed_package_goes_the_whole_way(installed: Path, tmp_path: Path) -> None:
+    before = fingerprint()
+    asked = ["-m", "ssm_study.cli", "run", "experiment=tclab", *SMALL, f"results_dir={tmp_path}"]
+    without = python(*asked)
+    assert without.returncode == 2
+    assert "there is no experiment/tclab" in without.stderr
+    done = python(*asked, PYTHONPATH=str(installed))
+    assert done.returncode == 0, done.stderr
+    (path,) = tmp_path.glob("tclab/*/record.json")
+    record = json.loads(path.read_text())
+    assert (record["plant"], record["synthesis_method"]) == ("TemperatureLab", "reserved")
+    assert record["controller_certified"]
+    drawn = python("-m", "ssm_study.cli", "report", tmp_path / "tclab", "--only", "duty", PYTHONPATH=str(installed))
+    assert drawn.returncode == 0, drawn.stderr
+    assert fingerprint() == before
+
+
+def test_the_package_conforms(installed: Path) -> None:
+    judged = ["-m", "pytest", "--pyargs", "ssm_study.conformance", "-k", "tclab or reserved", "-q", "-n", "0"]
+    done = python(*judged, "-p", "no:cacheprovider", PYTHONPATH=str(installed))
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "no tests ran" not in done.stdout
+
+
+@pytest.mark.usefixtures("trusting")
+def test_a_folder_of_ones_own_runs_as_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "own_study"]) == 0
+    asked = ["run", "experiment=own_study", *SMALL[:4], "progress=false"]
+    named = OmegaConf.create({"plant": {"_target_": "own_study.plant.OwnPlant"}})
+    with monkeypatch.context() as there:
+        there.syspath_prepend(tmp_path)  # importable, and yet not trusted
+        with pytest.raises(BadRequest, match="may not be instantiated"):
+            refuse_foreign_targets(named)
+    assert main([*asked, "--with", "own_study"]) == 0
+    assert python("-m", "pytest", "-q", tmp_path / "own_study", PYTHONPATH=str(tmp_path)).returncode == 0
+    refuse_foreign_targets(named)
+
+
+@pytest.mark.usefixtures("trusting")
+@pytest.mark.parametrize(
+    ("name", "made", "said"),
+    [
+        ("nowhere", False, "is no study folder; make one: ssm-study new"),
+        ("two-words", True, "is no study folder"),
+        ("json", True, "the name json is taken by"),
+    ],
+)
+def test_no_other_folder_is_trusted(tmp_path: Path, name: str, made: bool, said: str) -> None:
+    if made:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    with pytest.raises(BadRequest, match=said):
+        extensions.trust(tmp_path / name)
+    with pytest.raises(BadRequest, match="names no folder"):
+        extensions.taken_from(["verify", "run", "--with"])
+
+
+def test_new_refuses(tmp_path: Path) -> None:
+    for name, said in (("Two Words", "cannot name a package"), ("json", "an installed package")):
+        with pytest.raises(BadRequest, match=said):
+            new(tmp_path / name)
+    new(tmp_path / "mine")
+    with pytest.raises(BadRequest, match="exists"):
+        new(tmp_path / "mine")
+
+
+@pytest.mark.usefixtures("trusting")
+def test_what_is_found_by_its_kind_is_found_in_a_trusted_package(tmp_path: Path) -> None:
+    """A reader, by its suffix; from a package that is not trusted it is unknown."""
+    (tmp_path / "logs_of_mine").mkdir()
+    (tmp_path / "logs_of_mine" / "__init__.py").write_text(
+        "from ssm_study.data.readers.reader import Reader\n"
+        "class Mine(Reader, names=('.mine',)):\n"
+        "    def read(self, path, names): raise NotImplementedError\n"
+    )
+    assert ".mine" not in Reader.members(readers)
+    extensions.trust(tmp_path / "logs_of_mine")
+    try:
+        assert Reader.members(readers)[".mine"].__module__ == "logs_of_mine"
+    finally:
+        Reader.known.pop(".mine", None)

@@ -1,0 +1,115 @@
+"""The structured model: compiled equals stepped, one layer is its case without neurons, slopes lie in [0, 1]."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json, phi, slopes
+from ssm_study.models.structured_kernel import bend
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Scale
+
+KINDS = tuple(NEURONS)
+
+
+def monotone(rng: np.random.Generator, channels: int) -> MonotoneScaffold:
+    points = np.sort(rng.normal(size=(channels, 5)), axis=1)
+    return MonotoneScaffold(breakpoints=points, slopes=rng.uniform(0.2, 1.5, (channels, 6)))
+
+
+def drawn(seed: int, n: int = 3, m: int = 2, p: int = 2, kinds: tuple[str, ...] = KINDS) -> StructuredSSM:
+    rng, q = np.random.default_rng(seed), len(kinds)
+    shapes = {"b": (n, m), "c": (p, n), "d": (p, m), "e": (n, q), "f": (q, n), "g": (q, m), "h": (p, q), "bias": (q,)}
+    a = rng.normal(size=(n, n))
+    return StructuredSSM(
+        a=0.6 * a / np.linalg.norm(a, 2),
+        **{name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()},
+        neurons=kinds,
+        scaffold_in=monotone(rng, m),
+        scaffold_out=monotone(rng, p),
+        scale=Scale(
+            input_scale=rng.uniform(0.5, 2, m),
+            output_scale=rng.uniform(0.5, 2, p),
+            input_equilibrium=rng.normal(size=m),
+            output_equilibrium=rng.normal(size=p),
+        ),
+        step_s=0.01,
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), n=st.integers(1, 5), m=st.integers(1, 3), p=st.integers(1, 3))
+def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = drawn(seed, n, m, p, tuple(rng.choice(KINDS, size=rng.integers(0, 6)).tolist()))
+    u, x = model.scale.input_equilibrium + rng.normal(size=(2, 40, m)), rng.normal(size=(2, n))
+    compiled = model.simulate(u, x)
+    for k in range(40):
+        ubar = model.lift(u[:, k])
+        np.testing.assert_allclose(model.read(x, ubar), compiled[:, k], atol=1e-12, rtol=1e-12)
+        x = model.advance(x, ubar)
+
+
+def test_rest_stays_at_rest_whatever_the_bias() -> None:
+    model = drawn(0)
+    y = model.simulate(np.tile(model.scale.input_equilibrium, (20, 1)))
+    assert np.array_equal(y, np.tile(model.scale.output_equilibrium, (20, 1)))
+
+
+def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
+    rich = drawn(1, kinds=())
+    names = ("scaffold_in", "scaffold_out", "scale")
+    plain = SSM(linear=rich.linear, step_s=0.01, **{name: getattr(rich, name) for name in names})
+    same, u = StructuredSSM.from_json(plain.to_json()), np.random.default_rng(1).normal(size=(200, 2))
+    assert same.neurons == ()
+    np.testing.assert_allclose(same.simulate(u), plain.simulate(u), atol=1e-12, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kinds", [KINDS, ()])
+def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
+    model = drawn(2, kinds=kinds)
+    back, u = model_from_json(json.loads(json.dumps(model.to_json()))), np.random.default_rng(2).normal(size=(50, 2))
+    assert isinstance(back, StructuredSSM)
+    assert np.array_equal(back.simulate(u), model.simulate(u))
+
+
+@given(kind=st.sampled_from(KINDS), z=st.floats(-50, 50), gap=st.floats(1e-3, 5))
+def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: float) -> None:
+    low, high = (phi((kind,), np.array([at]))[0] for at in (z, z + gap))
+    assert -1e-12 <= (high - low) / gap <= 1 + 1e-9
+    slope = slopes((kind,), np.array([z]))[0]
+    assert 0 <= slope <= 1
+    np.testing.assert_allclose(bend(KINDS.index(kind), z), (low, slope), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_slope_is_the_derivative(kind: str) -> None:
+    z = np.linspace(-3, 3, 41)[:, None] + 0.013
+    difference = (phi((kind,), z + 1e-6) - phi((kind,), z - 1e-6)) / 2e-6
+    np.testing.assert_allclose(slopes((kind,), z), difference, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "word"),
+    [
+        ("e", np.zeros((3, 4)), "of shape"),
+        ("bias", np.full(5, np.nan), "finite"),
+        ("neurons", ("tanh",) * 4 + ("sine",), "unknown neuron"),
+    ],
+)
+def test_what_does_not_fit_is_refused(field: str, value: object, word: str) -> None:
+    with pytest.raises(BadRequest, match=word):
+        replace(drawn(5), **{field: value})
+
+
+@pytest.mark.parametrize(("field", "value"), [("neurons", "tanh"), ("f", [[1.0]]), ("h", None)])
+def test_a_damaged_document_is_refused(field: str, value: object) -> None:
+    data = drawn(6).to_json()
+    with pytest.raises(BadRequest):
+        model_from_json(data | {field: value})

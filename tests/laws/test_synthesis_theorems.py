@@ -1,0 +1,214 @@
+"""The form of theorems: every file answers the same questions, its example is right, and one file is all it takes."""
+
+import ast
+import copy
+import doctest
+import importlib
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ssm_study.synthesis.certificate import Design, StateFeedback, digest
+from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.theorem import theorem_named
+from ssm_study.systems import Balls, JacobianBall, StateSpace
+
+FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "synthesis" / "theorems"
+FILES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")
+QUESTIONS = ("Problem.", "Hypotheses.", "Statement.", "When not to use it.", "Reference.", "Example.")
+
+
+def unanswered(text: str) -> list[str]:
+    """Headings of the form that a module's docstring lacks, or that stand in another order."""
+    said = ast.get_docstring(ast.parse(text)) or ""
+    starts = [paragraph.split(". ")[0].strip() + "." for paragraph in said.split("\n\n")]
+    found = [start for start in starts if start in QUESTIONS]
+    return [question for question in QUESTIONS if question not in found] or (
+        [] if tuple(found) == QUESTIONS else ["order"]
+    )
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_theorem_answers_every_question_in_order(path: Path) -> None:
+    assert unanswered(path.read_text()) == []
+
+
+def test_a_missing_or_misplaced_answer_is_found() -> None:
+    text = (FOLDER / "state_feedback.py").read_text()
+    assert unanswered(text.replace("When not to use it.", "Otherwise.")) == ["When not to use it."]
+    assert unanswered(text.replace("Problem.", "Hypotheses.", 1).replace("\nHypotheses. E", "\nProblem. E")) == [
+        "order"
+    ]
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem)
+def test_a_reference_names_its_equation_or_theorem(path: Path) -> None:
+    said = ast.get_docstring(ast.parse(path.read_text())) or ""
+    (reference,) = (part for part in said.split("\n\n") if part.startswith("Reference."))
+    assert re.search(r"eq\. \(\d+\)|Theorem \d|Lemma \d|section \d", reference)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_the_example_prints_what_it_says(path: Path) -> None:
+    found = doctest.testmod(importlib.import_module(f"ssm_study.synthesis.theorems.{path.stem}"))
+    assert found.attempted > 0
+    assert found.failed == 0
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem)
+def test_an_example_that_is_wrong_is_found(path: Path) -> None:
+    """Negative control: the last line that is printed, altered."""
+    said = ast.get_docstring(ast.parse(path.read_text())) or ""
+    example = doctest.DocTestParser().get_examples(said)[-1]
+    module = importlib.import_module(f"ssm_study.synthesis.theorems.{path.stem}")
+    assert example.want
+    wrong = said.replace(example.want.rstrip().splitlines()[-1], "something else")
+    test = doctest.DocTestParser().get_doctest(wrong, vars(module).copy(), path.stem, None, None)
+    assert doctest.DocTestRunner(verbose=False).run(test, out=lambda _: None).failed > 0
+
+
+def test_a_class_that_leaves_a_question_open_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"does not answer: .*conditions.*given.*numbers_of.*rate_limit_of"):
+
+        class Incomplete(StateFeedback):
+            pass
+
+
+def test_a_name_that_is_no_theorem_is_refused() -> None:
+    for name in ("certificate", "_template", "os", "../lmi", ""):
+        with pytest.raises(ValueError, match="not a theorem"):
+            theorem_named(name)
+
+
+# One file with matrices of its own: `|M^{1/2} (A + J B K) v| <= r |M^{1/2} v|` for every `J` of the ball of one input,
+# from its two ends: convex in J. Two metrics-to-be stand for two matrices that no other theorem has.
+BOTH_ENDS = '''
+"""A state feedback for one input, from both ends of its slopes.
+
+Problem. As in `state_feedback`, for one input.
+
+Hypotheses. Slopes of `S_u` in `[alpha - beta, alpha + beta]`.
+
+Statement. `[r^2 P, (A + s B K) P; *, P] > 0` for both slopes s, with `Y_i = K P` and room `E_1, E_2 > 0` proves rate
+`1 - r^2`: the inequality is affine in s.
+
+When not to use it. With several inputs.
+
+Reference. Boyd et al. 1994, section 5.1.
+
+Example. Nothing to compute.
+
+>>> print("none")
+none
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.synthesis.certificate import StateFeedback
+from ssm_study.synthesis.design import Synthesis
+from ssm_study.synthesis.theorems.minimum_energy import minimum_energy_solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class BothEnds(StateFeedback):
+    """`room` is taken off the diagonals; `lambda` shows how a reserved name and a vector are stored."""
+
+    room: Float[np.ndarray, "n n"]
+    lambda_: Float[np.ndarray, "q"]
+
+    products = {"x": ("k", "p")}
+    x: Float[np.ndarray, "m n"]
+
+    @staticmethod
+    def conditions(of: Any) -> dict[str, Any]:
+        def at(slope: Any) -> Any:
+            return [[(1 - of.rate) * of.p - of.room, of.a @ of.p + slope * (of.b @ of.x)], [of.p]]
+
+        return {"lower": at(of.alpha - of.beta), "upper": at(of.alpha + of.beta), "room": [[of.room]]}
+
+    def given(self, known: Any) -> dict[str, Any]:
+        return {"a": known.controlled.a, "b": known.controlled.b}
+
+    @classmethod
+    def rate_limit_of(cls, known: Any) -> None:
+        return None
+
+    @staticmethod
+    def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
+        asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
+        room = 1e-9 * np.eye(len(found.p))
+        return asked | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k, "room": room, "lambda_": np.ones(2)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BothEndsSynthesis(Synthesis):
+    method: ClassVar[str] = "both_ends"
+    feedback_theorem = BothEnds
+
+    def solve(self, problem: Any) -> Any:
+        return minimum_energy_solution(problem)
+'''
+BALLS = Balls(input=JacobianBall.from_slopes(0.5, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
+PLANT = StateSpace(
+    a=np.array([[0.95, 0.1], [-0.1, 0.9]]), b=np.array([[0.0], [1.0]]), c=np.array([[1.0, 0.5]]), d=np.zeros((1, 1))
+)
+
+
+class Model:
+    linear = PLANT
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    """`certificate.json` of a design by a theorem that is one file in a scratch folder, loaded as a plug-in."""
+    folder = tmp_path_factory.mktemp("mine")
+    (folder / "both_ends.py").write_text(BOTH_ENDS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        module = importlib.import_module("both_ends")
+    synthesis = module.BothEndsSynthesis(rate_controller=0.3, rate_observer=0.3)
+    design = synthesis.design(Model(), BALLS)
+    assert design.certified
+    return json.loads(json.dumps(design.to_json()))
+
+
+def test_one_file_is_stored_read_back_and_verified(stored: dict) -> None:
+    assert stored["state_feedback"]["theorem"] == "both_ends"
+    assert stored["state_feedback"]["lambda"] == [1.0, 1.0]
+    assert broken_claims(stored, PLANT, BALLS) == []
+    again = json.loads(json.dumps(Design.from_json(stored).to_json()))
+    assert again == stored
+    assert sys.modules["both_ends"].BothEnds is type(Design.from_json(stored).state_feedback)
+
+
+@pytest.mark.parametrize(
+    ("name", "altered", "found"),
+    [
+        ("rate", 0.9, "in exact arithmetic the inequality fails (lower"),
+        ("certified", False, "in exact arithmetic the inequality holds"),
+        ("room", [[1e-9, 0.0], [0.0, -1e-9]], "fails (room)"),
+        ("x", [[0.0, 0.0]], "state_feedback.x: differs"),
+        ("a", [[0.5, 0.0], [0.0, 0.5]], "state_feedback.a: differs"),
+        ("beta", 0.1, "alpha, beta"),
+        ("lambda", [[1.0, 1.0]], "not a finite matrix"),
+        ("theorem", "observer", "is of another part"),
+        ("theorem", "os", "not a theorem"),
+    ],
+)
+def test_tampering_with_it_is_found_though_no_code_elsewhere_knows_it(
+    stored: dict, name: str, altered: object, found: str
+) -> None:
+    content = copy.deepcopy(stored)
+    content["state_feedback"][name] = altered
+    assert any("digest" in claim or "certificate." in claim for claim in broken_claims(content, PLANT, BALLS))
+    content["state_feedback"]["certified_rate"] = content["state_feedback"]["rate"]
+    content["state_feedback"]["digest"] = digest(content["state_feedback"])
+    assert any(found in claim for claim in broken_claims(content, PLANT, BALLS))

@@ -1,0 +1,120 @@
+"""A column is declared once, where it is computed, and there is one notion of best."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ssm_study.report.answers import answers
+from ssm_study.report.page.data import best_ordered
+from ssm_study.report.study_folder import StudyFolder
+from ssm_study.table.columns import DECLARED, declared, label
+from ssm_study.table.gather import table_of
+from ssm_study.table.rank import ranked
+from ssm_study.table.show import plain_table, short_names
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMITTED = sorted(path.parent for path in (ROOT / "results" / "reference").glob("*/runs.csv"))
+
+# One file each: a number that the recordings give again, and one that they do not.
+ADDED = {
+    "ssm_study/loop/metrics.py": {
+        "COLUMNS = (": 'Column("input_mean_square", "Float64", "low", word="Mean square of the input", unit="V²"),',
+        '"stable_count": len(settled),': '"input_mean_square": float((efforts[0] ** 2).mean()),',
+    },
+    "ssm_study/training/metrics.py": {
+        "COLUMNS = (": 'Column("curve_rows", "Int64", word="Rows of the curve", unchecked="the curve is not kept"),',
+        "return {": '"curve_rows": len(ended),',
+    },
+}
+SEEN = """
+import json, sys
+from pathlib import Path
+from ssm_study.report.page.data import page_data
+from ssm_study.report.study_folder import StudyFolder
+data = page_data(StudyFolder(folder=Path(sys.argv[1])))
+print(json.dumps([data["words"][name] for name in ("input_mean_square", "curve_rows")]))
+"""
+
+
+def scratch_copy(folder: Path) -> Path:
+    """The package and its configuration with two more columns, each written into one file."""
+    for name in ("ssm_study", "hydra_plugins", "conf"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for file, additions in ADDED.items():
+        text = (folder / file).read_text()
+        for mark, added in additions.items():
+            assert text.count(mark) == 1
+            text = text.replace(mark, f"{mark} {added} ")
+        (folder / file).write_text(text)
+    return folder
+
+
+def python(scratch: Path, *arguments: str) -> str:
+    environment = os.environ | {"PYTHONPATH": str(scratch)}
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=scratch, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_new_column_is_one_file(tmp_path: Path) -> None:
+    scratch = scratch_copy(tmp_path / "scratch")
+    command = ("-m", "ssm_study.cli")
+    python(scratch, *command, "run", "experiment=smoke", "results_dir=results", "progress=false")
+    (run,) = (path.parent for path in (scratch / "results" / "smoke").glob("*/record.json"))
+    columns = list(pd.read_csv(run.parent / "runs.csv").columns)
+    assert columns.index("training_ended") > columns.index("curve_rows") > columns.index("fit_test_percent")
+    assert columns.index("settling_time_mean_s") > columns.index("input_mean_square") > columns.index("resolved_margin")
+    shown = python(scratch, *command, "show", str(run.parent), "--columns")
+    assert "Mean square of the input (V²)" in shown
+    assert "not checked: the curve is not kept" in shown
+    assert "declared nowhere" not in shown
+    assert (
+        python(scratch, "-c", SEEN, str(run.parent)) == '["Mean square of the input (V\\u00b2)", "Rows of the curve"]\n'
+    )
+    assert "holds  input_mean_square" in python(scratch, *command, "verify", str(run))
+
+
+def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
+    names = [column.name for column in DECLARED]
+    assert len(set(names)) == len(names)
+    assert all(declared(column.name) is column for column in DECLARED if not column.is_pattern)
+    assert declared("score_test_2") is declared("score_test_*")
+    assert declared("stage_model_key") is not declared("stage_model_seconds")
+    assert declared("nothing_such") is None
+    assert label("settling_time_mean_s") == "Mean settling time (s)"
+    assert label("nothing_such") == "nothing such"
+
+
+@pytest.mark.parametrize("folder", COMMITTED, ids=lambda path: path.name)
+def test_show_page_figures_and_answers_name_the_same_run(folder: Path) -> None:
+    table = table_of(
+        pd.read_csv(folder / "runs.csv").astype(object).where(lambda t: t.notna(), None).to_dict("records")
+    )
+    best = ranked(table)["run"].iloc[0]
+    assert plain_table(ranked(table)).splitlines()[1].split()[0] == short_names(ranked(table)["run"]).iloc[0]
+    assert best_ordered(table)["run"].iloc[0] == best
+    if table["plant"].nunique() < 2:  # else each plant has an answer of its own
+        assert best in answers(table)[0].sentences[0]
+
+
+def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
+    rows = [
+        {"run": name, "status": "ok", "settling_time_mean_s": seconds, "stable_fraction": 1.0}
+        | {f"{side}_{what}": certified for side in ("controller", "observer") for what in ("feasible", "certified")}
+        for name, seconds, certified in (("slow", 2.0, True), ("quick", 1.0, True), ("bare", 0.1, False))
+    ]
+    table = table_of(rows)
+    table.to_parquet(tmp_path / "runs.parquet")
+    for name in table["run"]:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.json").touch()
+    best = StudyFolder(folder=tmp_path).best
+    assert best is not None
+    assert best.path.name == ranked(table)["run"].iloc[0] == "quick"

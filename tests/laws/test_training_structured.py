@@ -1,0 +1,220 @@
+"""Training of structured models: the parametrisation is exact both ways, every derivative is that of differences."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssm_study.models.contracting import Core, Free, explicit, in_metric, metric, parameters, projected
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.models.structured_spec import Pieces, StructuredSpec
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel, DataSet, Scale, Trajectory
+from ssm_study.training import structured_choice
+from ssm_study.training.optimisers import Lbfgs
+from ssm_study.training.structured_fit import StructuredFit, pruned
+from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Residuals, Theta, pack, unpack
+from ssm_study.training.training import Training
+
+SIZES = {"seed": st.integers(0, 2**31), "n": st.integers(1, 5), "q": st.integers(0, 4), "rate": st.floats(0.3, 1.0)}
+
+
+def free_core(seed: int, n: int, q: int) -> Free:
+    rng = np.random.default_rng(seed)
+    return Free(rng.normal(size=(n, q)), rng.normal(size=(n + q, n)), 0.5 * rng.normal(size=q))
+
+
+def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
+    """The smallest eigenvalue of the analysis LMI of THEORY section 6 with `M = I`, written down as it stands there."""
+    n, lam = len(core.a), np.diag(multipliers)
+    sector = np.block([[rate**2 * np.eye(n), -core.f.T @ lam], [-lam @ core.f, 2.0 * lam]])
+    moved = np.hstack([core.a, core.e])
+    return float(np.linalg.eigvalsh(sector - moved.T @ moved)[0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(**SIZES)
+def test_whatever_the_parameters_the_lmi_holds_and_they_are_found_again(seed: int, n: int, q: int, rate: float) -> None:
+    free = free_core(seed, n, q)
+    core = explicit(free, rate)
+    assert analysis_gap(core, np.exp(-2.0 * free.log_d), rate) > 0
+    d = np.exp(free.log_d)
+    back = parameters(Core(core.a, core.e * d, core.f / d[:, None]), rate)
+    np.testing.assert_allclose(back.x_e, free.x_e, atol=1e-7, rtol=1e-7)
+    np.testing.assert_allclose(back.x_g, free.x_g, atol=1e-7, rtol=1e-7)
+
+
+def test_a_model_that_does_not_contract_has_no_parameters() -> None:
+    core = explicit(free_core(0, 3, 2), 0.9)
+    with pytest.raises(BadRequest, match="does not contract"):
+        parameters(replace_a(core, 1.2 / np.linalg.norm(core.a, 2)), 0.9)
+
+
+def replace_a(core: Core, factor: float) -> Core:
+    return Core(factor * core.a, core.e, core.f)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**31), n=st.integers(1, 4), q=st.integers(1, 4))
+def test_the_projection_contracts_whatever_it_is_given(seed: int, n: int, q: int) -> None:
+    rng = np.random.default_rng(seed)
+    core = Core(rng.normal(size=(n, n)), rng.normal(size=(n, q)), rng.normal(size=(q, n)))
+    found = projected(core, rng.uniform(0, 1, q), 0.95)
+    assert analysis_gap(in_metric(found), np.ones(q), 0.95) > 0
+
+
+def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
+    free = free_core(1, 3, 2)
+    core = explicit(free._replace(x_e=0.2 * free.x_e, x_g=0.3 * free.x_g), 0.9)
+    assert metric(core, 0.9) is not None
+    np.testing.assert_allclose(projected(core, np.full(2, 0.5), 0.9).core.f, core.f)
+    assert metric(replace_a(core, 1.5 / np.abs(np.linalg.eigvals(core.a)).max()), 0.9) is None
+
+
+KINDS = ("tanh", "softplus", "clipped_cubic")  # smooth: a difference across a kink is no derivative
+
+
+def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Residuals, Theta]:
+    rng, n, m, p, q = np.random.default_rng(seed), 3, 2, 2, 3
+    pairs = [(rng.normal(size=(t, m)), rng.normal(size=(t, p))) for t in (30, 22)]
+    lift = Pieces(m, 4, 0.1, 1.5)
+    read = Pieces(p, 0 if integrated else 3, 0.3, 1.0)
+    shapes = {"b": (n, m), "c": (p, n), "d": (p, m), "g": (q, m), "h": (p, q), "bias": (q,)}
+    theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
+    theta |= free_core(seed, n, q)._asdict() if rate else explicit(free_core(seed, n, q), 0.9)._asdict()
+    theta |= {
+        "scaffold_in": 0.6 * rng.normal(size=len(lift.owners)),
+        "scaffold_out": 0.6 * rng.normal(size=len(read.owners)),
+    }
+    theta["x0"] = rng.normal(size=(2, n + p * integrated))
+    one = Residuals(records=Batch.padded(pairs), neurons=KINDS, lift=lift, read=read, rate=rate, integrated=integrated)
+    return one, theta
+
+
+@pytest.mark.parametrize("rate", [None, 0.95])
+@pytest.mark.parametrize("integrated", [False, True])
+def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: bool) -> None:
+    """Of all blocks at once: the core through its parametrisation, both scaffoldings, unequal records, their starts."""
+    one, theta = problem(3, rate, integrated)
+    free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
+    flat = pack(theta, free)
+    r, j = one.linearised(theta, free)
+    np.testing.assert_allclose(r, one.residual(theta), atol=1e-13)
+    steps = 1e-6 * np.eye(len(flat))
+    ahead, behind = ([one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1))
+    differences = (np.stack(ahead) - np.stack(behind)).T / 2e-6
+    np.testing.assert_allclose(j, differences, atol=2e-7)
+
+
+def recorded(model: StructuredSSM, seed: int) -> DataSet:
+    rng = np.random.default_rng(seed)
+    records = []
+    for part in ("training", "validation", "test"):
+        u = np.repeat(rng.uniform(-2, 2, (60, 1)), 8, axis=0)
+        records.append((Trajectory(u=u, y=model.simulate(u), step_s=0.1, name=part),))
+    channel = (Channel(name="a", unit="V"),)
+    return DataSet(
+        training=records[0],
+        validation=records[1],
+        test=records[2],
+        inputs=channel,
+        outputs=channel,
+        scale=Scale.unit(1, 1),
+    )
+
+
+@pytest.fixture(scope="module")
+def data() -> DataSet:
+    blocks = {"a": [[0.9, 0.2], [-0.2, 0.8]], "b": [[0.1], [0.4]], "c": [[1.0, 0.0]], "e": [[-0.6], [0.1]]}
+    blocks |= {"d": [[0.0]], "f": [[1.5, 0.0]], "g": [[0.0]], "h": [[0.0]], "bias": [0.3]}
+    true = StructuredSSM(
+        **{name: np.array(block) for name, block in blocks.items()},
+        neurons=("tanh",),
+        scaffold_in=LinearScaffold.identity(1),
+        scaffold_out=LinearScaffold.identity(1),
+        scale=Scale.unit(1, 1),
+        step_s=0.1,
+    )
+    return recorded(true, 0)
+
+
+def trained(data: DataSet, folder: Path, epochs: int = 25, **choices: object) -> StructuredSSM:
+    spec = StructuredSpec(**({"order": 2, "neurons": 1, "knots": 0, "starts": 1} | choices))  # type: ignore[arg-type]
+    no_use = Lbfgs(steps_per_epoch=1, history=1)
+    rule = {"max_epochs": epochs, "patience": 15, "min_gain_percent": 0.0, "validation_tolerance_percent": 0.2}
+    training = Training(optimiser=no_use, **rule)  # type: ignore[arg-type]
+    identified = training.identify(spec, data, 0, folder)
+    assert isinstance(identified.model, StructuredSSM)
+    if epochs > 1:
+        assert identified.fit_validation_percent > 99.0
+    return identified.model
+
+
+def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(data: DataSet, tmp_path: Path) -> None:
+    first, second = trained(data, tmp_path / "a"), trained(data, tmp_path / "b")
+    assert first.to_json() == second.to_json()
+    found = metric(Core(first.a, first.e, first.f), 0.9995)
+    assert found is not None
+
+
+def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(data: DataSet, tmp_path: Path) -> None:
+    spare = trained(data, tmp_path, neurons=1)
+    idle = replace(
+        spare,
+        e=np.hstack([spare.e, 1e-9 * np.ones((2, 1))]),
+        f=np.vstack([spare.f, [[1.0, 0.0]]]),
+        g=np.zeros((2, 1)),
+        h=np.zeros((1, 2)),
+        bias=np.append(spare.bias, 0.0),
+        neurons=("tanh", "softplus"),
+    )
+    left = pruned(idle, [data.training[0].u])
+    assert left.neurons == ("tanh",)
+    np.testing.assert_allclose(left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("choice", "word"),
+    [
+        ({"order": 0}, "model.order"),
+        ({"neurons": -1}, "model.neurons"),
+        ({"kinds": "sine"}, "unknown neuron"),
+        ({"input_path": "late"}, "model.input_path"),
+        ({"rate": 1.2}, "model.rate"),
+        ({"slope_lower": 0.0}, "model.slope_lower"),
+        ({"integrated": True, "output_knots": 4}, "model.output_knots"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) -> None:
+    with pytest.raises(BadRequest, match=word):
+        StructuredSpec(**({"order": 2, "neurons": 1} | choice))  # type: ignore[arg-type]
+
+
+def test_sizes_are_chosen_by_folds_that_never_hold_a_test_sample(
+    data: DataSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two states rather than one: the true order; what lies in `test` and `validation` may be anything."""
+    monkeypatch.setattr(structured_choice, "ORDERS", (1, 2))
+    monkeypatch.setattr(structured_choice, "NEURONS", (1,))
+    spoiled = tuple(replace(record, y=np.full_like(record.y, 1e6)) for record in data.test)
+    asked = StructuredSpec(order="auto", neurons=1, knots=0, starts=1, start_steps=(5, 1, 8))
+    chosen, table = structured_choice.choose(asked, replace(data, test=spoiled, validation=spoiled), 0)
+    assert chosen.order == 2
+    assert [row["chosen"] for row in table].count(True) == 1
+    again = np.sort(np.concatenate([fold.test[0].y for fold in structured_choice.held_out(data)]), axis=0)
+    np.testing.assert_array_equal(again, np.sort(data.training[0].y, axis=0))
+
+
+def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:
+    """The running sum in training, and one more state of the stored model: the same output."""
+    fit = StructuredFit(StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrated=True), data, 0)
+    fit.training_step(None, 0)
+    model = fit.stored()
+    assert model.order == 3
+    assert np.abs(np.linalg.eigvals(model.a)).max() == pytest.approx(1.0)
+    y = fit.problem.output(fit.theta)[0]
+    np.testing.assert_allclose(data.scale.scaled_output(model.simulate(data.training[0].u)), y, atol=1e-9)

@@ -1,0 +1,82 @@
+"""How a log is cut: in time, named intervals, folds, or blocks where its end is unlike its beginning."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssm_study.data.recorded import RecordedData
+from ssm_study.data.splits import by_fold, by_intervals, by_time, end_is_unlike, in_blocks
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Trajectory
+
+
+def record(samples: int) -> Trajectory:
+    ramp = np.arange(samples, dtype=float)[:, None]
+    return Trajectory(u=ramp, y=ramp + 0.5, step_s=0.1)
+
+
+@given(st.integers(40, 400), st.floats(0.1, 0.4), st.floats(0.1, 0.4))
+def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
+    log = record(samples)
+    for parts in (by_time(log, validation, test), in_blocks(log), *(by_fold(log, fold, 5) for fold in range(5))):
+        whole = np.sort(np.concatenate([piece.u[:, 0] for part in parts for piece in part]))
+        np.testing.assert_array_equal(whole, log.u[:, 0])
+
+
+def test_named_intervals_are_cut_out_and_the_rest_trains():
+    training, validation, test = by_intervals(
+        record(100), {"validation": [[2.0, 3.0]], "test": [[0.0, 1.0], [9.0, 10.0]]}
+    )
+    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in training] == [(10, 19), (30, 89)]
+    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in validation] == [(20, 29)]
+    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in test] == [(0, 9), (90, 99)]
+
+
+@given(st.integers(40, 400), st.integers(2, 8))
+def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
+    cuts = [by_fold(record(samples), fold, folds) for fold in range(folds)]
+    tested = np.concatenate([piece.u[:, 0] for _, _, test in cuts for piece in test])
+    np.testing.assert_array_equal(tested, np.arange(samples))
+    assert all(len(test) == len(validation) == 1 for _, validation, test in cuts)
+    assert all(abs(len(test[0]) - samples / folds) < 1 for _, _, test in cuts)
+
+
+def test_the_last_of_five_folds_is_the_cut_in_time():
+    for fold, time in zip(by_fold(record(100), 4, 5), by_time(record(100), 0.2, 0.2), strict=True):
+        np.testing.assert_array_equal(fold[0].u, time[0].u)
+
+
+@pytest.mark.parametrize("wrong", [[[3.0, 2.0]], [[9.0, 10.5]], [[0.0, 1.0], [0.5, 2.0]]])
+def test_intervals_that_cannot_be_are_refused(wrong):
+    with pytest.raises(BadRequest, match=r"data\.test"):
+        by_intervals(record(100), {"validation": [[5.0, 6.0]], "test": wrong})
+
+
+def log(path, y: np.ndarray) -> RecordedData:
+    np.savetxt(path, np.column_stack([np.sin(np.arange(len(y))), y]), delimiter=",", header="u,y", comments="")
+    return RecordedData(path=str(path), input="u", output="y", step_s=0.1, start_up_samples=10)
+
+
+def test_the_default_says_which_it_took(tmp_path):
+    rng = np.random.default_rng(0)
+    alike = log(tmp_path / "alike.csv", rng.standard_normal(1000)).build(0)
+    assert alike.metadata["split"] == "in the order of time"
+    assert len(alike.training) == 1
+    moved = log(tmp_path / "moved.csv", rng.standard_normal(1000) + 4 * (np.arange(1000) > 800)).build(0)
+    assert "interleaved blocks, because its end" in moved.metadata["split"]
+    assert (len(moved.training), len(moved.validation), len(moved.test)) == (6, 2, 2)
+    (tmp_path / "folds").mkdir()
+    held_out = replace(log(tmp_path / "folds" / "log.csv", rng.standard_normal(1000)), fold=2).build(0)
+    assert held_out.metadata["split"].startswith("into 5 folds, of which number 2 tests")
+    assert (len(held_out.training), len(held_out.validation[0]), len(held_out.test[0])) == (2, 200, 200)
+    assert end_is_unlike(by_time(record(500), 0.2, 0.2))
+    nothing = {"validation": [[0.0, 50.0]], "test": [[50.0, 100.0]]}
+    with pytest.raises(BadRequest, match="no record is left to train on"):
+        RecordedData(path=str(tmp_path / "alike.csv"), input="u", output="y", step_s=0.1, **nothing).build(0)
+    with pytest.raises(BadRequest, match="split"):
+        RecordedData(path="a", input="u", output="y", split="random")
+    with pytest.raises(BadRequest, match="validation"):
+        RecordedData(path="a", input="u", output="y", test=[[0.0, 1.0]])

@@ -1,0 +1,94 @@
+"""Coherence and dead time: what a record says of the answer to the input, on logs where both are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+from test_loop_prediction import linear_model
+
+from ssm_study.data.assembly import assemble
+from ssm_study.evidence.finding import Case
+from ssm_study.evidence.response import coherence, dead_time, findings
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import Channel, Trajectory
+from ssm_study.systems import StateSpace
+
+RNG = np.random.default_rng(0)
+WHITE = RNG.uniform(-1, 1, 6000)
+LEVELS = np.repeat(RNG.uniform(-1, 1, 1200), RNG.integers(1, 12, 1200))[:6000]
+
+
+def case(u: np.ndarray, y: np.ndarray) -> Case:
+    """The log of one input and one output with the model `y[k] = 0.9 y[k-1] + 0.1 u[k-1]`."""
+    log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
+    rest, channel = np.zeros(1), Channel(name="a", unit="")
+    data = assemble(
+        ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
+        inputs=(channel,), outputs=(replace(channel, name="b"),), start_up_samples=0, metadata={},
+    )  # fmt: skip
+    lag = StateSpace(a=np.array([[0.9]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    model = replace(linear_model(0), linear=lag)
+    parts = {name: Simulation.of(model, getattr(data, name), 0) for name in ("validation", "test")}
+    return Case(data=data, model=model, **parts)
+
+
+def answer(u: np.ndarray, late: int = 0, noise: float = 0.01) -> np.ndarray:
+    y = scipy.signal.lfilter([0, 0.1], [1, -0.9], np.concatenate([np.zeros(late), u])[: len(u)])
+    return y + noise * np.random.default_rng(1).standard_normal(len(u))
+
+
+@pytest.mark.parametrize("late", [0, 1, 3, 7, 12])
+@pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
+def test_the_dead_time_is_counted_in_samples(u, late):
+    assert dead_time(case(u, answer(u, late))) == late
+
+
+def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
+    (found,) = findings(case(LEVELS, answer(LEVELS, 5)))
+    assert found.level == "doubt"
+    assert "answers 5 samples late" in found.sentence
+    assert "use model.order=7" in found.sentence
+    assert findings(case(LEVELS, answer(LEVELS, 1))) == []
+
+
+@pytest.mark.parametrize("noise", [3.0, 100.0])
+def test_where_noise_hides_the_answer_no_dead_time_is_claimed(noise):
+    assert dead_time(case(LEVELS[:1500].repeat(4), answer(LEVELS[:1500].repeat(4), 6, noise))) == 0
+
+
+def test_an_input_too_smooth_to_tell_its_samples_apart_claims_no_dead_time():
+    smooth = np.sin(np.arange(6000) / 300)
+    assert dead_time(case(smooth, answer(smooth, 5))) == 0
+
+
+def test_a_record_that_noise_hides_is_a_doubt_and_a_good_one_is_none():
+    told = [found.sentence for found in findings(case(WHITE, answer(WHITE, noise=1.0)))]
+    assert any("of the band up to" in sentence for sentence in told)
+    assert findings(case(WHITE, answer(WHITE))) == []
+
+
+def test_pieces_shorter_than_the_model_s_response_say_nothing():
+    """What outlasts a piece counts as noise in it: pieces of 250 samples, a response of 460."""
+    hidden = case(WHITE, answer(WHITE, noise=1.0))
+    slow = replace(hidden.model, linear=replace(hidden.model.linear, a=np.array([[0.995]])))
+    assert findings(replace(hidden, model=slow)) == []
+
+
+def test_a_band_that_is_not_excited_is_a_doubt():
+    slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), RNG.standard_normal(6000))
+    assert any("excite it there" in found.sentence for found in findings(case(slow, answer(slow, noise=0.02))))
+
+
+def test_coherence_is_the_share_of_power_that_the_inputs_explain():
+    """`y = u_1 + u_2 + n`, all white: two thirds with unit variances, of either output the least."""
+    u, n = RNG.standard_normal((100_000, 2)), RNG.standard_normal((100_000, 1))
+    y = np.hstack([u.sum(axis=1, keepdims=True) + n, 100 * u[:, :1]])
+    np.testing.assert_allclose(coherence([(u, y)], 64), 2 / 3, atol=0.05)
+
+
+def test_where_the_input_rests_in_one_record_the_others_tell():
+    u = RNG.standard_normal((20_000, 1))
+    resting = (np.zeros((2000, 1)), 1e-3 * RNG.standard_normal((2000, 1)))
+    np.testing.assert_allclose(coherence([(u, u), resting], 64), 1, atol=1e-3)
+    np.testing.assert_allclose(coherence([resting], 64), 0, atol=1e-9)

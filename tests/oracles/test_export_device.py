@@ -1,0 +1,187 @@
+"""The C code against the same law in NumPy, the law against the Python loop, rounding against exact arithmetic."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from export_cases import compiled, device, written
+from report_runs import KINDS, random_scaffold
+
+import ssm_study as st
+from ssm_study.cli.main import main
+from ssm_study.export.c import Words, c_files, harmless
+from ssm_study.export.device import Device, inverse_of
+from ssm_study.export.targets import deployed_rates, load
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.trajectory import set_points
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.certificate import Design
+
+SAMPLES = 150
+
+
+def signals(model: SSM, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Measurements that go far, and set points that inputs well within the limits hold."""
+    levels = np.random.default_rng(seed).uniform(-1, 1, (2, SAMPLES // 15, model.scale.outputs)).repeat(15, axis=1)
+    lifted = model.scaffold_in(levels[1])
+    rest = np.linalg.solve(np.eye(model.order) - model.linear.a, model.linear.b)
+    return model.scale.physical_output(1000 * levels[0]), model.read(lifted @ rest.T, lifted)
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_c_equals_the_law_to_the_last_digit(tmp_path: Path, kind: str, real: str) -> None:
+    made = device(tmp_path, kind=kind, real=real, integral=kind != "residual")
+    folder = written(made, tmp_path / "c")
+    assert compiled(folder, "-std=c99").startswith("0 of 200 inputs differ")
+    separate = ("controller_replay.c", "controller.c")
+    assert compiled(folder, "-std=c11", "-DCONTROLLER_EXTERN", sources=separate).startswith("0 of 200")
+
+
+@pytest.mark.parametrize("words", [("-std=c++17", "-x", "c++"), ("-fsanitize=address,undefined", "-g")])
+def test_as_cpp_and_under_sanitizers(tmp_path: Path, words: tuple[str, ...]) -> None:
+    folder = written(device(tmp_path, kind="monotone", channels=2, real="float", integral=True), tmp_path / "c")
+    compiler = "g++" if "c++" in words else "gcc"
+    assert compiled(folder, *words, compiler=compiler).startswith("0 of 400 inputs differ")
+
+
+def test_a_wrong_number_is_seen(tmp_path: Path) -> None:
+    folder = written(device(tmp_path, kind="mlp"), tmp_path / "c")
+    text = (folder / "controller.h").read_text()
+    gain = re.search(r"controller_k\[\d+\] = \{(\S+?),", text)
+    assert gain
+    (folder / "controller.h").write_text(text.replace(gain[1], f"1.001 * {gain[1]}"))
+    with pytest.raises(AssertionError, match=r"of 200 inputs differ"):
+        compiled(folder, "-std=c99")
+
+
+@pytest.mark.parametrize("integral", [False, True])
+@pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 1), ("residual", 1)])
+def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool) -> None:
+    """At rest points of the model, found by root search there and by the inverse's pieces here; limits act in both."""
+    made = device(tmp_path, kind=kind, channels=channels, integral=integral)
+    model = SSM.from_json(json.loads((tmp_path / "run" / "model.json").read_text()))
+    law = ObserverFeedback.of(model, Design.load(tmp_path / "run" / "certificate.json"))
+    y, r = signals(model, channels)
+    targets = law.targets(r)
+    points = set_points(model, r)
+    targets[:, : points.shape[1]] = points
+    targets[:, points.shape[1] :] = r
+    memory, expected = made.start(y[0])[None], []
+    for seen, target in zip(y, targets, strict=True):
+        expected.append(np.clip(law.input(memory, seen[None], target), made.lower, made.upper))
+        memory = law.advance(memory, expected[-1], seen[None], target)
+    applied = made.replay(y, r)
+    assert np.abs(applied - np.concatenate(expected)).max() < 1e-7
+    assert ((applied == made.lower) | (applied == made.upper)).any()
+    assert ((applied > made.lower) & (applied < made.upper)).any()
+
+
+def test_a_set_point_beyond_the_limits_is_approached_and_nothing_winds_up(tmp_path: Path) -> None:
+    """The rest point at the limit is held; back within reach the input leaves the limit at once."""
+    made = device(tmp_path, kind="monotone", integral=True)
+    c = made.controller
+    far = made.aim(c.scale.physical_output(np.array([50.0])))
+    assert c.scale.physical_input(far["v"]) in (made.lower, made.upper)
+    rest = c.scale.physical_output(far["w"])
+    x = far["x"]
+    for _ in range(200):  # held at what it can reach, measured without error
+        u, x = made.track(x, rest, c.scale.physical_output(np.array([50.0])))
+    assert np.abs(x - far["x"]).max() < 1e-9
+    u, _ = made.track(x, rest, c.scale.output_equilibrium)
+    assert np.abs(u - c.scale.physical_input(far["v"])) > 0.1 * c.scale.input_scale
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("channels", [1, 2])
+def test_the_inverse_undoes_the_map(kind: str, channels: int) -> None:
+    portable = random_scaffold(np.random.default_rng(4), kind, channels).portable()
+    inverse = inverse_of(portable)
+    slopes = np.diff(portable(np.linspace(-9, 9, 5000)[:, None] * np.ones(channels)), axis=0)
+    if kind in ("mlp", "residual") and (channels == 2 or slopes.min() * slopes.max() < 0):
+        assert inverse is None, "channels are coupled, or the map turns"
+        return
+    assert inverse is not None
+    v = np.random.default_rng(0).standard_normal((200, channels)) * 4
+    w = portable(v)
+    if inverse.matrix is not None:
+        back = w @ inverse.matrix.T
+    else:
+        columns = []
+        for (points, slopes, offsets), own in zip(inverse.channels, w.T, strict=True):
+            j = np.searchsorted(points, own, side="right")
+            columns.append(slopes[j] * own + offsets[j])
+        back = np.stack(columns, axis=1)
+    assert np.abs(back - v).max() < 1e-9
+
+
+def test_a_map_with_a_flat_piece_has_no_inverse() -> None:
+    scaffold = random_scaffold(np.random.default_rng(1), "monotone", 1)
+    flat = replace(scaffold, slopes=scaffold.slopes * (np.arange(6) != 2))
+    assert inverse_of(flat.portable()) is None
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    plant = control.StateSpace([[0.95, 0.1], [0.0, 0.8]], [[0.02], [0.3]], [[1.0, 0.0]], [[0.0]], 0.1)
+    rates = ("synthesis.rate_controller=0.3", "synthesis.rate_observer=0.4")
+    return st.control(plant, "synthesis=riccati", *rates).save(tmp_path_factory.mktemp("certified") / "run")
+
+
+def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
+    """float64 changes nothing; float32 has its own verdict; float32 of a spoilt gain, or of a huge rate, has none."""
+    design, controller, none = Design.load(certified / "certificate.json"), load(certified), np.array([np.inf])
+    exact = deployed_rates(Device.of(controller, "double", -none, none), design)
+    assert exact == {"state_feedback": 0.3, "observer": 0.4}
+    single = Device.of(controller, "float", -none, none)
+    rounded = deployed_rates(single, design)
+    a, b, k = (np.asarray(x, dtype=float) for x in (single.controller.a, single.controller.b, single.controller.k))
+    assert not np.array_equal(a, controller.a)
+    assert 0 < rounded["state_feedback"] <= 0.3
+    radius = np.abs(np.linalg.eigvals(a + b @ k)).max()
+    assert radius < np.sqrt(1 - rounded["state_feedback"])
+    spoilt = replace(single, controller=replace(single.controller, k=-3 * single.controller.k))
+    assert deployed_rates(spoilt, design)["state_feedback"] is None
+
+
+@pytest.mark.parametrize("name", ["evil */ int x; /*", "back\\\\slash\\", "new\nline\\\n*/", "what??/\n"])
+def test_a_name_ends_no_comment(tmp_path: Path, name: str) -> None:
+    folder = written(device(tmp_path, kind="linear"), tmp_path / "c", about=name)
+    assert compiled(folder, "-std=c99").startswith("0 of 200")
+    assert not set("*\\\n/?") & set(harmless(name))
+
+
+def test_export_writes_what_was_asked(tmp_path: Path, smoke_run: Path) -> None:
+    """Limits of the record, units and digest in the header; an own prefix and float."""
+    to = tmp_path / "out"
+    assert main(["export", str(smoke_run), "--to", str(to), "--real", "float", "--prefix", "drive"]) == 0
+    text = (to / "drive.h").read_text()
+    assert "input 0: armature_voltage (V), limited to" in text
+    assert "output 0: load_speed (rad/s), seen from" in text
+    assert "controller" not in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    assert re.search(r"Rates proved for the numbers below, in float: state feedback 0\.\d+, observer 0\.\d+", text)
+    assert compiled(to, "-std=c99", sources=("drive_replay.c",)).startswith("0 of 200")
+
+
+def test_two_controllers_in_one_program(tmp_path: Path) -> None:
+    for name, kind in (("inner", "mlp"), ("outer", "monotone")):
+        written(device(tmp_path / name, kind=kind), tmp_path / "c", name=name)
+    (tmp_path / "c" / "both.c").write_text('#include "inner.h"\n#include "outer.h"\nint main(void) { return 0; }\n')
+    assert compiled(tmp_path / "c", "-std=c99", sources=("both.c",)) == ""
+
+
+def test_refusals(tmp_path: Path) -> None:
+    made = device(tmp_path, kind="linear")
+    for name in ("two words", "9lives", "float", "while", ""):
+        with pytest.raises(BadRequest, match="is no name in C"):
+            c_files(made, Words(about=""), name)
+    with pytest.raises(BadRequest, match=r"real = half: unknown; use double or float"):
+        device(tmp_path / "half", kind="linear", real="half")
+    coupled = device(tmp_path / "two", kind="mlp", channels=2)
+    assert coupled.set_points is None
+    assert set(c_files(coupled, Words(about=""))) == {"controller.h", "controller.c"}

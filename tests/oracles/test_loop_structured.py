@@ -1,0 +1,54 @@
+"""The loop around a model with neurons: rest points, plans and the observer, each by another route."""
+
+import numpy as np
+import pytest
+from structured_cases import model
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.trajectory import equilibrium, guided_trajectory
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.refusal import BadRequest
+from ssm_study.systems import Pair
+
+
+@pytest.mark.parametrize("y", [0.4, 1.0, 1.9])
+def test_the_rest_point_is_where_a_constant_input_takes_the_model(y: float) -> None:
+    stand = model()
+    x, u = equilibrium(stand, np.array([y]))
+    held = stand.simulate(np.tile(stand.scale.physical_input(u), (400, 1)))
+    assert held[-1, 0] == pytest.approx(y, abs=1e-8)
+    assert np.abs(stand.advance(x, stand.scaffold_in(u[None])[0]) - x).max() < 1e-9
+
+
+def test_an_output_that_saturation_forbids_is_refused() -> None:
+    stand = model(("saturation",))
+    inside = {"b": np.zeros((3, 1)), "g": np.ones((1, 1)), "bias": np.zeros(1)}
+    with pytest.raises(BadRequest, match="no constant input"):
+        equilibrium(StructuredSSM(**{**vars(stand), **inside}), np.array([500.0]))
+
+
+def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None:
+    stand, k = model(), 0.1 * np.ones((1, 3))
+    reference = np.repeat([[1.0], [1.8], [0.7]], 200, axis=0)
+    plan = guided_trajectory(stand, k, reference)
+    replayed = stand.simulate(stand.scale.physical_input(plan[:, 3:]))
+    planned = stand.read(plan[:, :3], stand.scaffold_in(plan[:, 3:]))
+    np.testing.assert_allclose(replayed, planned, atol=1e-10)
+    assert planned[399, 0] == pytest.approx(1.8, abs=1e-6)
+    assert not guided_trajectory(stand, k, np.ones((5, 1))).any()
+
+
+@pytest.mark.parametrize("injects", [True, False])
+def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
+    """One step by hand, from the letters of the theorem."""
+    stand, rng = model(), np.random.default_rng(3)
+    l_, l_z = rng.normal(size=(3, 1)), rng.normal(size=(2, 1)) if injects else None
+    law = ObserverFeedback(model=stand, gains=Pair(k=np.zeros((1, 3)), l=l_, l_z=l_z))
+    x_hat, u, y = rng.normal(size=(1, 3)), np.array([[0.9]]), np.array([[1.3]])
+    v = stand.scaffold_in((u - 0.5) / 2.0)
+    error = x_hat @ stand.c.T - (y - 1.0) / 3.0
+    z = x_hat @ stand.f.T + v @ stand.g.T + stand.bias + (error @ l_z.T if injects else 0.0)
+    w = np.stack([np.tanh(z[:, 0]), np.logaddexp(0, z[:, 1])], axis=1)
+    w -= np.array([np.tanh(stand.bias[0]), np.logaddexp(0, stand.bias[1])])
+    expected = x_hat @ stand.a.T + v @ stand.b.T + w @ stand.e.T + error @ l_.T
+    np.testing.assert_allclose(law.advance(x_hat, u, y, np.zeros(5)), expected, atol=1e-12)

@@ -1,0 +1,115 @@
+"""What a trial in closed loop shows of the mismatch: the gain that sustains its motion, nothing of one that rests."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_loop_prediction import ONES, linear_model
+
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.models.identified import SSM
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.prediction import predict
+from ssm_study.synthesis.sensitivity import sensitivity_peak
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import StateSpace
+
+SAMPLES = 900
+
+
+def looped(model: SSM, design: Design, relay: float, noise: float = 0.0, samples: int = SAMPLES) -> Trajectory:
+    """The model under its own controller, its output moved by `relay tanh(50 y)`: a gain that peaks at rest."""
+    controller, rng = ObserverFeedback.of(model, design), np.random.default_rng(0)
+    plan, memory, x = controller.targets(np.zeros((samples, 1))), controller.start(1), np.ones(model.order)
+    u, y = np.zeros((samples, 1)), np.zeros((samples, 1))
+    for k in range(samples):
+        said = model.linear.c @ x
+        y[k] = said + relay * np.tanh(50 * said) + noise * rng.standard_normal(1)
+        u[k] = controller.input(memory, y[k : k + 1], plan[k])[0]
+        memory = controller.advance(memory, u[k : k + 1], y[k : k + 1], plan[k])
+        x = model.linear.a @ x + model.linear.b @ u[k]
+    return Trajectory(u=u, y=y, step_s=model.step_s, closed_loop=True)
+
+
+def slow_model() -> SSM:
+    """Three lags, read before the input acts."""
+    linear = StateSpace(
+        a=np.array([[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]]),
+        b=np.array([[0.0], [0.0], [0.3]]),
+        c=np.array([[1.0, 0.0, 0.0]]),
+        d=np.zeros((1, 1)),
+    )
+    return replace(linear_model(0), linear=linear)
+
+
+MODEL = slow_model()
+FAST = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.5, input_weight=1e-3).design(MODEL, ONES)
+CALM = RiccatiSynthesis(rate_controller=0.25, rate_observer=0.3, input_weight=100.0).design(MODEL, ONES)
+
+
+def recorded(noise: float = 0.01) -> Trajectory:
+    """White input at full amplitude, twice: the model is exact on it, but for noise."""
+    rng = np.random.default_rng(1)
+    u = np.tile(3 * rng.standard_normal((1024, 1)), (2, 1))
+    return Trajectory(u=u, y=MODEL.simulate(u) + noise * rng.standard_normal(u.shape), step_s=MODEL.step_s)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_loop_that_oscillates_refutes_its_own_design(noise):
+    """Harmonic balance: the gain in the loop times |T_ue| is one at the cycle, so the margin falls below one."""
+    trial, record = looped(MODEL, FAST, 0.3, noise), recorded(noise)
+    known, shown = mismatch(MODEL, (record,)), mismatch(MODEL, (record,), 0, (trial,))
+    assert predict(MODEL, FAST.pair, ONES, known).resolved_margin > 1
+    assert predict(MODEL, FAST.pair, ONES, shown).resolved_margin < 1
+    assert shown.loop is not None
+    assert shown.seen == shown.loop.gain > 5 * known.seen
+    peak = sensitivity_peak(MODEL.linear, FAST.pair, ONES)
+    assert shown.loop.gain > 0.9 / peak
+    assert predict(MODEL, CALM.pair, ONES, shown).resolved_margin > 1
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_noise_that_the_loop_feeds_back_is_no_mismatch(repeats):
+    """In closed loop e of noise alone is n and u = T_ue n: taken as it stands, g |T_ue| would be one everywhere."""
+    record, trial = recorded(), looped(MODEL, FAST, 0.0, noise=0.3)
+    record = record if repeats else record[:1500]
+    assert mismatch(MODEL, (record,), 0, (trial,)).loop is None
+
+
+def test_a_motion_asked_of_a_good_loop_shows_little():
+    """A trial with a moving set point counts, and what it shows is what the noise leaves, not 1 / |T_ue|."""
+    trial = looped(MODEL, FAST, 0.0, noise=0.05)
+    moved = 2 * np.sin(np.arange(SAMPLES) / 7)[:, None]
+    u = trial.u + moved
+    y = trial.y + MODEL.simulate(moved)
+    shown = mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=u, y=y),))
+    assert shown.loop is not None
+    assert shown.loop.gain < 0.05
+
+
+def test_where_no_record_measured_the_noise_the_quietest_bands_do():
+    """The loop's e holds a cycle at one frequency and white noise: the cycle stays, the noise goes."""
+    trial, record = looped(MODEL, FAST, 0.3, noise=0.02), recorded()[:1500]
+    measured = mismatch(MODEL, (recorded(0.02),), 0, (trial,)).loop
+    guessed = mismatch(MODEL, (record,), 0, (trial,)).loop
+    assert guessed.gain == pytest.approx(measured.gain, rel=0.05)
+
+
+def test_the_start_of_a_loop_is_no_mismatch():
+    """From far out, at rest before the end: the model explains the whole of it by its initial state."""
+    quiet = looped(MODEL, CALM, 0.0)
+    assert mismatch(MODEL, (recorded(),), 0, (quiet,)).loop is None
+    short = looped(MODEL, CALM, 0.0, samples=30)  # still on its way at the end
+    shown = mismatch(MODEL, (recorded(),), 0, (short,))
+    assert shown.loop is None or shown.loop.gain < 0.02
+
+
+def test_the_records_about_the_loop_stay_as_they_are():
+    record, trial = recorded(), looped(MODEL, FAST, 0.3)
+    alone, beside = mismatch(MODEL, (record,)), mismatch(MODEL, (record,), 0, (trial,))
+    assert alone.gain == beside.gain
+    assert alone.spread == beside.spread
+    assert len(alone.views) == len(beside.views)
+    assert alone.left_at_rest == beside.left_at_rest

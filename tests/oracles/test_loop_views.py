@@ -1,0 +1,114 @@
+"""What a record shows at its amplitude: noise told from what repeats, phase from size, rest from what is left."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_cases import BALLS, motor, motor_design, motor_model
+from test_loop_prediction import ONES, closed, linear_model
+
+from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, SHARES, trials
+from ssm_study.models.identified import SSM
+from ssm_study.signals import Trajectory, repetition
+from ssm_study.synthesis.mismatch import AT_REST, mismatch
+from ssm_study.synthesis.prediction import predict
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+
+
+@given(st.integers(0, 10_000), st.integers(32, 90), st.integers(0, 70), st.integers(0, 70))
+def test_two_equal_pieces_are_found_wherever_they_are(seed, period, before, after):
+    rng = np.random.default_rng(seed)
+    piece = rng.standard_normal((period, 1))
+    u = np.concatenate([rng.standard_normal((before, 1)), piece, piece, np.zeros((after, 1))])
+    assert repetition(u) == (before, period)
+    u[before + period // 2] += 1e-3
+    assert repetition(u) is None
+
+
+def test_a_signal_that_rests_or_holds_its_levels_does_not_repeat():
+    assert repetition(np.zeros((500, 1))) is None
+    levels = np.random.default_rng(0).uniform(-1, 1, 40)
+    assert repetition(np.repeat(levels, 20)[:, None]) is None
+
+
+def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 0) -> Trajectory:
+    """Two periods of white input; the output misses the model by `missed` of the scaled input, plus sensor noise."""
+    rng = np.random.default_rng(seed)
+    u = amplitude * np.tile(rng.standard_normal((1024, 1)), (3, 1))
+    y = model.simulate(u) + missed(u) + noise * rng.standard_normal(u.shape)
+    return Trajectory(u=u, y=y, step_s=0.01)
+
+
+def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
+    """`e = 0.3 |u|` is the mismatch that a cross spectrum of u and e does not show; it repeats, so it stays."""
+    model = linear_model(0)
+    quiet = mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.0),))
+    noisy = mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.2),))
+    assert quiet.gain == pytest.approx(0.3 * np.sqrt(1 - 2 / np.pi), rel=0.05)  # the mean of |u| is no input's answer
+    assert noisy.gain == pytest.approx(quiet.gain, rel=0.1)
+    assert np.median(noisy.views[0].rest / quiet.views[0].rest) == pytest.approx(1.0, rel=0.2)
+    once = replace(twice(model, lambda u: 0.3 * np.abs(u), 0.2), name="once")
+    cut = Trajectory(u=once.u[:1024], y=once.y[:1024], step_s=0.01)
+    assert mismatch(model, (cut,)).gain > 1.5 * quiet.gain
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
+    """The plant is the model plus its own answer times a factor: with a phase the verdict is the loop's own."""
+    model = linear_model(seed)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(model, ONES)
+    verdicts = set()
+    for factor in (-0.95, -0.5, 0.5, 1.5, 3.0, 8.0):
+        record = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
+        view = mismatch(model, (record,)).views[0]
+        np.testing.assert_allclose(view.linear, factor, rtol=1e-6)
+        assert view.rest.max() < 1e-6 * view.by_frequency.max()
+        found = predict(model, design.pair, ONES, mismatch(model, (record,))).resolved_margin > 1
+        response = model.linear.simulate(np.eye(400, 1))[0][:, 0]
+        stable = closed(model, design.pair.k, design.pair.l, factor * response) < 1
+        assert found == stable
+        verdicts.add(stable)
+    assert verdicts == {True, False} or seed  # both answers occur
+
+
+def test_between_two_amplitudes_lies_what_neither_shows():
+    """A gain of 0.1 at one amplitude and 6 at another: each loop is stable, the ones between are not all."""
+    model, scale = linear_model(1), 3.0
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
+    turned = [twice(model, lambda u, f=f: f * model.simulate(u), 0.0, a) for f, a in ((-1.0, 0.1), (0.0, scale))]
+    alone = [predict(model, design.pair, ONES, mismatch(model, (one,))).resolved_margin for one in turned]
+    both = predict(model, design.pair, ONES, mismatch(model, tuple(turned))).resolved_margin
+    assert both <= min(alone)
+
+
+def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
+    model, rng = motor_model(), np.random.default_rng(0)
+    record = twice(model, lambda u: 0.01 * u, 0.0)
+    still = np.zeros((600, 1))
+    k = np.arange(600)[:, None]
+    noise = 0.5 * rng.standard_normal(still.shape)  # a tenth of the output's scale of 5
+    scale = model.scale.output_scale[0]
+    slow, fast = (0.2 * scale * np.cos(angle * k) for angle in (0.2, 2.6))
+    for left, rests in ((0 * k, True), (0.5 * AT_REST * scale * k**0, True), (slow, False), (fast, False),
+                        (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30), True)):  # fmt: skip
+        shown = mismatch(model, (record,), 0, (Trajectory(u=still, y=left + noise, step_s=0.01),))
+        assert shown.rests == rests
+        margin = predict(model, motor_design().pair, BALLS, shown).resolved_margin
+        assert (margin > 0) == rests
+        assert np.isfinite(shown.seen) == rests
+
+
+def test_trials_are_two_periods_at_each_amplitude_then_rest_and_free_decays():
+    records = trials(motor(), 3, np.array([0.1]))
+    assert len(records) == len(SHARES) + len(DECAYS)
+    for record, share in zip(records, SHARES, strict=False):
+        assert repetition(record.u) == (LEAD_IN, PERIOD)
+        assert np.abs(record.u).max() <= share * motor().input_amplitude[0]
+        assert not record.u[-PERIOD // 2 :].any()
+    for record, share in zip(records[len(SHARES) :], DECAYS, strict=True):
+        assert not record.u.any()
+        assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
+    again = trials(motor(), 3, np.array([0.1]))
+    assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))

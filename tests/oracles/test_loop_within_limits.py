@@ -1,0 +1,111 @@
+"""Limits and the certificate: inside the stated set no limit ever acts, outside it does; the saturated loop contracts
+wherever it is claimed to, for slopes that change at will."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+
+import ssm_study as st
+from ssm_study.loop.certified_bound import WithinLimits, everywhere, within_limits
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.trajectory import equilibrium
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import Balls, JacobianBall, StateSpace
+
+LIMIT = np.array([0.6])
+SLOPES = (0.8, 1.0, 0.7, 0.9)
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[SSM, Design]:
+    plain = SSM.of(
+        StateSpace(
+            a=np.array([[0.95, 0.1], [0.0, 0.8]]),
+            b=np.array([[0.02], [0.3]]),
+            c=np.array([[1.0, 0.0]]),
+            d=np.zeros((1, 1)),
+        ),
+        0.1,
+    )
+    lifted = MonotoneScaffold(breakpoints=np.array([[-1.0, 0.1, 0.8]]), slopes=np.array([SLOPES]))
+    model = replace(plain, scaffold_in=lifted)
+    balls = Balls(input=JacobianBall.from_slopes(min(SLOPES), max(SLOPES)), output=JacobianBall(alpha=1.0, beta=0.0))
+    wanted = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.4, input_weight=0.5)
+    return model, wanted.design(model, balls)
+
+
+def inputs(model: SSM, design: Design, y0: float, *, informed: bool) -> np.ndarray:
+    """What the unlimited loop asks for from rest at `y0`, noise-free."""
+    law, x = ObserverFeedback.of(model, design), equilibrium(model, np.array([y0]))[0][None]
+    memory = x.copy() if informed else np.zeros_like(x)
+    target, asked = np.zeros(model.order + 2), []
+    for _ in range(120):
+        y = model.read(x, np.zeros((1, 1)))
+        u = law.input(memory, y, target)
+        memory, x = law.advance(memory, u, y, target), model.advance(x, model.lift(u))
+        asked.append(u[0, 0])
+    return np.array(asked)
+
+
+@pytest.mark.parametrize("informed", [True, False])
+def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design], informed: bool) -> None:
+    found = within_limits(*pair, -LIMIT, LIMIT, informed=informed)
+    assert found.lower[0] < 0 < found.upper[0]
+    for y0 in np.linspace(found.lower[0], found.upper[0], 9):
+        assert np.abs(inputs(*pair, y0, informed=informed)).max() <= LIMIT[0]
+    assert np.abs(inputs(*pair, 6 * found.upper[0], informed=informed)).max() > LIMIT[0]
+
+
+def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(pair: tuple[SSM, Design]) -> None:
+    one, two, skew = (
+        within_limits(*pair, low * LIMIT, high * LIMIT, informed=False) for low, high in ((-1, 1), (-2, 2), (-9, 1))
+    )
+    assert np.allclose(two.upper, 2 * one.upper)
+    assert np.array_equal(skew.upper, one.upper)
+    told = within_limits(*pair, -LIMIT, LIMIT, informed=True)
+    assert told.upper > one.upper, "an estimate that starts right asks for less"
+
+
+def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slopes(pair: tuple[SSM, Design]) -> None:
+    feedback = pair[1].state_feedback
+    proved = everywhere(feedback)
+    assert proved is not None
+    own = 1 - np.abs(np.linalg.eigvals(feedback.a)).max() ** 2
+    assert 0.5 * own < proved.rate <= own < feedback.rate
+    metric, rng = np.linalg.cholesky(np.linalg.inv(proved.p)).T, np.random.default_rng(0)
+    x = rng.standard_normal((2, 4000))
+    for slope in (0.0, 0.3, 1.0, rng.uniform(0, 1, 4000)):
+        after = feedback.a @ x + feedback.b * slope * (feedback.k @ x)
+        shrunk = np.linalg.norm(metric @ after, axis=0) / np.linalg.norm(metric @ x, axis=0)
+        assert shrunk.max() <= np.sqrt(1 - proved.rate) * (1 + 1e-9)
+
+
+def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
+    """An unstable model is certified near rest only: no limited input can hold it everywhere."""
+    plant = control.StateSpace([[1.05]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    rates = ("synthesis=riccati", "synthesis.rate_controller=0.2", "synthesis.rate_observer=0.4")
+    design = st.control(plant, *rates)
+    assert design.certificate.certified
+    found = within_limits(design.model, design.certificate, -LIMIT, LIMIT, informed=True)
+    assert found.everywhere is None
+    assert 0 < found.upper[0] < 10
+
+
+def test_refusals(pair: tuple[SSM, Design]) -> None:
+    with pytest.raises(BadRequest, match="do not enclose the input at rest"):
+        within_limits(*pair, LIMIT, 2 * LIMIT, informed=True)
+
+
+def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
+    design = st.load(smoke_run)
+    header = design.to_c(tmp_path / "controller.h").read_text()
+    assert "Within the limits the full rates hold from rest at outputs from" in header
+    assert ("From everywhere the saturated loop" in header) or ("nothing is proved from everywhere" in header)
+    assert isinstance(design.within([-1e3], [1e3]), WithinLimits)

@@ -1,0 +1,281 @@
+"""What is proved of the gains that are deployed, each by several routes, and the cases that must be refused."""
+
+import copy
+import json
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loop_cases import BALLS as MOTOR_BALLS
+from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_model
+from scipy.linalg import block_diag, solve_discrete_lyapunov
+
+from ssm_study.synthesis.certificate import Design, Observer, StateFeedback, digest
+from ssm_study.synthesis.deployed import as_deployed, covering_weight
+from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.mismatch import ANGLES, Mismatch
+from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
+from ssm_study.synthesis.theorem import Known
+from ssm_study.synthesis.theorems.deployed_rate import largest_rate
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
+from ssm_study.systems import Balls, JacobianBall, StateSpace
+
+SEEDS = st.integers(0, 10**6)
+SHOWN = Mismatch.flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
+
+
+def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls, Design]:
+    """A random stable model with a certified pair of gains."""
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(order, order))
+    linear = StateSpace(
+        a=0.95 * a / np.abs(np.linalg.eigvals(a)).max(),
+        b=rng.normal(size=(order, inputs)),
+        c=rng.normal(size=(inputs, order)),
+        d=np.zeros((inputs, inputs)),
+    )
+    balls = Balls(input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
+    synthesis = RiccatiSynthesis(rate_controller=0.15, rate_observer=0.15, input_weight=0.3)
+    return linear, balls, synthesis.design(_Model(linear), balls)
+
+
+class _Model:
+    def __init__(self, linear: StateSpace) -> None:
+        self.linear = linear
+
+
+def known(linear: StateSpace, balls: Balls, design: Design) -> Known:
+    return Known(system=linear, controlled=linear, balls=balls, gains=design.gains)
+
+
+def feasible(part: StateFeedback, rate: float) -> bool:
+    """Theorem 1 for the given gain by a solver: `P` alone is unknown, sigma is one."""
+    n, m = part.b.shape
+    p, t = cp.Variable((n, n), symmetric=True), cp.Variable()
+    coupling = (part.a + part.alpha * part.b @ part.k) @ p
+    zero = np.zeros((n, m))
+    lmi = cp.bmat(
+        [
+            [(1 - rate) * p - part.b @ part.b.T, coupling, zero],
+            [coupling.T, p, part.beta * p @ part.k.T],
+            [zero.T, part.beta * part.k @ p, np.eye(m)],
+        ]
+    )
+    problem = cp.Problem(cp.Maximize(t), [lmi >> t * np.eye(2 * n + m), t <= 1])
+    problem.solve(solver="CLARABEL")
+    return problem.status in ("optimal", "optimal_inaccurate") and float(t.value) > 0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_largest_rate_is_where_the_solver_stops_finding_a_metric(seed: int) -> None:
+    part = loop(seed, order=2)[2].state_feedback
+    assert isinstance(part, StateFeedback)
+    limit = largest_rate(part.a, part.b, part.k, JacobianBall(alpha=part.alpha, beta=part.beta))
+    assert limit > part.rate
+    assert feasible(part, limit - 0.01 * (1 - limit))
+    assert not feasible(part, limit + 0.01 * (1 - limit))
+
+
+@settings(max_examples=15)
+@given(SEEDS, st.integers(1, 2))
+def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int) -> None:
+    """In the stored metric, over both ends of the slopes (for several inputs over rotations as well)."""
+    _, _, design = loop(seed, inputs)
+    rng = np.random.default_rng(seed)
+    for part in (design.state_feedback, design.observer):
+        assert isinstance(part, StateFeedback | Observer)
+        again = part.at_largest_rate()
+        assert again is not None
+        assert again.certified
+        np.testing.assert_array_equal(again.gain, part.gain)
+        assert part.rate < again.rate < again.rate_limit
+        root = np.linalg.cholesky(again.metric).T
+        worst = 0.0
+        for _ in range(60):
+            turn = np.linalg.qr(rng.normal(size=(inputs, inputs)))[0] * rng.choice([-1, 1])
+            jacobian = part.alpha * np.eye(inputs) + part.beta * turn
+            moved = part.b @ jacobian @ part.k if isinstance(part, StateFeedback) else part.l @ jacobian @ part.c
+            worst = max(worst, np.linalg.norm(root @ (part.a + moved) @ np.linalg.inv(root), 2))
+        assert worst <= again.contraction * (1 + 1e-9)
+
+
+def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches_its_radius() -> None:
+    _, _, design = loop(4)
+    part = design.state_feedback
+    assert isinstance(part, StateFeedback)
+    ball = JacobianBall(alpha=part.alpha, beta=part.beta)
+    closed = part.a + ball.alpha * part.b @ part.k
+    assert largest_rate(part.a, part.b, part.k, JacobianBall(alpha=ball.alpha, beta=0.0)) == pytest.approx(
+        1 - np.abs(np.linalg.eigvals(closed)).max() ** 2, rel=1e-12
+    )
+    again = part.at_largest_rate()
+    assert again is not None
+    bold = replace(again, rate=again.rate + 0.01 * (1 - again.rate))
+    assert not type(bold).holds(**bold.numbers)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
+    """`1 / ||T_ue||_inf`, to the 0.1 % by which what is stored lies inside."""
+    linear, balls, design = loop(seed)
+    sharp = Balls(input=JacobianBall(alpha=balls.input.alpha, beta=0.0), output=balls.output)
+    found = largest_tolerance(known(linear, sharp, design), np.eye(1))
+    peak = hinf_norm(sensitivity(linear, design.pair, balls.input.alpha, balls.output.alpha))
+    assert found is not None
+    assert found.certified
+    assert found.s * peak == pytest.approx(0.999, rel=1e-6)
+
+
+@pytest.mark.parametrize(("seed", "order"), [(0, 0), (1, 0), (2, 1)])
+def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
+    """The block matrix written out anew, one semidefinite program in coordinates of the loop's Gramian."""
+    linear, balls, design = loop(seed, order=2)
+    weight = np.array([[0.5, 1.0], [0.2, 1.0]]) if order else np.eye(1)
+    found = largest_tolerance(known(linear, balls, design), weight)
+    assert found is not None
+    k, l, alpha, beta = found.k, found.l, found.alpha, found.beta  # noqa: E741
+    n, rest = 2, np.zeros((1, order))
+    a_w, b_w, c_w, d_w = weight[:order, :order], weight[:order, order:], weight[order:, :order], weight[order:, order:]
+    a = block_diag(linear.a + alpha * linear.b @ k, linear.a + 0.8 * l @ linear.c, a_w)
+    a[:n, n : 2 * n] = alpha * linear.b @ k
+    a[2 * n :, : 2 * n] = np.hstack([b_w @ k, b_w @ k])
+    b = np.block([[linear.b, np.zeros((n, 1))], [np.zeros((n, 1)), -l], [np.zeros((order, 2))]])
+    c_u, c_w = np.hstack([k, k, rest]), np.hstack([d_w @ k, d_w @ k, c_w])
+    t = np.linalg.cholesky(solve_discrete_lyapunov(a, b @ b.T) + 1e-9 * np.eye(len(a)))
+    ab = np.hstack([np.linalg.solve(t, a @ t), np.linalg.solve(t, b)])
+    p, mu, lam = cp.Variable((len(a), len(a)), symmetric=True), cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    storage = p - lam * beta**2 * (c_u @ t).T @ (c_u @ t) - mu * (c_w @ t).T @ (c_w @ t)
+    zero, one = np.zeros((len(a), 1)), np.ones((1, 1))
+    supply = cp.bmat([[storage, zero, zero], [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * one], [zero.T, 0 * one, one]])
+    cp.Problem(cp.Maximize(mu), [supply - ab.T @ p @ ab >> 0, p >> 0]).solve(solver="CLARABEL")
+    assert found.s == pytest.approx(float(np.sqrt(mu.value)), rel=5e-3)
+
+
+@settings(max_examples=10, deadline=None)
+@given(SEEDS)
+def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance(seed: int) -> None:
+    """Worst slopes chosen greedily at every sample, and `e` as large as its gain allows at each: energy decays.
+
+    The stored P is the witness: it falls by what the supply leaves, for every slope and every `|e| <= s |u|`.
+    """
+    linear, balls, design = loop(seed)
+    found = largest_tolerance(known(linear, balls, design), np.eye(1))
+    assert found is not None
+    rng = np.random.default_rng(seed)
+    k, b, l = found.k, found.b, found.l  # noqa: E741
+    xi, energies = rng.normal(size=6), []
+    for _ in range(100):
+        energies.append(xi @ found.p @ xi)
+        u = k @ (xi[:3] + xi[3:])
+        options = []
+        for slope in (found.alpha - found.beta, found.alpha, found.alpha + found.beta):
+            for sign in (-1, 0, 1):
+                e = sign * found.s * u
+                x = linear.a @ xi[:3] + slope * b @ u
+                eps = linear.a @ xi[3:] + 0.8 * l @ (linear.c @ xi[3:]) - l @ e
+                options.append(np.concatenate([x, eps]))
+        xi = max(options, key=lambda after: after @ found.p @ after)
+    energies = np.array(energies)
+    assert (energies[1:] < energies[:-1]).all()
+
+
+def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() -> None:
+    """Negative control: the same adversary with a mismatch of the size at which constant slopes lose the loop."""
+    linear, balls, design = loop(0)
+    found = largest_tolerance(known(linear, balls, design), np.eye(1))
+    assert found is not None
+    peaks = [hinf_norm(sensitivity(linear, design.pair, slope, 0.8)) for slope in (0.4, 0.7, 1.0)]
+    assert found.s * max(peaks) <= 1  # what holds for slopes that vary is no more than what holds for constant ones
+    assert not Tolerance.holds(**(found.numbers | {"s": 1.001 / max(peaks)}))
+
+
+def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
+    model = motor_model()
+    synthesis = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    design = IntegralSynthesis(synthesis=synthesis, integral_weight=1e-4).design(model, MOTOR_BALLS)
+    whole = as_deployed(design, model, MOTOR_BALLS, SHOWN)
+    assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)
+    assert all(part.certified for part in whole.beside.values())
+    content = json.loads(json.dumps(whole.to_json()))
+    assert broken_claims(content, model.linear, MOTOR_BALLS, controlled_system(model, design.pair.k)) == []
+
+
+def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> None:
+    weight = covering_weight(ANGLES, SHOWN.by_frequency, channels=1)
+    (a, b), (c, d) = weight
+    filtered = StateSpace(a=np.array([[a]]), b=np.array([[b]]), c=np.array([[c]]), d=np.array([[d]]))
+    z = np.exp(1j * ANGLES)
+    gains = np.abs(filtered.c[0, 0] * filtered.b[0, 0] / (z - a) + d)
+    assert (gains >= SHOWN.by_frequency * (1 - 1e-9)).all()
+    assert gains.min() < 3 * SHOWN.by_frequency.min()
+    assert abs(a) < 1
+    assert abs(a - b * c / d) < 1
+
+
+@pytest.fixture(scope="module")
+def stored() -> tuple[dict, StateSpace]:
+    model = motor_model()
+    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    whole = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, SHOWN)
+    assert set(whole.beside) == {"state_feedback_deployed", "observer_deployed", "tolerance", "tolerance_by_frequency"}
+    return json.loads(json.dumps(whole.to_json())), model.linear
+
+
+def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace]) -> None:
+    content, linear = stored
+    assert broken_claims(content, linear, MOTOR_BALLS) == []
+    assert content["state_feedback"]["certified_rate"] == content["state_feedback_deployed"]["rate"]
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "change", "found"),
+    [
+        ("tolerance", "s", lambda s: 1.01 * s, "tolerance.certified = True: in exact arithmetic the inequality fails"),
+        ("tolerance", "s", lambda s: -s, "fails (s)"),
+        ("tolerance", "s", lambda s: 0.5 * s, None),  # less than is proved is proved
+        ("tolerance", "lambda_p", lambda value: -value, "fails (inequality, lambda_p)"),
+        ("tolerance", "p", lambda p: [[-value for value in row] for row in p], "fails"),
+        ("tolerance", "k", lambda k: [[0.5 * value for value in row] for row in k], "tolerance.k: differs"),
+        ("tolerance", "alpha_out", lambda value: 0.5 * value, "tolerance.alpha_out: differs"),
+        ("tolerance", "beta", lambda value: 0.5 * value, "tolerance.alpha, beta"),
+        ("tolerance_by_frequency", "weight", lambda w: [[0.0, 0.0], [0.0, 10 * w[1][1]]], "fails (inequality)"),
+        ("state_feedback_deployed", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
+        ("state_feedback_deployed", "theorem", lambda _: "observer", "is of another part"),
+        (
+            "observer_deployed",
+            "l",
+            lambda gain: [[0.99 * v for v in row] for row in gain],
+            "not the one that is deployed",
+        ),
+        ("state_feedback", "certified_rate", lambda rate: rate * 1.01, "state_feedback.certified_rate"),
+        ("tolerance", "rate", lambda _: 0.1, "is not part of a certificate"),
+    ],
+)
+def test_tampering_is_found(stored: tuple[dict, StateSpace], part: str, name: str, change, found: str | None) -> None:
+    """The digest is written anew: the claim itself has to be found."""
+    content, linear = copy.deepcopy(stored[0]), stored[1]
+    content[part][name] = change(content[part].get(name))
+    content[part]["digest"] = digest(content[part])
+    broken = broken_claims(content, linear, MOTOR_BALLS)
+    assert broken == [] if found is None else any(found in claim for claim in broken), broken
+
+
+def test_a_part_under_a_name_that_is_none_is_refused(stored: tuple[dict, StateSpace]) -> None:
+    content, linear = copy.deepcopy(stored[0]), stored[1]
+    content["extra"] = content["tolerance"]
+    assert any("certificate.extra" in claim for claim in broken_claims(content, linear, MOTOR_BALLS))
+
+
+def test_a_nonlinear_output_map_gets_no_tolerance(stored: tuple[dict, StateSpace]) -> None:
+    """Neither from the search nor from a file that claims one."""
+    linear, balls, design = loop(0)
+    nonlinear = Balls(input=balls.input, output=JacobianBall.from_slopes(0.7, 0.9))
+    assert largest_tolerance(known(linear, nonlinear, design), np.eye(1)) is None
+    content, motor = stored
+    wider = Balls(input=INPUT_BALL, output=JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01))
+    assert any("tolerance.alpha_out" in claim for claim in broken_claims(content, motor, wider))

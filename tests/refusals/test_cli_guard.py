@@ -1,0 +1,144 @@
+"""Every command goes through one guard: damaged files and read-only folders end it in one sentence, with status 2."""
+
+import json
+import shutil
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ssm_study.cli import main as cli
+from ssm_study.cli.main import ACTIONS, main
+from ssm_study.engine.records import read_record, write_record
+from ssm_study.engine.runs import seal_run
+from ssm_study.synthesis.certificate import digest
+
+NEEDED_BY_EXCITE = ("to", "lower", "upper", "rest", "step-s", "settle-s")
+NEEDED = {"export": ["--to", "out"], "gather": [], "show": [], "verify": [], "report": []}
+# What libraries raise on files that nobody wrote so; none of them may reach the user as a traceback.
+RAISED = (RuntimeError("a"), RecursionError(), struct.error("b"), yaml.YAMLError("c"), MemoryError(), EOFError(),
+          np.linalg.LinAlgError("d"), NotImplementedError(), AssertionError())  # fmt: skip
+DEEP = "[" * 100_000
+
+
+@pytest.fixture
+def study(smoke_study: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(smoke_study, tmp_path / "smoke", ignore=shutil.ignore_patterns("figures"))
+
+
+def run_of(study: Path) -> Path:
+    (lock,) = study.glob("*/.lock")
+    return lock.parent
+
+
+def one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """What the command says as it ends with status 2."""
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert said.startswith("ssm-study: ")
+    return said
+
+
+@pytest.mark.parametrize("command", [*ACTIONS, "new", "excite", "run"])
+def test_whatever_is_raised_is_one_sentence(
+    command: str, study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = {"new": ["new", "x"], "run": ["run", "seed=0"]}.get(
+        command, [command, str(study), *NEEDED.get(command, [])]
+    )
+    if command == "excite":
+        words = ["excite", *(word for name in NEEDED_BY_EXCITE for word in (f"--{name}", "1"))]
+    for error in RAISED:
+
+        def ends(*_: object, error: Exception = error) -> int:
+            raise error
+
+        if command in ACTIONS:
+            monkeypatch.setitem(ACTIONS, command, (ends, *ACTIONS[command][1:]))
+        else:
+            monkeypatch.setattr(cli, command if command == "run" else f"_{command}", ends)
+        assert type(error).__name__ in one_sentence(words, capsys)
+    monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")
+    with pytest.raises(AssertionError):
+        main(words)
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "model nested": lambda study: (run_of(study) / "model.json").write_text(DEEP),
+    "certificate nested": lambda study: (run_of(study) / "certificate.json").write_text(DEEP),
+    "record cut": lambda study: cut(run_of(study) / "record.json"),
+    "manifest cut": lambda study: cut(run_of(study) / "manifest.json"),
+    "yaml": lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"),
+    "closed loop": lambda study: cut(run_of(study) / "closed_loop.mcap"),
+    "validation": lambda study: (run_of(study) / "validation.mcap").write_bytes(b""),
+    "comparison": lambda study: (run_of(study) / "comparison.csv").write_bytes(b'a,b\n1,2,3\n"\xff'),
+    "table": lambda study: cut(study / "runs.parquet"),
+    "index": lambda study: (study / ".gathered.json").write_text(DEEP),
+}
+# The table is made anew; what `verify` makes of each damage has tests of its own, and `export` refuses by it.
+OF_THE_RUN = ("model nested", "comparison")
+
+
+@pytest.mark.parametrize("command", ["gather", "show", "export"])
+def test_damaged_files(command: str, smoke_study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    exports = command == "export"
+    for what in OF_THE_RUN if exports else DAMAGES:
+        study = shutil.copytree(smoke_study, tmp_path / what)
+        DAMAGES[what](study)
+        if exports:
+            assert "claims do not hold" in one_sentence(
+                [command, str(run_of(study)), "--to", str(study / "out")], capsys
+            )
+            assert not (study / "out").exists()
+        else:
+            assert main([command, str(study)]) == 0, what
+            assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["yaml", "closed loop", "validation", "comparison", "table", "certificate nested"])
+def test_the_report_names_the_damaged_file(what: str, study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    DAMAGES[what](study)
+    names = {"closed loop": "closed_loop.mcap", "table": "runs.parquet", "yaml": "config.yaml"}
+    said = one_sentence(["report", str(study)], capsys)
+    assert names.get(what, what.split()[0]) in said
+
+
+def test_a_certificate_that_lies_is_not_exported(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Sealed anew, consistent in itself, and another gain than the one that was proved."""
+    run = run_of(study)
+    content = json.loads((run / "certificate.json").read_text())
+    part = content["state_feedback"]
+    part["k"] = [[5 * number for number in row] for row in part["k"]]
+    part["digest"] = digest(part)
+    (run / "certificate.json").write_text(json.dumps(content))
+    seal_run(run)
+    write_record(run, read_record(run) or {})
+    said = one_sentence(["export", str(run), "--to", str(study / "out")], capsys)
+    assert "certificate.state_feedback" in said
+    assert not (study / "out").exists()
+
+
+@pytest.fixture
+def read_only(study: Path) -> Iterator[Path]:
+    (study / "runs.parquet").unlink()
+    for words in (["--bind", str(study), str(study)], ["-o", "remount,bind,ro", str(study)]):
+        if subprocess.run(["mount", *words], capture_output=True).returncode != 0:
+            pytest.skip("mounting a folder read-only needs more rights")
+    yield study
+    subprocess.run(["umount", "-l", str(study)], check=True)
+
+
+def test_a_folder_that_may_only_be_read(read_only: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = run_of(read_only)
+    for words in (["gather"], ["show"], ["report"], ["export", "--to", str(read_only / "out")]):
+        of = run if words[0] == "export" else read_only
+        assert "ead-only" in one_sentence([words[0], str(of), *words[1:]], capsys) or words[0] == "report"

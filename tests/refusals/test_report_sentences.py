@@ -1,0 +1,69 @@
+"""Damaged files, a full disk and a forged certificate end every command of the report in one sentence."""
+
+import errno
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ssm_study.cli.main import main
+from ssm_study.export.targets import describe
+from ssm_study.synthesis.certificate import digest
+from ssm_study.table import gather
+
+
+@pytest.fixture
+def study(smoke_study: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(smoke_study, tmp_path / "smoke")
+
+
+def run_of(study: Path) -> Path:
+    (record,) = study.glob("*/record.json")
+    return record.parent
+
+
+def forged(study: Path) -> None:
+    """A certificate with another gain that still says certified, its digest made anew."""
+    path = run_of(study) / "certificate.json"
+    content = json.loads(path.read_text())
+    content["state_feedback"]["k"][0][0] *= 1.5
+    content["state_feedback"]["digest"] = digest(content["state_feedback"])
+    path.write_text(json.dumps(content))
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "table": (lambda study: (study / "runs.parquet").write_bytes(b"PAR1"), "the table is damaged"),
+    "model": (lambda study: (run_of(study) / "model.json").write_text("{"), "the file is damaged"),
+    "yaml": (lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"), "the file is damaged"),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGES)
+def test_damage_is_one_sentence(what: str, study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    damage, said = DAMAGES[what]
+    damage(study)
+    assert main(["report", str(study), "--only", "learned_dead_zone"]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_a_forged_certificate_is_not_exported_as_one(study: Path) -> None:
+    assert "certified for its model" in describe(run_of(study))
+    forged(study)
+    assert "NOT certified" in describe(run_of(study))
+
+
+def test_a_full_disk_is_one_sentence(
+    study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    (study / "runs.csv").unlink()
+    monkeypatch.setattr(gather, "write_atomically", full)
+    for command in ("gather", "show"):
+        assert main([command, str(study)]) == 2
+        assert "No space left on device" in capsys.readouterr().err

@@ -1,0 +1,60 @@
+"""A stored certificate of a model with neurons: altered numbers are named, and r lowered to 0.8 of it is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from structured_cases import model
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.synthesis.certificate import digest
+from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+
+
+@pytest.fixture(scope="module")
+def stored() -> dict:
+    design = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).design(model(), certified_balls(model()))
+    assert design.certified
+    return json.loads(json.dumps(design.to_json()))
+
+
+def altered(stored: dict, side: str, name: str, value: object) -> list[str]:
+    """The claims that break, the digest and the stated rate made to fit as a careful forger would."""
+    content = json.loads(json.dumps(stored))
+    content[side][name] = value
+    content[side]["certified_rate"] = content[side]["rate"]
+    content[side]["digest"] = digest(content[side])
+    return broken_claims(content, model().system, certified_balls(model()))
+
+
+def test_what_was_written_holds(stored: dict) -> None:
+    assert broken_claims(stored, model().system, certified_balls(model())) == []
+    assert {"e", "f", "g", "lambda"} <= set(stored["state_feedback"])
+    assert {"e", "f", "h", "l_z", "lambda"} <= set(stored["observer"])
+
+
+@pytest.mark.parametrize(
+    ("side", "name", "factor", "found"),
+    [
+        ("state_feedback", "e", 0.5, "state_feedback.e: differs"),
+        ("state_feedback", "f", 0.5, "state_feedback.f: differs"),
+        ("state_feedback", "g", 0.5, "state_feedback.g: differs"),
+        ("state_feedback", "lambda", -1.0, "the inequality fails"),
+        ("state_feedback", "k", 100.0, "the inequality fails"),
+        ("observer", "h", np.nan, "observer.h"),
+        ("observer", "e", 0.5, "observer.e: differs"),
+        ("observer", "eta", -1.0, "the inequality fails"),
+        ("observer", "l_z", 100.0, "the inequality fails"),
+        ("observer", "lambda", 1e-3, "the inequality fails"),
+    ],
+)
+def test_an_altered_number_is_named(stored: dict, side: str, name: str, factor: float, found: str) -> None:
+    value = (np.array(stored[side][name]) * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
+    assert any(found in claim for claim in altered(stored, side, name, value))
+
+
+@pytest.mark.parametrize("side", ["state_feedback", "observer"])
+def test_a_rate_that_the_matrices_do_not_prove_is_refused(stored: dict, side: str) -> None:
+    faster = 1 - 0.64 * (1 - 0.97)
+    assert any("the inequality fails" in claim for claim in altered(stored, side, "rate", faster))
