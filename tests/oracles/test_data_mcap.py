@@ -16,6 +16,7 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
+from ssm_study.data.readers.mcap import McapReader
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 
@@ -82,6 +83,9 @@ def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
     assert [d.output.signal_0 for d in seen] == list(groups[1].values[:, 0])
     assert set(channels) == {"/case_0", "/case_1/input", "/case_1/output", "/case_1/late"}
     assert channels["/case_0"]["unit.input.signal_0"] == "rad/s"
+    names = ["/case_0.output.signal_0", "/case_0/input.signal_0"]  # as Foxglove plots them, and as topic.field
+    columns = McapReader().read(tmp_path / "a.mcap", names).columns
+    np.testing.assert_array_equal([columns[name] for name in names], [groups[1].values[:, 0], groups[0].values[:, 0]])
     sizes = []
     for topic in ("/case_0/{}", "/{}_alone"):
         names = [topic.format(name) for name in ("input", "output", "measured", "estimate")]
