@@ -70,7 +70,7 @@ def _on_plant(record: Mapping[str, Any]) -> bool:
 
 def _where(record: Mapping[str, Any]) -> str:
     """A loop on the identified model shows what the certificate promises, not what the plant does."""
-    return "the true plant" if _on_plant(record) else f"the {record['loop_on']} it was designed for"
+    return "the true plant" if _on_plant(record) else f"the {record['loop_on']}"
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -114,7 +114,7 @@ def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
         said = f"{record.get('mismatch_margin') or 0:.3g} (above 1 predicts a stable plant)"
         return "mismatch_margin", "Mismatch margin", said
     said = "stays stable" if record["predicted_stable"] else "not predicted to be stable"
-    said += ", with the doubts below" if record.get("evidence") == DOUBT else ""
+    said += ", with doubts" if record.get("evidence") == DOUBT else ""
     rests_on = decides(record.get("resolved_margin"), record.get("controller_radius"))
     return (
         "predicted_stable",

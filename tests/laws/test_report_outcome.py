@@ -50,7 +50,7 @@ def test_it_says_who_chose_each_rate() -> None:
 
 def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
     text = printed(a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21})
-    assert "on the identified model it was designed for" in " ".join(text.split())
+    assert " of 10 on the identified model" in " ".join(text.split())
     assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
 
 
