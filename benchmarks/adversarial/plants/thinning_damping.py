@@ -10,7 +10,7 @@ from benchmarks.adversarial.plants.adversary import Adversary
 
 @dataclass(frozen=True, kw_only=True)
 class ThinningDamping(Adversary):
-    """`y'' + (c + d |y'|) y' + w^2 y = w^2 u`: state `(y, y')`. At full amplitude d damps it well, near rest c alone."""
+    """`y'' + (c + d |y'|) y' + w^2 y = w^2 u`: state `(y, y')`. Near rest c alone damps it."""
 
     order = 2
     shown_by = "validation records at a small part of the amplitude"
