@@ -67,7 +67,7 @@ def _limits(case: Case) -> Iterator[str]:
 
 
 def _length(case: Case) -> Iterator[str]:
-    samples, response = [len(record) for record in case.data.training], response_samples(case.model.linear, 4000)
+    samples, response = [len(record) for record in case.data.training], response_samples(case.model.linear)
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif max(samples) < RESPONSES * response:
@@ -133,7 +133,7 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
 
 def _afterwards(case: Case) -> Iterator[Float[np.ndarray, "T p"]]:
     """Outputs at rest input after it has moved, where that lasts `RESPONSES` of the model's own."""
-    least = RESPONSES * response_samples(case.model.linear, 4000)
+    least = RESPONSES * response_samples(case.model.linear)
     for u, y in map(case.scaled, (*case.data.trials, *case.data.validation, *case.data.test)):
         still = np.flatnonzero(u.any(axis=1))[-1:] + 1  # none where the input never moves
         if len(still) and len(u) - still[0] >= max(least, 8):

@@ -5,9 +5,9 @@ Among guaranteed-cost designs on a grid of rates and weights that are predicted 
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
-`area` the response's on the model (`synthesis.area`), `spread` that of ln g among blocks of the record: the mismatch is
-not a number but a sample, and the fastest design that just passes is the one that any optimism of g lets through.
-Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
+`area` the response's on the model (`synthesis.area`), `spread` the standard error of ln g, from blocks of the record:
+the mismatch is not a number but a sample, and the fastest design that just passes is the one that any optimism of g
+lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import predict, worst
+from ssm_study.synthesis.prediction import NEEDED, predict, worst
 from ssm_study.synthesis.problem import NoSolution, Solution, dual
 from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
@@ -81,7 +81,7 @@ class Auto:
     rate: float | str = "auto"
     rate_controller: float | str = "auto"
     rate_observer: float | str = "auto"
-    margin: float = 1.0
+    margin: float = NEEDED
     own_rate_shares: Sequence[float] = (0.5,)
     stretch_shares: Sequence[float] = (0.05, 0.3, 0.6, 0.9)
     observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)

@@ -199,7 +199,9 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     lines = browser.execute_script("return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)")
-    assert lines[0] == "Predicted for the plant\nIt stays stable; the margin by frequency is 2, and above 1 is enough."
+    assert (
+        lines[0] == "Predicted for the plant\nIt stays stable; the margin by frequency is 2, and above 1.05 is enough."
+    )
     assert lines[1].startswith("Seen on the plant\nIt settles in 0.")
     assert lines[2:] == [
         "Evidence: doubt\nThe records leave a doubt.",

@@ -58,7 +58,7 @@ function evidence(i) {
   const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]), lines = word === "certified, settles" ? [] : [["Outcome", `${word}; ${sentence}.`]];
   const on = value("loop_on") === null || value("loop_on") === "plant" ? "plant" : "model";
   if (value("certified_tolerance") && value("mismatch_seen")) lines.push(["Proved for the model", `any two motions under control approach each other, also with a mismatch of gain up to ${digits("certified_tolerance")}; the records show ${digits("mismatch_seen")}, ${value("mismatch_seen") > value("certified_tolerance") ? "so the proof alone does not cover the plant" : "which is less"}.`]);
-  if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, value("predicted_stable") ? `it stays stable; the margin by frequency is ${digits("resolved_margin")}, and above 1 is enough.` : "nothing; the loop may be unstable."]);
+  if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, value("predicted_stable") ? `it stays stable; the margin by frequency is ${digits("resolved_margin")}, and above 1.05 is enough.` : "nothing; the loop may be unstable."]);
   if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on}`, `it settles in ${digits("settling_time_mean_s")} s on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${digits("settling_time_open_loop_s")} s`}.`]);
   if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, `${SUPPORT[value("evidence")]}.`]);
   const reasons = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean).map((reason) => reason.split(/: (.*)/s));
