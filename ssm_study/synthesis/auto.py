@@ -26,7 +26,7 @@ from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import NEEDED, predict, worst
+from ssm_study.synthesis.prediction import predict, worst
 from ssm_study.synthesis.problem import NoSolution, Solution, dual
 from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
@@ -81,7 +81,7 @@ class Auto:
     rate: float | str = "auto"
     rate_controller: float | str = "auto"
     rate_observer: float | str = "auto"
-    margin: float = NEEDED
+    margin: float = 1.0
     own_rate_shares: Sequence[float] = (0.5,)
     stretch_shares: Sequence[float] = (0.05, 0.3, 0.6, 0.9)
     observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)

@@ -12,7 +12,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES as BANDS
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import NEEDED, Prediction, predict
+from ssm_study.synthesis.prediction import Prediction, predict
 from ssm_study.synthesis.sensitivity import (
     controller_radius,
     gains,
@@ -201,8 +201,8 @@ def test_a_design_keeps_the_plant_strictly_inside_both_bounds():
         made = Prediction(mismatch_margin=9.0, resolved_margin=resolved, controller_radius=radius)
         return made.keeps_the_plant(*margin)
 
-    assert keeps(NEEDED + 1e-9, 1.0 - 1e-9)
-    assert not keeps(NEEDED, 0.5)
+    assert keeps(1.0 + 1e-9, 1.0 - 1e-9)
+    assert not keeps(1.0, 0.5)
     assert not keeps(2.0, 1.0)
     assert not keeps(2.0, 0.5, 2.0)
     assert keeps(2.0, 0.5, 1.9)
