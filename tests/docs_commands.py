@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.cli.main import configuration_folder
+from ssm_study.cli.run import configuration_folder
 from ssm_study.engine.settings import register_resolver
 
 ROOT = Path(__file__).resolve().parents[1]
