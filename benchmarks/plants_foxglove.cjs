@@ -19,11 +19,13 @@ function bits(value) {
 
 function decoderOf(schema) {
   const type = protobufFromBinaryDescriptor(schema.data).lookupType(schema.name);
-  const fields = type.fieldsArray.filter((field) => field.type === "double").map((field) => field.name);
-  return (data) => {
-    const message = type.decode(data);
-    return Object.fromEntries(fields.map((name) => [name, bits(message[name])]));
-  };
+  const flat = (of, message, prefix) =>
+    of.fieldsArray.flatMap((field) =>
+      field.type === "double"
+        ? [[prefix + field.name, bits(message[field.name])]]
+        : flat(field.resolve().resolvedType, message[field.name], `${prefix}${field.name}.`),
+    );
+  return (data) => Object.fromEntries(flat(type, type.decode(data), ""));
 }
 
 async function main(path) {

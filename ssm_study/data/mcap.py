@@ -1,6 +1,8 @@
-"""MCAP recordings: one protobuf message per sample, one topic per signal group, log times from the sampling clock.
+"""MCAP recordings: one protobuf message per sample and topic, log times from the sampling clock.
 
-Read back to the same numbers: every checksum is verified, so a flipped bit is an error and not a number.
+Groups below one name on one clock share a topic: `/case_0/input` and `/case_0/output` are the fields `input` and
+`output` of `/case_0`. A message takes 16 bytes of index and a head, so this halves a recording and its time to write.
+Read back to the same groups and numbers: every checksum is verified, so a flipped bit is an error and not a number.
 """
 
 import json
@@ -8,7 +10,8 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import reduce
 from io import BytesIO
 from numbers import Real
 from pathlib import Path
@@ -19,7 +22,7 @@ import numpy as np
 import zstandard
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from google.protobuf import descriptor_pb2
-from google.protobuf.internal.encoder import TagBytes
+from google.protobuf.internal.encoder import TagBytes, _VarintBytes
 from google.protobuf.message import DecodeError
 from jaxtyping import Float, Int, UInt8
 from mcap import records
@@ -36,12 +39,10 @@ CHUNK_BYTES = 65536  # limits what a crash loses, see the measurements in docs/d
 METADATA_NAME = "ssm-study"
 NANOSECONDS = 1_000_000_000
 LARGEST = 2**28  # bytes of a recording, unpacked: what a reader may ask of the memory
-RECORD = struct.Struct("<BQ")  # head of a record: kind and size
-HEAD = np.dtype(
-    [("kind", "u1"), ("size", "<u8"), ("channel", "<u2"), ("number", "<u4"), ("logged", "<u8"), ("at", "<u8")]
-)
-Messages = tuple[int, Int[np.ndarray, "_"], list[bytes]]  # of a channel, in order: log times in ns, contents
-DOUBLE = 1  # the wire type of eight bytes
+RECORD, MESSAGE = struct.Struct("<BQ"), struct.Struct("<BQHIQQ")  # heads: kind and size; channel, number, two times
+Names = tuple[str, ...]  # of a field: its own, after that of the message it is in
+Message = tuple[int, int, bytes]  # channel, log time in ns, content
+DOUBLE, WITHIN = 1, 2  # the wire types of eight bytes and of a message within
 # What the MCAP, compression and protobuf libraries were seen to raise on damaged files.
 DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error, ValueError, EOFError, RuntimeError,
           KeyError, TypeError, OverflowError, MemoryError)  # fmt: skip
@@ -58,7 +59,6 @@ class SignalGroup:
     time_s: Float[np.ndarray, "T"]
     channels: tuple[Channel, ...]
     values: Float[np.ndarray, "T c"]
-    metadata: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         shape, found = (len(self.time_s), len(self.channels)), self.values.shape
@@ -76,8 +76,9 @@ class SignalGroup:
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
     """Write the groups to a new file at `path`, beside it first and moved there when complete.
 
-    Foxglove shows each group as a topic with a schema; units stand in the channel metadata as `unit.<signal>`, the
-    file's own `metadata` (plant, seed, ...) in a metadata record. Raises `BadRequest` for two groups on one topic.
+    Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in the channel metadata
+    as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata` (plant, seed, ...) in a metadata record.
+    Raises `BadRequest` for two groups on one topic.
     """
     topics = [group.topic for group in groups]
     require(len(set(topics)) == len(topics), "topics", topics, "two groups share a topic", "name them apart")
@@ -94,42 +95,70 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     queue: list[tuple[int, int, bytes]] = []
     with foxglove.open_mcap(temporary, allow_overwrite=True, context=context, writer_options=options) as writer:
         writer.write_metadata(METADATA_NAME, metadata)
-        channels = [_open_channel(context, group) for group in groups]
-        for index, group in enumerate(groups):
-            times = np.rint(group.time_s * NANOSECONDS).astype(np.int64).tolist()
-            queue += [(time, index, message) for time, message in zip(times, _encoded(group.values), strict=True)]
+        shared = _shared(groups)
+        channels = [_open_channel(context, topic, parts) for topic, parts in shared.items()]
+        for index, parts in enumerate(shared.values()):
+            times = np.rint(parts[0].time_s * NANOSECONDS).astype(np.int64).tolist()
+            queue += [(time, index, message) for time, message in zip(times, _encoded(parts), strict=True)]
         for time, index, message in sorted(queue, key=lambda item: item[:2]):  # by log time, as players expect
             channels[index].log(message, log_time=time)
     temporary.replace(path)
 
 
-def _open_channel(context: foxglove.Context, group: SignalGroup) -> foxglove.Channel:
-    """A topic whose schema is one message of doubles, field numbers in channel order."""
-    words = "".join(ch if ch.isalnum() else " " for ch in group.topic).split()
+def _shared(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
+    """The topics as they are written: those below one name become that name where their clocks are one."""
+    below: dict[str, list[SignalGroup]] = defaultdict(list)
+    for group in groups:
+        below[group.topic.rpartition("/")[0]].append(group)
+    topics: dict[str, list[SignalGroup]] = {}
+    for parent, parts in below.items():
+        named = all(part.topic.rpartition("/")[2].isidentifier() for part in parts)
+        together = len(parts) > 1 and named and all(np.array_equal(part.time_s, parts[0].time_s) for part in parts)
+        single = parent == "" or not together or any(group.topic == parent for group in groups)
+        topics |= {part.topic: [part] for part in parts} if single else {parent: parts}
+    return topics
+
+
+def _open_channel(context: foxglove.Context, topic: str, parts: list[SignalGroup]) -> foxglove.Channel:
+    """A topic whose schema is one message of doubles, or one of such messages; field numbers in the order given."""
+    words = "".join(ch if ch.isalnum() else " " for ch in topic).split()
     message = "".join(word[0].upper() + word[1:] for word in words)
     file = descriptor_pb2.FileDescriptorProto(name=f"{message}.proto", package="ssm_study", syntax="proto3")
-    fields, kind = file.message_type.add(name=message).field, descriptor_pb2.FieldDescriptorProto
-    for number, channel in enumerate(group.channels, start=1):
-        fields.add(name=channel.name, number=number, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL)
+    whole, kind = file.message_type.add(name=message), descriptor_pb2.FieldDescriptorProto
+    about = {}
+    for number, part in enumerate(parts, start=1):
+        fields, prefix = whole.field, "unit."
+        if part.topic != topic:
+            name, inner = part.topic.rpartition("/")[2], f"Part{number}"  # protobufjs: no type is called like a field
+            of = {"number": number, "type": kind.TYPE_MESSAGE, "type_name": f".ssm_study.{message}.{inner}"}
+            whole.field.add(name=name, label=kind.LABEL_OPTIONAL, **of)
+            fields, prefix = whole.nested_type.add(name=inner).field, f"unit.{name}."
+        for order, channel in enumerate(part.channels, start=1):
+            fields.add(name=channel.name, number=order, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL)
+            about[prefix + channel.name] = channel.unit
     data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
     schema = foxglove.Schema(name=f"ssm_study.{message}", encoding="protobuf", data=data)
-    about = {f"unit.{c.name}": c.unit for c in group.channels} | group.metadata
-    return foxglove.Channel(group.topic, schema=schema, message_encoding="protobuf", context=context, metadata=about)
+    return foxglove.Channel(topic, schema=schema, message_encoding="protobuf", context=context, metadata=about)
 
 
-def _layout(channels: int) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
+def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
     """A message of zeros, each double behind its tag, and where the bytes of the doubles lie: of a fixed size."""
     message, at = b"", list[int]()
-    for number in range(1, channels + 1):
-        message += TagBytes(number, DOUBLE)
-        at += range(len(message), len(message) + 8)
-        message += bytes(8)
+    for number, channels in enumerate(counts, start=1):
+        tags = [TagBytes(order, DOUBLE) for order in range(1, channels + 1)]
+        if nested:
+            size = sum(map(len, tags)) + 8 * channels
+            message += TagBytes(number, WITHIN) + _VarintBytes(size)
+        for tag in tags:
+            at += range(len(message) + len(tag), len(message) + len(tag) + 8)
+            message += tag + bytes(8)
     return np.frombuffer(message, np.uint8), np.array(at)
 
 
-def _encoded(values: Float[np.ndarray, "T c"]) -> list[bytes]:
+def _encoded(parts: list[SignalGroup]) -> list[bytes]:
     """The protobuf messages of all rows, encoded at once."""
-    message, at = _layout(values.shape[1])
+    values = np.hstack([part.values for part in parts])
+    message, at = _layout([len(part.channels) for part in parts], nested=len(parts) > 1)
     rows = np.tile(message, (len(values), 1))
     rows[:, at] = np.ascontiguousarray(values, dtype="<f8").view(np.uint8)
     whole, size = rows.tobytes(), len(message)
@@ -156,20 +185,17 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     for record in _records(path):
         found[type(record)].append(record)
     schemas = {schema.id: schema for schema in found[records.Schema]}
-    topics: dict[int, tuple[records.Channel, list[Messages]]] = {one.id: (one, []) for one in found[records.Channel]}
-    for messages in found[tuple]:
-        topics[messages[0]][1].append(messages)
+    topics: dict[int, tuple[records.Channel, list[Message]]] = {one.id: (one, []) for one in found[records.Channel]}
+    for message in found[tuple]:
+        topics[message[0]][1].append(message)
     own = [record.metadata for record in found[records.Metadata] if record.name == METADATA_NAME]
     metadata = {key: value for one in own for key, value in one.items()}
     require(found[records.DataEnd], "path", path, "the data section has no end", "record it again")
-    counted, promised = (
-        sum(len(one[2]) for one in found[tuple]),
-        {one.message_count for one in found[records.Statistics]},
-    )
+    counted, promised = len(found[tuple]), {one.message_count for one in found[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     require(promised <= {counted}, "path", path, problem, "record it again")
-    groups = [_group(*topic, schemas.get(topic[0].schema_id)) for topic in topics.values() if topic[1]]
-    numeric = tuple(group for group in groups if group is not None)
+    read = (_groups(*topic, schemas.get(topic[0].schema_id)) for topic in topics.values() if topic[1])
+    numeric = tuple(group for groups in read for group in groups)
     require(len(numeric) > 0, "path", path, "holds no topic with number fields", "record the signals as numbers")
     return numeric, metadata
 
@@ -181,14 +207,14 @@ class _Sequential(StreamReader):
         return None if opcode == Opcode.MESSAGE_INDEX else super()._read_record(opcode, length)
 
 
-def _records(path: Path) -> Iterator[records.McapRecord | Messages]:
-    """Of the file and of its chunks, messages together; `BadRequest` before more than `LARGEST` bytes are unpacked."""
+def _records(path: Path) -> Iterator[records.McapRecord | Message]:
+    """Of the file and of its chunks, messages as tuples; `BadRequest` before more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
         reader = _Sequential(stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
         for record in reader.records:
             if isinstance(record, records.Message):
-                yield record.channel_id, np.array([record.log_time]), [record.data]
+                yield record.channel_id, record.log_time, record.data
             elif not isinstance(record, records.Chunk):
                 yield record
             if not isinstance(record, records.Chunk):
@@ -200,65 +226,69 @@ def _records(path: Path) -> Iterator[records.McapRecord | Messages]:
             yield from _unpacked(record)
 
 
-def _unpacked(chunk: records.Chunk) -> Iterator[records.McapRecord | Messages]:
+def _unpacked(chunk: records.Chunk) -> Iterator[records.McapRecord | Message]:
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     data, start = stream.read(length), 0
-    messages: list[tuple[int, int]] = []
-    while start < length:  # the library takes each message field by field, which is twenty times slower
-        opcode, size = RECORD.unpack_from(data, start)
-        end = start + RECORD.size + size
-        if opcode == Opcode.MESSAGE:
-            messages.append((start, end))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            kind = records.Schema if opcode == Opcode.SCHEMA else records.Channel
-            yield kind.read(ReadDataStream(BytesIO(data[start + RECORD.size : end])))
-        start = end
-    if start > length or any(end - start < HEAD.itemsize for start, end in messages):
-        raise ValueError("a record is longer than its chunk, or a message shorter than its head")
-    heads = np.frombuffer(b"".join([data[start : start + HEAD.itemsize] for start, _ in messages]), HEAD)
-    for channel in np.unique(heads["channel"]):
-        of_it = np.flatnonzero(heads["channel"] == channel)
-        contents = [data[messages[k][0] + HEAD.itemsize : messages[k][1]] for k in of_it.tolist()]
-        yield int(channel), heads["logged"][of_it].astype(np.int64), contents
+    while start < length:  # the library takes each message field by field, which is six times slower
+        if data[start] == Opcode.MESSAGE:
+            _, size, channel, _, logged, _ = MESSAGE.unpack_from(data, start)
+            yield channel, logged, data[start + MESSAGE.size : start + RECORD.size + size]
+        else:
+            opcode, size = RECORD.unpack_from(data, start)
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                kind = records.Schema if opcode == Opcode.SCHEMA else records.Channel
+                yield kind.read(ReadDataStream(BytesIO(data[start + RECORD.size : start + RECORD.size + size])))
+        start += RECORD.size + size
 
 
-def _group(channel: records.Channel, messages: list[Messages], schema: records.Schema | None) -> SignalGroup | None:
-    """The number fields of one topic; None if it has none."""
-    contents = [content for _, _, some in messages for content in some]
+def _groups(channel: records.Channel, messages: list[Message], schema: records.Schema | None) -> Iterator[SignalGroup]:
+    """The number fields of one topic, those of each message within its messages as a topic below it."""
+    _, times_ns, contents = (list(column) for column in zip(*messages, strict=True))
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
-    names: list[str] = []
+    names: list[Names] = []
     if decode is not None:
         names, values = _protobuf(decode, contents)
     elif channel.message_encoding == "json":
-        names, values = _columns([json.loads(content) for content in contents])
-    if not names:
-        return None
-    return SignalGroup(
-        topic=channel.topic,
-        time_s=np.concatenate([times for _, times, _ in messages]) / NANOSECONDS,
-        channels=tuple(Channel(name=name, unit=channel.metadata.get(f"unit.{name}", "")) for name in names),
-        values=values,
-        metadata={k: v for k, v in channel.metadata.items() if not k.startswith("unit.")},
-    )
+        names, values = _columns([{(k,): v for k, v in _object(json.loads(content)).items()} for content in contents])
+    for part in dict.fromkeys(name[:-1] for name in names):
+        at = [k for k, name in enumerate(names) if name[:-1] == part]
+        units = [channel.metadata.get(f"unit.{'.'.join(names[k])}", "") for k in at]
+        yield SignalGroup(
+            topic="/".join((channel.topic, *part)),
+            time_s=np.array(times_ns, dtype=np.int64) / NANOSECONDS,
+            channels=tuple(Channel(name=names[k][-1], unit=unit) for k, unit in zip(at, units, strict=True)),
+            values=values[:, at],
+        )
 
 
-def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[str], Float[np.ndarray, "T c"]]:
+def _object(message: Any) -> dict[str, Any]:
+    require(isinstance(message, dict), "path", "message", "not an object with fields", "log fields")
+    return dict(message)
+
+
+def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
     """All rows at once where every message is laid out as this project writes it, one by one otherwise."""
-    names = [f.name for f in decode(contents[0]).DESCRIPTOR.fields]
-    message, at = _layout(len(names))
-    if {len(content) for content in contents} == {len(message)}:
+    fields = decode(contents[0]).DESCRIPTOR.fields
+    nested = all(one.message_type is not None for one in fields)
+    parts = [list(one.message_type.fields) for one in fields] if nested else [list(fields)]
+    prefixes: list[Names] = [(one.name,) for one in fields] if nested else [()]
+    names = [(*prefix, one.name) for prefix, part in zip(prefixes, parts, strict=True) for one in part]
+    message, at = _layout([len(part) for part in parts], nested)
+    doubles = all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
+    if doubles and {len(content) for content in contents} == {len(message)}:
         rows = np.frombuffer(b"".join(contents), np.uint8).reshape(len(contents), -1)
         if (np.delete(rows, at, axis=1) == np.delete(message, at)).all():
             return names, np.ascontiguousarray(rows[:, at]).view("<f8").astype(np.float64)
-    return _columns([{name: getattr(one, name) for name in names} for one in map(decode, contents)])
+    return _columns([{name: reduce(getattr, name, one) for name in names} for one in map(decode, contents)])
 
 
-def _columns(messages: list[dict[str, Any]]) -> tuple[list[str], Float[np.ndarray, "T c"]]:
+def _columns(
+    messages: list[dict[Names, Any]],
+) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
     """Fields that are a number in the first message, and must be in all others."""
-    require(all(isinstance(m, dict) for m in messages), "path", "message", "not an object with fields", "log fields")
     names = [name for name, value in messages[0].items() if isinstance(value, Real) and not isinstance(value, bool)]
     for k, message in enumerate(messages):
         for name in names:
-            value = message.get(name)
-            require(isinstance(value, Real), name, value, f"no number in message {k}", "log a number")
+            value, problem = message.get(name), f"no number in message {k}"
+            require(isinstance(value, Real), ".".join(name), value, problem, "log a number")
     return names, np.array([[float(m[name]) for name in names] for m in messages]).reshape(len(messages), len(names))

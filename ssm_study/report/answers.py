@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ssm_study.report.words import FAILED, INFEASIBLE, LOST, SETTLED, spoken, verdicts, words
+from ssm_study.report.words import FAILED, INFEASIBLE, LOST, SETTLED, decides, spoken, verdicts, words
 from ssm_study.table.columns import column, flag, requested, swept, text
 from ssm_study.table.rank import best_first, predicted
 
@@ -26,8 +26,8 @@ def answers(table: pd.DataFrame) -> list[Answer]:
     return [
         Answer("Which run is best, and why?", tuple(best)),
         Answer("Where does feasibility end, and why?", tuple(feasibility) or ("No run got as far as a rate limit.",)),
-        Answer("Does a better fit mean a better loop?", tuple(fit)),
-        Answer("Does the mismatch margin predict what the plant does?", _margin(table)),
+        *([Answer("Does a better fit mean a better loop?", tuple(fit))] if len(table) != 1 else []),
+        Answer("Does the prediction hold on the plant?", _margin(table)),
         Answer("What failed?", _failed(table)),
     ]
 
@@ -68,6 +68,7 @@ def _best(table: pd.DataFrame) -> list[str]:
     if word.iloc[0] != SETTLED.word:
         return [f"No run is certified and brings every start to rest; the nearest, {name}, is {word.iloc[0]}."]
     rivals = ordered[word == SETTLED.word]
+    where = "" if text(rivals, "loop_on").iloc[0] in ("", "plant") else f" on the {text(rivals, 'loop_on').iloc[0]}"
     said, time_s = predicted(rivals), _number(rivals, "settling_time_mean_s")
     told = f", as was predicted without the plant ({_prediction(rivals)})" if said.iloc[0] else ""
     such = int(said.sum()) if said.iloc[0] else len(rivals)
@@ -76,9 +77,10 @@ def _best(table: pd.DataFrame) -> list[str]:
     share = f", {time_s / alone_s:.2f} of the uncontrolled time ({alone_s:.3f} s)" if np.isfinite(alone_s) else ""
     fit, rate = _number(rivals, "fit_test_percent"), _number(rivals, "rate_controller")
     return [
-        f"{name}. Both certificates hold and every start settles{told}. {soonest} in {time_s:.3f} s on average{share}.",
-        f"Its model fits the test record to {fit:.1f} %; its controller contracts at rate {rate:.3g} per sample where "
-        f"at most {_number(rivals, 'controller_rate_limit'):.3g} can be certified.",
+        f"{name}. Both certificates hold and every start settles{where}{told}. "
+        f"{soonest} in {time_s:.3f} s on average{share}.",
+        f"Its model fits the test record to {fit:.1f} %; its controller was designed for rate {rate:.3g} per sample, "
+        f"where at most {_number(rivals, 'controller_rate_limit'):.3g} can be certified.",
         *_faster_but_not_predicted(rivals),
     ]
 
@@ -87,7 +89,7 @@ def _prediction(runs: pd.DataFrame) -> str:
     """The numbers behind the prediction for the first run."""
     resolved, margin = _number(runs, "resolved_margin"), _number(runs, "mismatch_margin")
     if np.isfinite(resolved):
-        return f"margin {resolved:.4g} by frequency, controller's own radius {_number(runs, 'controller_radius'):.3g}"
+        return decides(resolved, _number(runs, "controller_radius"))
     return f"mismatch margin {margin:.4g}{', above one' if margin > 1 else ''}"
 
 
@@ -146,12 +148,13 @@ def _fit(table: pd.DataFrame) -> str:
 def _margin(table: pd.DataFrame) -> tuple[str, ...]:
     share, said_so = column(table, "stable_fraction"), predicted(table)
     by_frequency = column(table, "predicted_stable").notna()
-    known = (by_frequency | column(table, "mismatch_margin").notna()) & share.notna()
+    unjudged = text(table, "evidence") == ""  # a table of before this column
+    known = (by_frequency | (unjudged & column(table, "mismatch_margin").notna())) & share.notna()
     if not known.any():
-        return ("No run has both a margin and a closed loop.",)
-    yes, no = "With a margin above one", "With a margin at or below one"
+        return ("No run has both a prediction and a closed loop.",)
+    yes, no = "With a mismatch margin above one", "With a mismatch margin at or below one"
     if by_frequency[known].any():
-        yes, no = f"{yes} at every frequency and a controller that is stable by itself", "Without that"
+        yes, no = "Where the loop was predicted to stay stable", "Where it was not"
     sides = ((yes, share[known & said_so]), (no, share[known & ~said_so]))
     return tuple(
         f"{said}, every start settles in {int((own >= 1).sum())} of {len(own)} runs." for said, own in sides if len(own)
@@ -167,7 +170,9 @@ def _failed(table: pd.DataFrame) -> tuple[str, ...]:
         most = f"{int(reasons.iloc[0])} of them with: {reasons.index[0] or 'no message was left'}"
         sentences = [f"{failed} of {len(table)} runs ended with an error, {most}"]
     if lost:
-        sentences.append(f"Certified, does not settle: {lost}; both certificates hold, yet some start does not settle.")
+        runs = f"{lost} certified runs do" if lost > 1 else "1 certified run does"
+        sentences.append(f"{runs} not settle: both certificates hold for the model, yet some start does not settle.")
     if infeasible:
-        sentences.append(f"Infeasible, which is a result: {infeasible}; each record says how much was possible.")
+        runs = f"{infeasible} runs are" if infeasible > 1 else "1 run is"
+        sentences.append(f"{runs} infeasible, which is a result: the record states the largest feasible rate.")
     return tuple(sentences)

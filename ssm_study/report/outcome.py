@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.words import SETTLED, VERDICTS
+from ssm_study.report.words import SETTLED, VERDICTS, decides
 from ssm_study.table.rank import standing
 
 WIDTH = 80
@@ -34,10 +34,18 @@ def print_outcome(
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
     if figures and drawn not in (None, record.get("run")):
         console.print(Text(f"The study's best run, which its figures show, is {drawn}:"), soft_wrap=True)
+    for line in figure_lines(figures):
+        console.print(Text(f"  {line}"), soft_wrap=True, highlight=False)  # a path is never broken
+
+
+def figure_lines(figures: Sequence[Path]) -> list[str]:
+    """A line per figure, from where the user stands: `results/paper/figures/rates.png, .pdf`."""
+    kinds: dict[Path, list[str]] = {}
     for path in figures:
-        near = path.is_absolute() and path.is_relative_to(Path.cwd())  # below where the user stands
+        near = path.is_absolute() and path.is_relative_to(Path.cwd())
         shown = path.relative_to(Path.cwd()) if near else path
-        console.print(Text(f"  {shown}"), soft_wrap=True, highlight=False)  # a path is never broken
+        kinds.setdefault(shown.with_suffix(""), []).append(shown.suffix)
+    return [f"{stem}{', '.join(suffixes)}" for stem, suffixes in kinds.items()]
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
@@ -62,7 +70,7 @@ def _on_plant(record: Mapping[str, Any]) -> bool:
 
 def _where(record: Mapping[str, Any]) -> str:
     """A loop on the identified model shows what the certificate promises, not what the plant does."""
-    return "the true plant" if _on_plant(record) else f"the {record['loop_on']}, which it was designed for"
+    return "the true plant" if _on_plant(record) else f"the {record['loop_on']}"
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -84,15 +92,14 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield f"rate_{side}", f"{side.capitalize()} rate", shown
     rates = f"controller {number('controller_certified_rate')}, observer {number('observer_certified_rate')}"
     alone = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
-    told = "" if record.get("neurons") else f"; the model alone {alone:.3g}"  # with neurons A says it not
+    told = "" if record.get("neurons") else f"; model alone {alone:.3g}"  # with neurons A says it not
     yield "controller_certified_rate", "Rate proved of the gains", f"{rates}{told}"
     seen = f"the records show {number('mismatch_seen')}"
     yield "certified_tolerance", "Mismatch tolerated", f"{number('certified_tolerance')} is proved, {seen}"
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
-    yield "loop_on", "Closed loop on", _where(record)
-    settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')}"
-    yield "stable_count", "Initial conditions settled", settled
+    settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on {_where(record)}"
+    yield "stable_count", "Starts settled", settled
     time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")
     ratio = f" (ratio {time_s / alone_s:.2f})" if time_s is not None and alone_s else ""
     shown = f"{number('settling_time_mean_s', '.3f', ' s')}, uncontrolled {alone_s or 0:.3f} s{ratio}"
@@ -106,12 +113,14 @@ def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
     if record.get("predicted_stable") is None:
         said = f"{record.get('mismatch_margin') or 0:.3g} (above 1 predicts a stable plant)"
         return "mismatch_margin", "Mismatch margin", said
-    margin, radius = record.get("resolved_margin"), record.get("controller_radius")
     said = "stays stable" if record["predicted_stable"] else "not predicted to be stable"
-    said += ", with the doubts below" if record.get("evidence") == DOUBT else ""
-    told = f"margin {margin:.3g} by frequency, " if margin is not None else ""
-    told += f"controller's own radius {radius:.3g}" if radius is not None else ""
-    return "predicted_stable", f"Prediction{' for the plant' if _on_plant(record) else ''}", f"{said} ({told})"
+    said += ", with doubts" if record.get("evidence") == DOUBT else ""
+    rests_on = decides(record.get("resolved_margin"), record.get("controller_radius"))
+    return (
+        "predicted_stable",
+        f"Prediction{' for the plant' if _on_plant(record) else ''}",
+        f"{said}: {rests_on}" if rests_on else said,
+    )
 
 
 def _certified(record: Mapping[str, Any], side: str) -> str:
@@ -124,7 +133,11 @@ def _certified(record: Mapping[str, Any], side: str) -> str:
 def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
     """Whatever the record says about why a run is infeasible, not certified or failed."""
     told = re.split(r" (?=(?:note|doubt|cannot judge): )", str(record.get("evidence_reasons") or ""))
-    yield from (sentence for sentence in told if sentence.startswith(("doubt: ", "cannot judge: ")))
+    yield from (
+        f"{sentence[0].upper()}{sentence[1:]}"
+        for sentence in told
+        if sentence.startswith(("doubt: ", "cannot judge: "))
+    )
     for name in ("infeasible_reason", "uncertified_reason", "error_message"):
         if record.get(name):
-            yield f"{name.replace('_', ' ')}: {record[name]}"
+            yield f"{name.replace('_', ' ').capitalize()}: {record[name]}"

@@ -34,6 +34,12 @@ def words(column: object) -> str:
     return DERIVED.get(str(column)) or label(str(column))
 
 
+def decides(margin: float | None, radius: float | None) -> str:
+    """The two numbers that a prediction rests on, each beside its bound: `margin 2.03 > 1, own radius 0.892 < 1`."""
+    told = [] if margin is None else [f"margin {margin:.3g} {'>' if margin > 1 else '≤'} 1"]
+    return ", ".join(told + ([] if radius is None else [f"own radius {radius:.3g} {'<' if radius < 1 else '≥'} 1"]))
+
+
 @dataclass(frozen=True)
 class Verdict:
     """A word with its sentence; colour and mark differ both, so that either alone tells them apart.

@@ -18,8 +18,8 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
 
-TRIALS = "trials.mcap"  # the records that serve the mismatch alone, beside the model's free runs
-LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop, without free runs
+TRIALS = "trials.mcap"  # the records that serve the mismatch alone
+LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
 NO_BOUND = 1e300  # a recorded bound is finite
 NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
 
@@ -38,12 +38,11 @@ def groups(prefix: str, time_s: Float[np.ndarray, "T"], shown: Shown) -> list[Si
 
 
 def write_simulation(path: Path, kept: Simulation, data: DataSet) -> None:
-    """`/input`, `/measured` and `/simulated` (free run of the model), physical; several records under `/record_<i>`."""
+    """`/input`, `/measured` and `/simulated` (free run of the model), physical, of each record under `/record_<i>`."""
     written: list[SignalGroup] = []
     for i, (record, simulated) in enumerate(zip(kept.records, kept.simulated, strict=True)):
-        prefix = "" if len(kept.records) == 1 else f"/record_{i}"
         shown = {"input": (data.inputs, record.u), "measured": (data.outputs, record.y)}
-        written += groups(prefix, record.time_s, shown | {"simulated": (data.outputs, simulated)})
+        written += groups(f"/record_{i}", record.time_s, shown | {"simulated": (data.outputs, simulated)})
     about = {"start_up_samples": str(kept.start_up_samples), "step_s": repr(data.step_s)}
     write_mcap(path, tuple(written), data.metadata | about)
 

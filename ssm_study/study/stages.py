@@ -124,16 +124,17 @@ class Simulated:
 
 
 def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None) -> None:
-    """The model and its free runs beside the validation and test records.
+    """The model and its free runs beside the validation and test records, and the trials.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is claimed of it.
     """
     model = trained.model if reduction is None else reduction.reduce(trained.model)
     write_json(folder / "model.json", model.to_json())
-    for name, records in (("validation", data.validation), ("test", data.test), ("trials", data.trials)):
-        if records:
-            made = Simulation.of(model, records, data.start_up_samples)
-            recordings.write_simulation(folder / f"{name}.mcap", made, data)
+    for name, records in (("validation", data.validation), ("test", data.test)):
+        made = Simulation.of(model, records, data.start_up_samples)
+        recordings.write_simulation(folder / f"{name}.mcap", made, data)
+    if data.trials:
+        recordings.write_records(folder / recordings.TRIALS, data, data.trials, outputs=True)
 
 
 def measure_score(simulated: Simulated, data: DataSet, _: Trained) -> Facts:

@@ -25,6 +25,7 @@ from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
 from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 
+ILL = 1e6  # a metric of a smaller condition number gains nothing from fewer states
 MOST_CONDITION = 1 / np.finfo(float).eps  # of a metric scaled to unit diagonal: beyond it, rounding alone decides
 FRONTIER_ROUNDING = 1e-8  # the frontier is recomputed from eigenvalues, which differ by rounding on another machine
 
@@ -50,11 +51,10 @@ class Request:
             )
             return self.nothing(reason, "not asked", proved=True)
         if self.rate >= limit:
-            reason = (
-                f"rate {self.rate:.6g} is infeasible: it must be below the frontier {limit:.6g}, set by "
-                f"{self.frontier.decided_by}; request a smaller rate, raise the slope floor (model.slope_lower), or "
-                "drop states (reduction.truncate_to)"
-            )
+            by = self.frontier.decided_by
+            floor = ", raise the slope floor (model.slope_lower)" * (by == "the slopes")
+            reason = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (by != 'the slopes')} only rates below "
+            reason += f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
             return self.nothing(reason, "not asked", proved=True)
         return None
 
@@ -91,7 +91,8 @@ class Request:
         if best is None:  # information, not a verdict
             reason = f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati or a lower rate"
             return self.nothing(reason, status)
-        number = f"{best.condition:.1e}; balance the model, drop states (reduction.truncate_to) or request less"
+        fewer = "drop states (reduction.truncate_to) or " * (best.condition > ILL)
+        number = f"{best.condition:.1e}; {fewer}request a smaller rate"
         if best.condition > MOST_CONDITION:
             reason = f"{inside} its metric needs more digits than floats have: its condition number is {number}"
             return self.nothing(reason, best.solver_status)

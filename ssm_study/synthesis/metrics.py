@@ -49,8 +49,10 @@ COLUMNS = (
     Column("mismatch_seen", "Float64", "low", word="Largest mismatch gain of any record", tolerance=ITERATED),
     Column("mismatch_in_loop", "Float64", "low", word="Mismatch gain of trials in closed loop", tolerance=ITERATED),
     Column("mismatch_spread", "Float64", "low", word="Spread of the mismatch among blocks", tolerance=ITERATED),
-    Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin", "–", ITERATED),
-    Column("resolved_margin", "Float64", "high", "margin", "Mismatch margin by frequency", "–", ITERATED, shown=True),
+    Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED),
+    Column(
+        "resolved_margin", "Float64", "high", "margin", "Prediction margin, by frequency", "–", ITERATED, shown=True
+    ),
     Column("controller_radius", "Float64", "low", "ctl radius", "Controller's own spectral radius", "–", ITERATED),
     Column("predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True),
     Column("lmi_*_status", "string", unchecked=OPINION),

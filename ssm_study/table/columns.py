@@ -19,9 +19,9 @@ from ssm_study.plants import metrics as plants
 from ssm_study.synthesis import metrics as synthesis
 from ssm_study.training import metrics as training
 
-OF_THE_LINE = tuple(
-    column for room in (plants, data, models, training, bounds, evidence, synthesis, loop) for column in room.COLUMNS
-)
+PARTS = {"Plant": plants, "Data": data, "Model": models, "Training": training, "Slopes and linear part": bounds,
+         "Evidence": evidence, "Design": synthesis, "Closed loop": loop}  # fmt: skip
+OF_THE_LINE = tuple(column for room in PARTS.values() for column in room.COLUMNS)
 SETTINGS = tuple(column for column in OF_THE_LINE if column.setting)
 RESULTS = tuple(column for column in OF_THE_LINE if not column.setting)
 DECLARED = (*engine.IDENTITY, *SETTINGS, *RESULTS, *engine.CIRCUMSTANCES)
@@ -39,6 +39,17 @@ def label(name: str) -> str:
     """The printed name of a column with its unit, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
     column = declared(name)
     return column.label if column and not column.is_pattern else name.replace("_", " ")
+
+
+def by_part(names: Iterable[str]) -> dict[str, list[str]]:
+    """The names by the part of the study that they describe: settings first, what no part declares last."""
+    titles = {column.name: title for title, room in PARTS.items() for column in room.COLUMNS}
+    titles |= dict.fromkeys((column.name for column in SETTINGS), "Settings")
+    found: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
+    for name in names:
+        column = declared(name)
+        found[titles.get(column.name if column else name, "Circumstances")].append(name)
+    return found
 
 
 def nearest(name: str, names: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.data import question
 from ssm_study.table.columns import swept
 
-QUESTIONS = ("Which run is best", "Where does feasibility end", "better fit", "mismatch margin", "What failed")
+QUESTIONS = ("Which run is best", "Where does feasibility end", "better fit", "prediction hold", "What failed")
 
 
 def said(table: pd.DataFrame, about: str) -> str:
@@ -49,8 +49,9 @@ def test_the_prediction_by_frequency_takes_the_place_of_the_margin_where_it_is_k
     runs += [row(run="yes", mismatch_margin=0.5, predicted_stable=True, **by_frequency)]
     table = pd.DataFrame(runs)
     assert "yes. Both" in said(table, "best")
-    assert "(margin 1.3 by frequency, controller's own radius 0.9)" in said(table, "best")
-    assert "stable by itself, every start settles in 1 of 1 runs" in said(table, "margin")
+    assert "(margin 1.3 > 1, own radius 0.9 < 1)" in said(table, "best")
+    text = said(table, "prediction hold")
+    assert text.startswith("Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it")
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
@@ -88,7 +89,7 @@ def test_the_margin_is_scored_on_both_sides_of_one() -> None:
     table = pd.DataFrame(
         [row(mismatch_margin=1.5), row(mismatch_margin=0.5), row(mismatch_margin=0.2, stable_fraction=0)]
     )
-    text = said(table, "margin")
+    text = said(table, "prediction hold")
     assert "above one, every start settles in 1 of 1 runs" in text
     assert "at or below one, every start settles in 1 of 2 runs" in text
 
@@ -97,7 +98,7 @@ def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:
     lost, broken = row(stable_fraction=0.5), row(status="failed", error_message="model.order = 0: too small; use 8.")
     text = said(pd.DataFrame([row(), lost, broken]), "What failed")
     assert "1 of 3 runs ended with an error, 1 of them with: model.order = 0" in text
-    assert "Certified, does not settle: 1;" in text
+    assert "1 certified run does not settle: both certificates hold" in text
     assert said(pd.DataFrame([row()]), "What failed") == "No run ended with an error."
 
 

@@ -50,7 +50,7 @@ def test_it_says_who_chose_each_rate() -> None:
 
 def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
     text = printed(a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21})
-    assert "the identified model, which it was designed for" in " ".join(text.split())
+    assert " of 10 on the identified model" in " ".join(text.split())
     assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
 
 
@@ -58,7 +58,9 @@ def test_the_prediction_says_what_it_rests_on_and_an_older_record_its_margin() -
     known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
     for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):
         text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
-        assert f"Prediction for the plant {words} (margin 1.24 by frequency, controller's own radius 0.931)" in text
+        assert f"Prediction for the plant {words}: margin 1.24 > 1, own radius 0.931 < 1" in text
+    missed = " ".join(printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split())
+    assert "margin 0.98 ≤ 1, own radius 1 ≥ 1" in missed
     assert "Mismatch margin" in printed(a_run("ok"))
 
 
@@ -73,7 +75,7 @@ def test_figures_of_another_run_say_whose_they_are() -> None:
 
 def test_a_path_is_never_broken() -> None:
     path = Path("results") / ("long_" * 20) / "figures" / "closed_loop_responses.png"
-    assert str(path) in printed(a_run("ok"), path).splitlines()[-1]
+    assert printed(a_run("ok"), path, path.with_suffix(".pdf")).splitlines()[-1] == f"  {path}, .pdf"
 
 
 def test_a_failed_run_shows_its_message_and_no_empty_lines() -> None:
@@ -86,7 +88,7 @@ def test_a_run_without_certificate_shows_why() -> None:
     reason = "controller: tau 3.1; not positive definite in exact arithmetic"
     text = printed(a_run("ok") | {"controller_certified": False, "uncertified_reason": reason})
     assert "not certified" in text
-    assert f"uncertified reason: {reason}" in " ".join(text.split())
+    assert f"Uncertified reason: {reason}" in " ".join(text.split())
 
 
 def test_an_infeasible_run_shows_the_rate_that_was_possible() -> None:

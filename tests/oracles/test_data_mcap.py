@@ -16,6 +16,7 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
+from ssm_study.data.readers.mcap import McapReader
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 
@@ -62,6 +63,35 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
     assert times == sorted(times)
     outputs = [(m.log_time, d.signal_0, d.signal_2) for _, c, m, d in messages if c.topic == "/output"]
     assert outputs == [(10_000_000 * k, values[k, 0], values[k, 2]) for k in range(50)]
+
+
+def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
+    """On one clock: read back as they were given, by the reference reader as fields; half the bytes of topics apart."""
+    rng = np.random.default_rng(4)
+    groups = [group(f"/case_{i}/{name}", rng.standard_normal((400, 1))) for i in (0, 1) for name in ("input", "output")]
+    late = group("/case_1/late", rng.standard_normal((400, 40)), 0.02)  # on a clock of its own
+    write_mcap(tmp_path / "a.mcap", (*groups[:2], *groups[2:], late), {})
+    back = {one.topic: one for one in read_mcap(tmp_path / "a.mcap")[0]}
+    for wanted in (*groups, late):
+        assert (back[wanted.topic].channels, len(back)) == (wanted.channels, 5)
+        np.testing.assert_array_equal(back[wanted.topic].values, wanted.values)
+        np.testing.assert_allclose(back[wanted.topic].time_s, wanted.time_s, atol=0.5e-9)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        seen = [d for _, c, _, d in reader.iter_decoded_messages() if c.topic == "/case_0"]
+        channels = {c.topic: c.metadata for c in reader.get_summary().channels.values()}
+    assert [d.output.signal_0 for d in seen] == list(groups[1].values[:, 0])
+    assert set(channels) == {"/case_0", "/case_1/input", "/case_1/output", "/case_1/late"}
+    assert channels["/case_0"]["unit.input.signal_0"] == "rad/s"
+    names = ["/case_0.output.signal_0", "/case_0/input.signal_0"]  # as Foxglove plots them, and as topic.field
+    columns = McapReader().read(tmp_path / "a.mcap", names).columns
+    np.testing.assert_array_equal([columns[name] for name in names], [groups[1].values[:, 0], groups[0].values[:, 0]])
+    sizes = []
+    for topic in ("/case_0/{}", "/{}_alone"):
+        names = [topic.format(name) for name in ("input", "output", "measured", "estimate")]
+        write_mcap(tmp_path / "b.mcap", tuple(group(name, groups[0].values) for name in names), {})
+        sizes.append((tmp_path / "b.mcap").stat().st_size)
+    assert sizes[0] < sizes[1] / 2
 
 
 @pytest.fixture

@@ -57,7 +57,9 @@ def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
 def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
     """Training simulates by convolution (torch); `model.json` steps (NumPy). The stored fit is the latter's."""
     model = SSM.from_json(json.loads((smoke_run / "model.json").read_text()))
-    groups = {group.topic: group.values for group in read_mcap(smoke_run / "validation.mcap")[0]}
+    groups = {
+        group.topic.removeprefix("/record_0"): group.values for group in read_mcap(smoke_run / "validation.mcap")[0]
+    }
     eigenvalues, vectors = np.linalg.eig(model.linear.a.astype(complex))
     modes = ModalForm(
         decay=torch.from_numpy(np.log(eigenvalues)),

@@ -1,5 +1,6 @@
 """MCAP as columns: `field`, or `topic.field` where several topics have a field of that name."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ class McapReader(Reader, names=(".mcap",)):
         known = ", ".join(f"{group.topic}.{channel.name}" for group, _, channel in fields)
         columns, units, time_s = {}, {}, None
         for name in names:
-            matches = [one for one in fields if name in (one[2].name, f"{one[0].topic}.{one[2].name}")]
+            slashed = re.sub(r"^(/[^.]*)\.(\w+\.)", r"\1/\2", name)  # `/case_0.output.speed`, as Foxglove plots it
+            matches = [one for one in fields if {name, slashed} & {one[2].name, f"{one[0].topic}.{one[2].name}"}]
             problem = "several topics have it" if matches else f"the recording has {known}"
             require(len(matches) == 1, f"{path.name} (field)", name, problem, "name one as topic.field")
             ((group, index, channel),) = matches

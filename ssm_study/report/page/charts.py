@@ -12,6 +12,7 @@ from ssm_study.report.words import VERDICTS, words
 from ssm_study.table.columns import column
 
 HEIGHT = 250  # pixels
+SAME_FIT = 0.1  # percent: below, what fits differ by is chance
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,6 @@ class Panel:
     tick: str = ""  # a column: a short bar per run at this height
 
 
-PLANT = "Does the {} predict what the plant does?"
 ABOVE_ONE = "Dashed: margin one; to its right every start should settle."
 ALL_SETTLE = "All starts of all runs settle, so the plot shows how fast."
 OWN_LIMIT = "Bars: the exact rate limit of each model; nothing above its own bar can be certified."
@@ -39,8 +39,10 @@ PANELS = (
           rule_y="settling_time_open_loop_s"),
     Panel("Where does feasibility end?", "slope_ratio", "rate_controller", OWN_LIMIT, log="x",
           tick="controller_rate_limit"),
-    Panel(PLANT.format("mismatch margin"), "mismatch_margin", "stable_fraction", ABOVE_ONE, log="x", rule_x=1.0),
-    Panel(PLANT.format("margin by frequency"), "resolved_margin", "stable_fraction", ABOVE_ONE, log="x", rule_x=1.0),
+    Panel("Does the prediction hold on the plant?", "resolved_margin", "stable_fraction", ABOVE_ONE,
+          log="x", rule_x=1.0),
+    Panel("Does the mismatch margin predict what the plant does?", "mismatch_margin", "stable_fraction", ABOVE_ONE,
+          log="x", rule_x=1.0),
     Panel("What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"),
 )  # fmt: skip
 
@@ -49,10 +51,19 @@ EXPLORER = Panel("Any column against any other", "across", "up")
 
 
 def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The plots this table has numbers for: question, columns used, and specification without data."""
+    """The plots this table has numbers for: question, columns used, and specification without data.
+
+    Fits that all but agree say nothing, nor does a margin beside the one that decides.
+    """
+    fits, left_out = column(table, "fit_test_percent"), set()
+    if fits.max() - fits.min() < SAME_FIT:
+        left_out.add("fit_test_percent")
+    if column(table, "resolved_margin").notna().any():
+        left_out.add("mismatch_margin")
+    drawn = (panel for panel in PANELS if panel.x not in left_out)
     usable = [
         panel
-        for panel in map(partial(_telling, table), PANELS)
+        for panel in map(partial(_telling, table), drawn)
         if (column(table, panel.x) * column(table, panel.y)).notna().any()
     ]
     return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
@@ -86,6 +97,7 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
             tooltip=alt.TooltipContent("data"),
         )  # fmt: skip
         layers.append(bars.encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))  # else this layer's scale includes zero
+    layers.append(_ring().encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up)))
     chart = alt.layer(*layers, points, data=alt.NamedData("runs")).properties(
         width="container", height=HEIGHT,
         description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, one point per run",
@@ -114,6 +126,12 @@ def _points() -> alt.Chart:
     ).add_params(alt.selection_interval(name="brush"), mask, chosen)
 
 
+def _ring() -> alt.Chart:
+    """Around the best run, which the table has first."""
+    ring = alt.Chart().transform_filter("datum.i === 0")
+    return ring.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
+
+
 def _rule() -> alt.Chart:
     """One line: on the data of the points it would be drawn once per run."""
     return alt.Chart(alt.InlineData([{}])).mark_rule(strokeDash=[4, 3], color=style.GREY, aria=False)
@@ -127,10 +145,10 @@ def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> al
     if name == "stable_fraction":
         return alt.Scale(domain=[-0.05, 1.05], nice=False)  # points at 0 and 1 are drawn whole
     values = pd.concat([column(table, name).dropna(), pd.Series(beside, dtype=float)])
-    if values.nunique() == 1:  # an axis of one value would have no room around it
-        only = float(values.iloc[0])
-        room = 0.1 * abs(only) or 1.0
-        return alt.Scale(domain=[only - room, only + room], nice=False)
-    if log and (values > 0).all() and values.max() > 10 * values.min():
-        return alt.Scale(type="log", padding=8)
-    return alt.Scale(zero=False, padding=8)
+    if values.empty:  # the explorer: the script fills in the column
+        return alt.Scale(zero=False, padding=8)
+    low, high = float(values.min()), float(values.max())
+    if log and low > 0 and high > 10 * low:
+        return alt.Scale(type="log", domain=[low / 1.3, high * 1.3], nice=False)
+    room = 0.05 * (high - low) or 0.1 * abs(low) or 1.0  # an axis of one value would have none
+    return alt.Scale(domain=[low - room if low < 0 or low > room else 0.0, high + room], nice=False)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import CHOICES, VERDICTS, counts, spoken, verdicts, words
-from ssm_study.table.columns import DECLARED, RESULTS, column, swept, text
+from ssm_study.table.columns import DECLARED, RESULTS, by_part, column, swept, text
 from ssm_study.table.rank import best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
@@ -30,12 +30,14 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     config = None if best is None else best.path / ".hydra" / "config.yaml"
     return {
         "study": study.name,
+        "folder": study.folder.resolve().name,
         "question": str((best.config if best else {}).get("question") or question(table)),
         "swept": f"{_on(table)}{counts(table)}. {parameters_line(table)}",
         "answers": [vars(answer) for answer in answers(table)],
         "verdicts": [{"word": v.word, "sentence": v.sentence, "colour": v.colour} for v in VERDICTS],
         "columns": {str(name): coded(table[name]) for name in table},
         "words": {str(name): words(name) for name in table},
+        "menus": by_part(map(str, table)),
         "known_columns": [c.name for c in DECLARED if c.word],
         "first": ["run", "verdict", *swept(table), "stable_count", *(c.name for c in RESULTS if c.shown), *ALSO_FIRST],
         "parameters": swept(table),
@@ -51,7 +53,8 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 def _on(table: pd.DataFrame) -> str:
     """`Plant: DC motor, simulated. `; of recorded data, that they were."""
     plants, sources = ({name for name in text(table, column) if name} for column in ("plant", "data_source"))
-    return f"Plant: {', '.join(sorted(map(spoken, plants)) + sorted(sources))}. " if plants or sources else ""
+    named = {"Plant": sorted(map(spoken, plants)), "Data": sorted(sources)}
+    return "".join(f"{word}: {', '.join(names)}. " for word, names in named.items() if names)
 
 
 def question(table: pd.DataFrame) -> str:

@@ -57,11 +57,12 @@ function strips(groups, metric, rows) {
     svg.append(shape("text", { x: left, y: y + 4, class: "tick end" }, label.length > most ? `${label.slice(0, most - 1)}…` : label));
     svg.append(shape("line", { x1: left + 6, x2: width - 20, y1: y, y2: y, class: "rail" }));
     for (const place of new Set(values.map((value) => Math.round(2 * x(value)) / 2))) svg.append(shape("circle", { cx: place, cy: y, r: 4, class: "one" })); // one where many coincide
+    if (runs.includes(0) && typeof COLUMNS[metric][0] === "number") svg.append(shape("circle", { cx: x(COLUMNS[metric][0]), cy: y, r: 7, class: "ring" }));
     if (!values.length) svg.append(shape("text", { x: left + 12, y: y - 3, class: "tick" }, "no run has this number"));
     else svg.append(shape("line", { x1: x(mean(values)), x2: x(mean(values)), y1: y - 9, y2: y + 9, class: "mean" }));
   });
   for (const value of [Math.min(...all), Math.max(...all)]) svg.append(shape("text", { x: x(value), y: groups.size * row + 20, class: "tick middle" }, printed(Number(value.toPrecision(3)))));
-  return element("figure", {}, element("figcaption", {}, DATA.words[metric] || metric, element("span", { class: "note" }, `Rows: ${rows}. One dot per run, a bar at the mean${log ? "; logarithmic axis" : ""}.`)), svg);
+  return element("figure", {}, element("figcaption", {}, DATA.words[metric] || metric, element("span", { class: "note" }, `Rows: ${rows}. One dot per run, a bar at the mean, a ring around the best run${log ? "; logarithmic axis" : ""}.`)), svg);
 }
 
 function drawGroups(shown, news) {
@@ -98,8 +99,8 @@ function drawSideBySide() {
   if (runs.length < 2) { box.replaceChildren(element("p", { class: "quiet" }, "Tick two or more runs in the table to see them side by side.")); return; }
   const differ = Object.keys(COLUMNS).filter((name) => name !== "run" && DATA.known_columns.includes(name) && new Set(runs.map((i) => printed(COLUMNS[name][i]))).size > 1);
   const pictures = runs.map((i) => { const found = DATA.trajectories[COLUMNS.run[i]];
-    return found && found.loop ? responses(COLUMNS.run[i], unpack(found.loop.y), found.loop, bounds(runs)) : null; }).filter(Boolean);
-  const head = ["", ...runs.map((i) => COLUMNS.run[i])].map((text) => element("th", { scope: "col" }, text));
+    return found && found.loop ? responses(shortName(COLUMNS.run[i]), unpack(found.loop.y), found.loop, bounds(runs)) : null; }).filter(Boolean);
+  const head = ["", ...runs.map((i) => shortName(COLUMNS.run[i]))].map((text) => element("th", { scope: "col" }, text));
   const rows = differ.map((name) => element("tr", {}, element("th", { scope: "row" }, DATA.words[name] || name), ...runs.map((i) => element("td", {}, printed(COLUMNS[name][i])))));
   box.replaceChildren(element("div", { class: "responses" }, ...pictures), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": "Chosen runs, what differs" },
     element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows))));
@@ -107,9 +108,8 @@ function drawSideBySide() {
 
 /** One range for all chosen runs, so that their pictures compare. */
 function bounds(runs) {
-  const starts = runs.flatMap((i) => { const found = DATA.trajectories[COLUMNS.run[i]]; return found && found.loop ? unpack(found.loop.y).map((row) => row[0]).concat(found.loop.goal) : []; });
-  const room = 0.15 * (Math.max(...starts) - Math.min(...starts) || 1);
-  return [Math.min(...starts) - room, Math.max(...starts) + room];
+  const loops = runs.map((i) => (DATA.trajectories[COLUMNS.run[i]] || {}).loop).filter(Boolean);
+  return rangeOf(loops.map((loop) => unpack(loop.y)), loops.map((loop) => loop.goal));
 }
 
 /** The shown runs, all columns, as a file; a text that begins like a formula gets an apostrophe before it. */

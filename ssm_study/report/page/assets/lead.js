@@ -1,6 +1,6 @@
 // The first screen: the best run's responses beside the plant left alone, four numbers, and what they rest on.
 const SVG = "http://www.w3.org/2000/svg";
-const SMALL = { width: 300, height: 170, left: 34, bottom: 26, top: 6, right: 4 };
+const SMALL = { width: 300, height: 170, bottom: 26, top: 6, right: 4 };
 
 function shape(tag, attributes, text) {
   const node = document.createElementNS(SVG, tag);
@@ -11,13 +11,14 @@ function shape(tag, attributes, text) {
 
 /** One panel of lines as plain SVG: the first screen must stand before Vega has drawn anything. */
 function responses(title, rows, { step_s, band, goal, output }, [low, high]) {
-  const { width, height, left, bottom, top, right } = SMALL;
+  const { width, height, bottom, top, right } = SMALL;
+  const far = Number((0.8 * Math.max(high - goal, goal - low)).toPrecision(1)), ticks = [goal - far, goal, goal + far].filter((v) => v >= low && v <= high).map((v) => [v, printed(Number(v.toPrecision(2)))]);
+  const left = 8 + 6.5 * Math.max(...ticks.map(([, text]) => text.length));
   const end = (rows[0].length - 1) * step_s || 1, span = high - low || 1;
   const x = (t) => left + (t / end) * (width - left - right), y = (v) => top + ((high - v) / span) * (height - top - bottom);
   const svg = shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title}: ${output} against time, ${rows.length} starts` });
   if (band) svg.append(shape("rect", { x: left, width: width - left - right, y: y(goal + band), height: Math.max(1, y(goal - band) - y(goal + band)), class: "band" }));
-  const far = Number((0.8 * Math.max(high - goal, goal - low)).toPrecision(1));
-  for (const value of [goal - far, goal, goal + far].filter((v) => v >= low && v <= high)) svg.append(shape("text", { x: left - 4, y: y(value) + 4, class: "tick end" }, printed(Number(value.toPrecision(3)))));
+  for (const [value, text] of ticks) svg.append(shape("text", { x: left - 4, y: y(value) + 4, class: "tick end" }, text));
   for (const t of [0, end / 2, end]) svg.append(shape("text", { x: x(t), y: height - 12, class: t === end ? "tick end" : "tick" }, `${Number(t.toPrecision(2))}${t === end ? " s" : ""}`));
   const order = rows.map((row, n) => [row[0], n]).sort((a, b) => a[0] - b[0]).map(([, n]) => n);
   rows.forEach((row, n) => {
@@ -30,10 +31,15 @@ function responses(title, rows, { step_s, band, goal, output }, [low, high]) {
 
 function bestResponses(loop) {
   const own = unpack(loop.y), alone = loop.alone ? unpack(loop.alone) : null;
-  const starts = [...own, ...(alone || [])].map((row) => row[0]).concat(loop.goal);
-  const room = 0.15 * (Math.max(...starts) - Math.min(...starts) || 1);
-  const range = [Math.min(...starts) - room, Math.max(...starts) + room];
+  const range = rangeOf([[...own, ...(alone || [])]], [loop.goal]);
   return [responses("Under control", own, loop, range), ...(alone ? [responses("Left alone, same starts", alone, loop, range)] : [])];
+}
+
+/** What all lines visit, at most as far again as the starts reach: one that diverges leaves the picture. */
+function rangeOf(loops, goals) {
+  const starts = loops.flat().map((row) => row[0]).concat(goals), low = Math.min(...starts), high = Math.max(...starts), span = high - low || 1;
+  const seen = loops.flat(2), least = Math.max(seen.reduce((a, b) => Math.min(a, b), low), low - span), most = Math.min(seen.reduce((a, b) => Math.max(a, b), high), high + span);
+  return [least - 0.1 * span, most + 0.1 * span];
 }
 
 /** The four numbers of run i; a number that the run has not is left out. */
@@ -43,32 +49,41 @@ function headline(i) {
   const both = value("controller_certified") && value("observer_certified");
   const ratio = value("settling_time_mean_s") / value("settling_time_open_loop_s");
   add(value("fit_test_percent") === null ? null : `${value("fit_test_percent").toFixed(1)} %`, "fit on the test record");
-  const rate = value("controller_certified_rate") ?? value("rate_controller");
-  add(rate === null ? null : both ? printed(Number(rate.toPrecision(2))) : "none", both ? `certified rate: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample` : "certificate");
+  const rate = value("controller_certified_rate") ?? value("rate_controller"), limit = value("controller_rate_limit");
+  if (both && rate !== null) add(printed(Number(rate.toPrecision(2))), `certified rate: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample`);
+  else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`);
   add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, value("loop_on") === "plant" || !value("loop_on") ? "starts settle on the plant" : "starts settle on the model");
   add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
   return told;
 }
 
-const SUPPORT = { sound: "the records support this judgement", doubt: "the records leave a doubt", "cannot judge": "the records allow no judgement" };
+const SUPPORT = { sound: "no check of the records speaks against this judgement", doubt: "the records leave a doubt", "cannot judge": "the records allow no judgement" };
 
 /** What is proved, what is predicted, what was seen, and what the records say of it: one short line each. */
 function evidence(i) {
   const value = (name) => (COLUMNS[name] ? COLUMNS[name][i] : null), digits = (name) => printed(Number(value(name).toPrecision(2)));
-  const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]), lines = word === "certified, settles" ? [] : [["Outcome", `${word}; ${sentence}.`]];
+  const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]), lines = word === "certified, settles" ? [] : [["Outcome", [`${word}: ${sentence}.`, ...reasons(i).map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`)].join(" ")]];
   const on = value("loop_on") === null || value("loop_on") === "plant" ? "plant" : "model";
   if (value("certified_tolerance") && value("mismatch_seen")) lines.push(["Proved for the model", `any two motions under control approach each other, also with a mismatch of gain up to ${digits("certified_tolerance")}; the records show ${digits("mismatch_seen")}, ${value("mismatch_seen") > value("certified_tolerance") ? "so the proof alone does not cover the plant" : "which is less"}.`]);
-  if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, value("predicted_stable") ? `it stays stable; the margin by frequency is ${digits("resolved_margin")}, and above 1 is enough.` : "nothing; the loop may be unstable."]);
+  if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? "it stays stable" : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
+  else if (value("evidence") === "cannot judge") lines.push(["Predicted for the plant", "nothing: the records allow no judgement."]);
   if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on}`, `it settles in ${digits("settling_time_mean_s")} s on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${digits("settling_time_open_loop_s")} s`}.`]);
+  const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean).map((reason) => reason.split(/: (.*)/s));
   if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, `${SUPPORT[value("evidence")]}.`]);
-  const reasons = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean).map((reason) => reason.split(/: (.*)/s));
-  return [...lines, ...reasons.map(([level, text]) => [level[0].toUpperCase() + level.slice(1), text])];
+  return [...lines, ...told.map(([level, text]) => [level[0].toUpperCase() + level.slice(1), text])];
 }
 
-/** The rule by which the first run of the table is the best, as far as it applied. */
+/** The two numbers that a prediction rests on, each with its bound. */
+function decides(margin, radius) {
+  const digits = (number) => printed(Number(number.toPrecision(2)));
+  return [margin === null ? "" : `the prediction margin is ${digits(margin)} (above 1 is needed)`, radius === null ? "" : `the controller's own radius ${margin === null ? "is " : ""}${digits(radius)} (below 1 is needed)`].filter(Boolean).join(" and ") || "of an older rule, which left no numbers";
+}
+
+/** What the first run of the table is, and the rule by which it is the best as far as it applied. */
 function whyBest() {
-  if (RUNS === 1 || COLUMNS.verdict[0] !== "certified, settles") return "";
-  return ` (the fastest of those that are certified${COLUMNS.predicted_stable && COLUMNS.predicted_stable[0] ? ", predicted to be stable" : ""} and settle)`;
+  if (RUNS === 1) return "Run: ";
+  if (COLUMNS.verdict[0] !== "certified, settles") return "No run is certified and settles; the nearest: ";
+  return `Best run (the fastest of those that are certified${COLUMNS.predicted_stable && COLUMNS.predicted_stable[0] ? ", predicted to be stable" : ""} and settle): `;
 }
 
 function drawLead() {
@@ -76,9 +91,9 @@ function drawLead() {
   if (!RUNS) return;
   const found = DATA.trajectories[COLUMNS.run[0]], loop = found && found.loop;
   const numbers = headline(0).map(([number, words]) => element("div", { class: "number" }, element("strong", {}, number), element("span", {}, words)));
-  const lines = evidence(0).map(([label, text]) => element("li", {}, element("strong", {}, label), text[0].toUpperCase() + text.slice(1)));
+  const lines = evidence(0).map(([label, text]) => element("li", { class: /^(?:Outcome|Cannot judge|Doubt|Evidence: cannot)/.test(label) ? "warn" : "" }, element("strong", {}, label), text[0].toUpperCase() + text.slice(1)));
   box.append(
-    element("p", {}, `Best run${whyBest()}: `, element("button", { type: "button", class: "link", onclick: () => choose(0) }, COLUMNS.run[0]),
+    element("p", {}, whyBest(), element("button", { type: "button", class: "link", onclick: () => choose(0) }, COLUMNS.run[0]),
       DATA.parameters.length ? `. Its settings: ${DATA.parameters.map((name) => `${DATA.words[name].replace(/[ ,]*[(,ρ].*/, "").toLowerCase()} ${printed(setting(name, 0))}`).join(", ")}.` : ""),
     element("div", { class: "lead" }, ...(loop ? [element("div", { class: "responses" }, ...bestResponses(loop))] : []),
       element("div", { class: "numbers" }, ...numbers)), element("ul", { class: "evidence" }, ...lines));

@@ -1,5 +1,6 @@
 // Wiring: the words above, the form, the failures and the provenance below.
 function drawWords() {
+  if (RUNS === 1) document.getElementById("filters-title").textContent = "Signals";
   document.getElementById("study").textContent = `Study ${DATA.study}`;
   document.getElementById("question").textContent = DATA.question;
   if (RUNS === 1) for (const id of ["compare", "filters", "count", "plots-hint", "beside"]) document.getElementById(id).hidden = true; // nothing to compare
@@ -12,7 +13,7 @@ function drawWords() {
 function linked(sentence) {
   return sentence.split(/(\s+)/).flatMap((word) => {
     const name = word.replace(/[.:,;]+$/, ""), i = name ? COLUMNS.run.indexOf(name) : -1;
-    return i < 0 ? [word] : [element("button", { type: "button", onclick: () => choose(i) }, name), word.slice(name.length)];
+    return i < 0 ? [word] : [element("button", { type: "button", title: name, onclick: () => choose(i) }, shortName(name)), word.slice(name.length)];
   });
 }
 
@@ -29,9 +30,8 @@ function drawForm() {
     return element("label", { title: sentence }, box, marker(word), `${word} (${tally(word)})`);
   }));
   document.getElementById("selects").append(...DATA.parameters.map(select).filter(Boolean));
-  const numeric = Object.keys(COLUMNS).filter(isNumeric);
   document.getElementById("range-column").append(element("option", { value: "" }, "any column"),
-    ...numeric.map((name) => element("option", { value: name }, DATA.words[name] || name)));
+    ...columnOptions());
 }
 
 function select(name) {
@@ -103,7 +103,7 @@ function drawFailures() {
   const ordered = [...groups].sort((a, b) => severity(a) - severity(b) || a[0].localeCompare(b[0]));
   for (const [key, runs] of ordered.slice(0, 40)) {
     const said = runs.map((i) => `${COLUMNS.verdict[i]}: ${why(i, COLUMNS.verdict[i])}`), reason = key.includes("#") ? withRanges(said) : said[0];
-    const buttons = runs.slice(0, 12).map((i) => element("li", {}, element("button", { type: "button", onclick: () => choose(i) }, printed(COLUMNS.run[i]))));
+    const buttons = runs.slice(0, 12).map((i) => element("li", {}, element("button", { type: "button", title: COLUMNS.run[i], onclick: () => choose(i) }, shortName(COLUMNS.run[i]))));
     const more = runs.length > 12 ? [element("li", {}, `and ${runs.length - 12} more`)] : [];
     box.append(element("details", {}, element("summary", {}, `${runs.length} × ${reason}`), element("ul", {}, ...buttons, ...more)));
   }
@@ -112,8 +112,19 @@ function drawFailures() {
 
 function drawProvenance() {
   document.getElementById("provenance").append(...DATA.provenance.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
-  if (RUNS) document.getElementById("provenance").append(element("dt", {}, "to check the best run"), element("dd", {}, element("code", {}, `ssm-study verify results/${DATA.study}/${nameParts(COLUMNS.run[0])[1]}`)));
+  if (RUNS) document.getElementById("provenance").append(element("dt", {}, "to check the best run"), element("dd", {}, element("code", {}, `ssm-study verify results/${(/^\.\.\/([^/]+)/.exec(COLUMNS.run[0]) || [null, DATA.folder])[1]}/${partsOf(COLUMNS.run[0]).at(-1)}`)));
   document.getElementById("configuration").textContent = DATA.configuration || "No run left its configuration.";
+}
+
+/** Links to what stands below the first screen; the page's fragment keeps the reader's choices, so they only scroll. */
+function drawContents() {
+  const places = [...document.querySelectorAll("main section[id]")].filter(({ hidden }) => !hidden);
+  document.getElementById("contents").append(...places.map((section) => element("a", { href: `#${section.id}`, onclick: (event) => {
+    event.preventDefault();
+    section.scrollIntoView();
+    section.tabIndex = -1;
+    section.focus({ preventScroll: true });
+  } }, section.id === "compare" ? "Comparison" : section.querySelector("h2").textContent)));
 }
 
 drawWords();
@@ -125,6 +136,7 @@ listen();
 drawFailures();
 drawProvenance();
 drawSideBySide();
+drawContents();
 document.getElementById("download").addEventListener("click", downloadTable);
 listeners.unshift(drawTable);
 listeners.push(keepInLink);

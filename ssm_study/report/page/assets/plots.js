@@ -15,7 +15,7 @@ const EMBED = { actions: { export: { svg: true, png: true }, source: false, comp
 function tooltipOf(columnOf) {
   return (datum, sanitize) => {
     const numbers = Object.keys(datum).filter((name) => typeof datum[name] === "number" && name !== "i");
-    const lines = [["Run", datum.run], ["Outcome", datum.verdict], ...numbers.map((name) => [DATA.words[columnOf(name)], printed(datum[name])])];
+    const lines = [["Run", shortName(datum.run)], ["Outcome", datum.verdict], ...numbers.map((name) => [DATA.words[columnOf(name)], printed(datum[name])])];
     const row = ([key, value]) => `<tr><td class="key">${sanitize(key)}</td><td class="value">${sanitize(value)}</td></tr>`;
     return `<table><tbody>${lines.map(row).join("")}</tbody></table>`;
   };
@@ -69,9 +69,9 @@ function placePanel(panel, number) {
 
 /** Any column against any other: the plot nobody thought of. */
 function placeExplorer() {
-  const number = DATA.panels.length, names = Object.keys(COLUMNS).filter(isNumeric);
+  const number = DATA.panels.length, names = columnOptions().flatMap((group) => [...group.children].map((option) => option.value));
   if (names.length < 2) return () => {};
-  const start = { across: DATA.parameters.find(isNumeric) || names[0], up: names.includes("fit_test_percent") ? "fit_test_percent" : names[1] };
+  const start = { across: DATA.parameters.find((name) => names.includes(name)) || names[0], up: names.includes("fit_test_percent") ? "fit_test_percent" : names[1] };
   const chart = element("div", { class: "chart" });
   const draw = () => {
     if (VIEWS[number]) VIEWS[number].finalize();
@@ -86,13 +86,13 @@ function placeExplorer() {
   };
   const choice = (axis) => element("select", { "aria-label": `Column ${axis}`, "data-axis": axis,
     onchange: (event) => { start[axis] = event.target.value; draw(); } },
-  ...names.map((name) => element("option", { value: name, selected: name === start[axis] }, DATA.words[name])));
+  ...columnOptions(start[axis]));
   document.getElementById("plots").append(element("figure", {}, element("figcaption", {}, choice("up"), " against ", choice("across")), chart));
   return draw;
 }
 
 async function drawPlots() {
-  if (COARSE) document.getElementById("plots-hint").textContent = "Tap a point to see its run; use the filters above to narrow the runs.";
+  if (COARSE) document.getElementById("plots-hint").textContent = "Tap a point to see its run; use the filters above to narrow the runs. The ring marks the best run.";
   const alone = RUNS === 1 && trajectoryCharts(document.getElementById("plots"), DATA.trajectories[COLUMNS.run[0]] || {}, false);
   for (const draw of alone || [...DATA.panels.map(placePanel), placeExplorer()]) {
     await draw();

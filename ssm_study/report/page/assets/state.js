@@ -90,6 +90,18 @@ function isNumeric(name) {
   return COLUMNS[name].some((value) => typeof value === "number") && !COLUMNS[name].some((value) => typeof value === "string");
 }
 
+/** Words that need room; a yes or no does not. */
+function isText(name) {
+  return COLUMNS[name].some((value) => typeof value === "string");
+}
+
+/** The options of a menu of columns, by the part of the study that they describe; what never varies is left out. */
+function columnOptions(selected) {
+  const telling = (name) => COLUMNS[name] && isNumeric(name) && new Set(COLUMNS[name].filter((value) => value !== null)).size > 1;
+  return Object.entries(DATA.menus).map(([title, names]) => [title, names.filter(telling)]).filter(([, names]) => names.length).map(([title, names]) =>
+    element("optgroup", { label: title }, ...names.map((name) => element("option", { value: name, selected: name === selected }, DATA.words[name]))));
+}
+
 const SHAPES = {
   "certified, settles": "M7 1a6 6 0 1 0 .01 0z",
   "certified, does not settle": "M7 1l6 11H1z",

@@ -34,7 +34,7 @@ function drawHead() {
   document.getElementById("head").replaceChildren(element("tr", {}, ...names.map((name) => {
     const here = state.sort.column === name;
     const arrow = here ? (state.sort.descending ? " ▼" : " ▲") : "";
-    return element("th", { scope: "col", class: isNumeric(name) ? "" : "text",
+    return element("th", { scope: "col", class: isText(name) ? "text" : "",
       "aria-sort": here ? (state.sort.descending ? "descending" : "ascending") : "none" },
     element("button", { type: "button", "data-column": name, onclick: () => sortBy(name) }, (DATA.words[name] || name) + arrow));
   })));
@@ -43,12 +43,24 @@ function drawHead() {
 function drawRow(i, names) {
   return element("tr", { class: i === state.chosen ? "chosen" : "", "data-run": String(i) }, ...names.map((name) => name === "run"
     ? element("th", { scope: "row" }, picker(i), element("button", { type: "button", title: COLUMNS.run[i], onclick: () => choose(i) }, ...nameParts(COLUMNS.run[i])))
-    : element("td", { class: isNumeric(name) ? "" : "text" }, printed(COLUMNS[name][i]))));
+    : element("td", { class: isText(name) ? "text" : "" }, printed(COLUMNS[name][i]))));
 }
 
-/** A run's name; a phone shows the digits alone, which tell runs apart. */
+// Of a run's name only what not all runs share, and the digits.
+const PARTS = (COLUMNS.run || []).map(partsOf), TELLING = (PARTS[0] || []).map((part, k, all) => RUNS === 1 || k === all.length - 1 || PARTS.some((own) => own.length !== all.length || own[k] !== part));
+
+function partsOf(name) {
+  return printed(name).replace(/^\.\.\//, "").split("-");
+}
+
+/** `order4-0123456789` of `order4-width8-seed0-0123456789` where the order alone was varied. */
+function shortName(name) {
+  return partsOf(name).filter((_, k) => TELLING[k] ?? true).join("-");
+}
+
+/** A run's name in two parts; a phone shows the digits alone, which tell runs apart. */
 function nameParts(name) {
-  const [, settings, digits] = /^(.*-)([0-9a-f]{10})$/.exec(name) || [null, "", printed(name)];
+  const [, settings, digits] = /^(.*-)([0-9a-f]{10})$/.exec(shortName(name)) || [null, "", shortName(name)];
   return [element("span", { class: "settings" }, settings), digits];
 }
 
@@ -85,8 +97,8 @@ function focusedPlace() {
 
 function drawPager(pages) {
   const turn = (by) => () => { state.page += by; changed(true); };
-  document.getElementById("pager").replaceChildren(
+  document.getElementById("pager").replaceChildren(...(pages === 1 ? [] : [
     element("button", { type: "button", id: "page-before", onclick: turn(-1), disabled: state.page === 0 }, "Previous"),
     element("span", {}, `Page ${state.page + 1} of ${pages}`),
-    element("button", { type: "button", id: "page-after", onclick: turn(1), disabled: state.page >= pages - 1 }, "Next"));
+    element("button", { type: "button", id: "page-after", onclick: turn(1), disabled: state.page >= pages - 1 }, "Next")]));
 }
