@@ -24,9 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         arguments = taken_from(arguments)
         if arguments[:1] == ["run"]:
-            from ssm_study.cli.run import run
-
-            return run(arguments[1:])
+            return _run(arguments[1:])
         options = _parser().parse_args(arguments or ["--help"])
         command: Callable[[argparse.Namespace], int] = options.command
         return command(options)
@@ -56,6 +54,7 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
 
 
 def full_or_forbidden(field: str, error: OSError) -> BadRequest:
+    """The sentence for a disk that is full or a folder that is not ours; `field` names what was asked."""
     problem, remedy = error.strerror or type(error).__name__, "make room, or choose a folder that you may write to"
     return BadRequest(field, error.filename or "not named", problem, remedy)
 
@@ -107,6 +106,12 @@ def _on_its_folder(action: Callable[[argparse.Namespace], int], subject: str, op
     found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
     setattr(options, subject, found)
     return action(options)
+
+
+def _run(overrides: list[str]) -> int:
+    from ssm_study.cli.run import run
+
+    return run(overrides)
 
 
 def _new(options: argparse.Namespace) -> int:
