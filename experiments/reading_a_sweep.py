@@ -9,7 +9,7 @@
 # # Reading a sweep
 #
 # One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks the table the
-# questions a study is made for: which run is best, where feasibility ends, what the margin predicts.
+# questions a study is made for: which run is best, where feasibility ends, whether the prediction holds.
 
 # %%
 import os
@@ -40,13 +40,13 @@ _ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %% [markdown]
 # Four runs, but only two trainings: a rate is requested for a model that exists already. The table has a row per run,
-# **failed and infeasible ones included**, and missing numbers are missing, never zero.
+# **failed and infeasible ones included**. A number that a run does not have is missing, never zero.
 
 # %%
 study = StudyFolder(folder=RESULTS / STUDY)
 table = best_first(study.table).assign(verdict=verdicts(study.table))
 seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit"]
-seen += ["mismatch_margin", "stable_count", "settling_time_mean_s"]
+seen += ["resolved_margin", "stable_count", "settling_time_mean_s"]
 shown = table[seen].round(4).set_index(table.run.str.rsplit("-", n=1).str[-1].rename("run"))
 shown.rename(columns={name: words(name).split(" (")[0] for name in seen})
 
@@ -64,7 +64,7 @@ for answer in answers(study.table):
 # to its largest slope. A larger slope floor raises it. What lies above its bar is infeasible *whatever* the solver.
 
 # %%
-for name in ("feasibility_map", "rates", "fit_against_stability"):
+for name in ("feasibility_map", "rates"):
     png, _ = figures.draw([name], study.folder)
     display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
 

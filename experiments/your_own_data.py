@@ -10,8 +10,8 @@
 #
 # You have a log: a column with what you applied, a column with what you measured, a sampling time. A model can be
 # fitted to any log, and a controller with a certificate can be designed for any such model. Whether the controller
-# works on the machine is another question, and the log decides it. This notebook takes two logs of one heater: the
-# one that lies around, and the one that was recorded for the purpose. The first gets no prediction, with the reasons
+# works on the machine is another question, and the log decides it. This notebook takes two logs of one heater: one
+# from ordinary operation, and one that was recorded for the purpose. The first gets no prediction, with the reasons
 # and what to record instead. The second gets one, and it turns out right.
 
 # %%
@@ -52,7 +52,7 @@ def sensor(temperature: np.ndarray, seed: int) -> np.ndarray:
 
 
 # %% [markdown]
-# ## The log that lies around
+# ## The log from ordinary operation
 #
 # Two minutes of ordinary operation: a thermostat switches the power between two levels, and the room warms and cools
 # meanwhile, which nobody recorded.
@@ -98,7 +98,7 @@ verdict(poor)
 # ## The log that was made for the purpose
 #
 # `ssm-study excite` writes an input to apply: random levels over the whole range at three amplitudes, every period
-# twice, and rest at both ends. Here it runs on the stand-in, in a room that was left in peace.
+# twice, and rest at both ends. Here it runs on the stand-in, in a room of constant temperature.
 
 # %%
 asked = "--lower -3 --upper 3 --rest 0 --step-s 0.1 --settle-s 5"  # what you know of your machine
@@ -124,8 +124,8 @@ for name in ("validation_trajectory", "excitation"):
 # %% [markdown]
 # ## Was the verdict right?
 #
-# Both controllers now run on the heater itself, in a quiet room, from the same five temperatures, within the
-# heater's limits of ±3. With your own machine this is the step that remains to you.
+# Both controllers now run on the heater itself, in a room of constant temperature, from the same five temperatures,
+# within the heater's limits of ±3. With your own machine, this step is yours.
 
 
 # %%
@@ -143,7 +143,10 @@ def on_the_heater(design: st.Design, start: float, samples: int = 100) -> np.nda
 with style.paper():
     figure = style.canvas(style.PAGE_IN, 2.2)
     first, second = figure.subplots(1, 2, sharey=True)
-    for axes, design, title in ((first, poor, "From the log that lies around"), (second, good, "From the made one")):
+    for axes, design, title in (
+        (first, poor, "From the log of ordinary operation"),
+        (second, good, "From the log made for the purpose"),
+    ):
         for start in (-8.0, -4.0, 2.0, 5.0, 9.0):
             axes.plot(STEP_S * np.arange(100), on_the_heater(design, start), color=style.BLUE)
         axes.set(title=title, xlabel="Time (s)")
@@ -155,7 +158,7 @@ display(Image(filename=str(png), retina=True))
 # Both controllers carry a certificate, and each aims at the rest point of its own records. The verdict on the evidence
 # told them apart before either was tried.
 #
-# ## Take the controller away
+# ## Export the controller
 #
 # Dependency-free C; `ssm-study export` also writes an ONNX cell and a python-control system, each computing what the
 # certified loop computes, and the certificate beside them.

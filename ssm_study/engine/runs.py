@@ -79,8 +79,8 @@ def execute(
 
     `work` returns further facts; `status` among them may be `infeasible` (default `ok`). `parameters` are in the record
     from the start. `configuration` maps file names to text, written below `.hydra/`; `provenance` is who computes. An
-    exception becomes a `failed` record with `traceback.txt`; only being stopped (KeyboardInterrupt, SIGTERM) is raised
-    on, leaving a run that the same command takes up again.
+    exception becomes a `failed` record with `traceback.txt`; only being stopped (KeyboardInterrupt, SIGTERM, a
+    scheduler's time limit) is raised on, leaving a run that the same command takes up again.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with locked_or_none(folder / LOCK) as mine:
@@ -146,10 +146,19 @@ def _run(folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[st
         seal_run(folder)  # before the record: that one makes the run count, so its files must already be durable
         records.write_record(folder, opening | run.facts | closing)
     except (Exception, SystemExit) as error:
+        if _stopped_by_scheduler(error):
+            raise
         death = error_facts(error, folder)
         write_failure(folder, opening | run.facts, death, text=traceback.format_exc())
         return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
     return Outcome(folder=folder, status=str(status), did="ran")
+
+
+def _stopped_by_scheduler(error: BaseException) -> bool:
+    """Whether it was raised by what submitit does on the signal before a time limit: the job is queued again, or the
+    last of its attempts is over; the run is then `lost`, which the next attempt or the same command takes up."""
+    *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
+    return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
 def seal_run(folder: Path) -> None:

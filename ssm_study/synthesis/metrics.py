@@ -27,7 +27,7 @@ def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
         Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{said} certified"),
         Column(f"{side}_reason", "string", word=reason),
         Column(f"{side}_margin", "Float64", "high", "", f"{said} LMI margin", "", ITERATED, EIGENVALUE),
-        Column(f"{side}_rate_limit", "Float64", "low", "", f"{said} rate limit, ρ", "1/sample", ITERATED),
+        Column(f"{side}_rate_limit", "Float64", "high", "", f"{said} rate limit, ρ", "1/sample", ITERATED),
         Column(f"{side}_certified_rate", "Float64", "high", "", f"{said} rate proved", "1/sample", ITERATED),
         Column(f"{side}_gain_norm", "Float64", "low", "", f"{said} gain ‖{gain}‖", "scaled", ITERATED),
     )
@@ -43,12 +43,20 @@ COLUMNS = (
     Column("infeasible_reason", "string", word="Why it is infeasible"),
     Column("uncertified_reason", "string", word="Why it is not certified"),
     Column("synthesis_seconds", "Float64", "low", word="Synthesis time", unit="s", unchecked="depends on when it ran"),
-    Column("certified_tolerance", "Float64", "high", "", "Mismatch gain tolerated for certain", "", ITERATED),
-    Column("certified_tolerance_resolved", "Float64", "high", "", "The same, over what records show", "–", ITERATED),
+    Column("certified_tolerance", "Float64", "high", "", "Mismatch gain tolerated, proved", "", ITERATED),
+    Column(
+        "certified_tolerance_resolved",
+        "Float64",
+        "high",
+        "",
+        "Tolerated, proved, over what records show",
+        "–",
+        ITERATED,
+    ),
     Column("mismatch_gain", "Float64", "low", word="Model mismatch gain", tolerance=ITERATED),
     Column("mismatch_seen", "Float64", "low", word="Largest mismatch gain of any record", tolerance=ITERATED),
     Column("mismatch_in_loop", "Float64", "low", word="Mismatch gain of trials in closed loop", tolerance=ITERATED),
-    Column("mismatch_spread", "Float64", "low", word="Spread of the mismatch among blocks", tolerance=ITERATED),
+    Column("mismatch_spread", "Float64", "low", word="Uncertainty of the mismatch", tolerance=ITERATED),
     Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED),
     Column(
         "resolved_margin", "Float64", "high", "margin", "Prediction margin, by frequency", "–", ITERATED, shown=True

@@ -54,7 +54,7 @@ def show(
 
 def column_lines(table: pd.DataFrame | None = None) -> list[str]:
     """The declared columns as text, one a line: of the table those that hold values, else all."""
-    rows = list(listed(table))
+    rows = [("column", "what it is (unit)", "better", "checked by verify unless said"), *listed(table)]
     widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
     lines = ["".join(f"{row[i]:<{widths[i]}}  " for i in range(3)) + row[3] for row in rows]
     return [line.rstrip() for line in lines]

@@ -11,11 +11,14 @@ from hydra.core.utils import JobReturn, JobStatus
 
 from ssm_study.engine.jobs import Job
 from ssm_study.engine.records import read_record
-from ssm_study.engine.runs import execute
+from ssm_study.engine.runs import Run, execute
+from ssm_study.engine.stages import Stage
+from ssm_study.engine.task import RunStages
 from ssm_study.table.gather import gather
 
 submitit = pytest.importorskip("submitit", reason="the extra `slurm` is not installed")
 
+from hydra_plugins.ssm_study_slurm import SlurmLauncher  # noqa: E402
 from ssm_study.engine.settings import Settings  # noqa: E402
 from ssm_study.engine.slurm import executor, settled  # noqa: E402
 
@@ -46,6 +49,7 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # where the jobs find `begun`
+    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)  # of 15 s for a file that a dead job never leaves
     jobs = {how: submitted(tmp_path, how) for how in ("returns", "killed", "waits")}
     deadline = time.monotonic() + 60
     while read_record(tmp_path / "study" / "waits") is None:
@@ -62,6 +66,53 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     assert rows.loc[["killed", "waits"], "error_message"].str.startswith("Slurm ended job").all()
     assert (tmp_path / "study" / "killed" / "traceback.txt").read_text().strip()
     assert begun(tmp_path / "study" / "killed", "returns").return_value.status == "ok"
+
+
+def count(folder: Path, *, calls: str) -> None:
+    with Path(calls).open("a") as stream:
+        stream.write("computed\n")
+    (folder / "n").write_text("1")
+
+
+COUNTED = Stage("counted", count, lambda folder: int((folder / "n").read_text()))
+
+
+class Requeued(SlurmLauncher):  # type: ignore[misc]
+    """Submitted as a sweep submits its jobs; the first time its second stage takes longer than its limit."""
+
+    def __call__(self, folder: Path) -> JobReturn:  # type: ignore[override]
+        def work(run: Run) -> dict[str, float]:
+            RunStages(folder / "store", run).take(COUNTED, {"calls": str(folder / "calls")})
+            (begun := folder / "begun").open("a").write("begun\n")
+            while begun.read_text().count("begun") == 1:
+                time.sleep(0.05)
+            return {"fit_test_percent": 50.0}
+
+        returned = JobReturn(status=JobStatus.COMPLETED)
+        returned.return_value = execute(folder / "study" / "run", {"seed": 1}, work)
+        return returned
+
+
+def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The signal that Slurm sends before the limit ends the attempt, not the run."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    local = submitit.AutoExecutor(cluster="local", folder=tmp_path / "logs")
+    local.update_parameters(timeout_min=10)
+    local._executor.max_num_timeout = 1
+    running = local.submit(Requeued(), tmp_path)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "begun").exists():
+        assert time.monotonic() < deadline, "the job never began"
+        time.sleep(0.05)
+    job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
+    os.kill((read_record(job.folder) or {})["pid"], signal.SIGUSR2)
+    assert settled(job, running, patience_s=600.0).status == "ok"
+    record = read_record(job.folder)
+    assert record is not None
+    assert (record["status"], record["attempt"], record["stage_counted_reused"]) == ("ok", 2, True)
+    assert (tmp_path / "calls").read_text().count("computed") == 1
 
 
 class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
