@@ -55,6 +55,12 @@ class StateSpace(_Recurrence):
             x = x @ turn + forced[..., k, :]
         return states @ self.c.T + u @ self.d.T, x
 
+    def response_samples(self, most: int, remainder: float) -> int:
+        """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the system answers."""
+        size = np.abs(self.simulate(np.eye(most, 1) * np.ones((1, self.b.shape[1])))[0]).sum(axis=1)
+        left = 1 - np.cumsum(size) / max(float(size.sum()), np.finfo(float).tiny)
+        return int(np.argmax(left <= remainder)) + 1
+
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSystem(_Recurrence):

@@ -22,6 +22,7 @@ PERIOD = 1024  # samples; every trial holds two, so that what repeats is told fr
 LEAD_IN = PERIOD // 4  # the end of a period runs before the first, so that the transient from rest is over
 REST = PERIOD // 2  # samples at rest input behind the last period
 DECAYS = (-1.0, -0.5, 0.5, 1.0)  # where the free decays start, as shares of the plant's initial range
+RETURNS = (-0.5, -0.25, 0.35, 0.7)  # input levels, as SHARES, from which a straight line leads back to rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +84,10 @@ class SimulatedData:
 
 
 def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[Trajectory, ...]:
-    """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of that `deviation`."""
+    """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of that `deviation`.
+
+    Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a slow return.
+    """
     rng, rest = np.random.default_rng([seed, 7]), plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * np.array(plant.input_amplitude)
@@ -93,10 +97,14 @@ def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[
     share = np.array(DECAYS)[:, None] * np.ones(len(rest.y))
     starts = rest.y + np.where(share < 0, -low, high) * share
     still = np.tile(rest.u, (len(DECAYS), PERIOD, 1))
+    line = np.interp(np.arange(PERIOD), [PERIOD // 4, PERIOD // 2], [1.0, 0.0])[:, None] * np.array(
+        plant.input_amplitude
+    )
     found: list[Trajectory] = []
     for word, shares, u, x0 in (
         ("trial_at", SHARES, driven, None),
         ("decay_from", DECAYS, still, plant.states_at(starts)),
+        ("return_from", RETURNS, rest.u + np.array(RETURNS)[:, None, None] * line, None),
     ):
         y = plant.simulate(u, x0)[1]
         noisy = y + deviation * rng.standard_normal(y.shape)

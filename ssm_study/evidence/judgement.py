@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ssm_study.evidence import fit, records, response
+from ssm_study.evidence import feedback, fit, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, note
 from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
@@ -40,7 +40,8 @@ class Judgement:
 def judge(data: DataSet, model: SSM, validation: Simulation, test: Simulation, shown: Mismatch) -> Judgement:
     """Every finding about these records, this model and the mismatch that they show."""
     case = Case(data=data, model=model, validation=validation, test=test)
-    found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *fit.whiteness(case)]
+    found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *feedback.findings(case)]
+    found += fit.whiteness(case)
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
     return Judgement(findings=tuple(found))

@@ -23,7 +23,7 @@ UNTRAINED = 0.2  # share of the test input's power in bands that training did no
 
 def findings(case: Case, shown: Mismatch) -> list[Finding]:
     """All of them, each with its own sentence; those on rest and on what is unknown of the mismatch come last."""
-    looks = (_range, _levels, _limits, _length, _drift, _same, _spectrum, _loop)
+    looks = (_range, _levels, _limits, _length, _drift, _same, _spectrum)
     return [*(doubt(sentence) for look in looks for sentence in look(case)), *_rest(case, shown)]
 
 
@@ -67,7 +67,7 @@ def _limits(case: Case) -> Iterator[str]:
 
 
 def _length(case: Case) -> Iterator[str]:
-    samples, response = [len(record) for record in case.data.training], response_samples(case.model.linear, 4000)
+    samples, response = [len(record) for record in case.data.training], response_samples(case.model.linear)
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif max(samples) < RESPONSES * response:
@@ -110,19 +110,6 @@ def _spectrum(case: Case) -> Iterator[str]:
         yield f"{100 * share:.0f} % of the test input's power lies where training has none: train with that spectrum."
 
 
-def _loop(case: Case) -> Iterator[str]:
-    """An input that answers the output: the residual is then correlated with inputs to come."""
-    strongest = 0.0
-    for u, e in case.residuals(case.validation):
-        if len(u) < FEWEST_SAMPLES or not np.any(np.ptp(e, axis=0)):
-            continue
-        a, b = np.diff(u[:, 0]), np.diff(e[:, 0])
-        size = float(np.linalg.norm(a) * np.linalg.norm(b)) or 1.0
-        strongest = max(strongest, *(abs(float(a[lag:] @ b[:-lag])) / size for lag in range(1, 4)))
-    if strongest >= 0.3:
-        yield f"The input reacts to the output (correlation {strongest:.2f}), as in a closed loop: record with it open."
-
-
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     stuck = max((left(y) for y in _afterwards(case)), default=0.0)
@@ -146,7 +133,7 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
 
 def _afterwards(case: Case) -> Iterator[Float[np.ndarray, "T p"]]:
     """Outputs at rest input after it has moved, where that lasts `RESPONSES` of the model's own."""
-    least = RESPONSES * response_samples(case.model.linear, 4000)
+    least = RESPONSES * response_samples(case.model.linear)
     for u, y in map(case.scaled, (*case.data.trials, *case.data.validation, *case.data.test)):
         still = np.flatnonzero(u.any(axis=1))[-1:] + 1  # none where the input never moves
         if len(still) and len(u) - still[0] >= max(least, 8):

@@ -15,7 +15,7 @@ from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS, lagged
 from ssm_study.systems import StateSpace
 
-REMAINDER = 0.1  # of the response: its bulk, not the tail of a mode that no record filled
+LONGEST, REMAINDER = 4000, 0.1  # samples; share of the response: its bulk, not the tail of a mode that no record filled
 AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
 RESPONSES = 2  # a record, and a piece of a coherence's average, should last this many times the model's own response
 USED = 0.1  # the controller's band: where the model answers with this share of its largest gain
@@ -31,12 +31,9 @@ def findings(case: Case) -> list[Finding]:
     return [*_coherence(case), *_dead_time(case)]
 
 
-def response_samples(linear: StateSpace, most: int) -> int:
-    """Samples after which `REMAINDER` of `sum |C A^k B|` is left: how long the model answers; at most `most`."""
-    impulse = np.eye(most, 1) * np.ones((1, linear.b.shape[1]))
-    size = np.abs(linear.simulate(impulse)[0]).sum(axis=1)
-    left = 1 - np.cumsum(size) / max(float(size.sum()), np.finfo(float).tiny)
-    return int(np.argmax(left <= REMAINDER)) + 1
+def response_samples(linear: StateSpace) -> int:
+    """The bulk of the model's response."""
+    return linear.response_samples(LONGEST, REMAINDER)
 
 
 def _coherence(case: Case) -> Iterator[Finding]:
@@ -44,9 +41,7 @@ def _coherence(case: Case) -> Iterator[Finding]:
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear
-    if not parts or segment < RESPONSES * response_samples(
-        linear, SEGMENTS[1]
-    ):  # what outlasts a piece counts as noise
+    if not parts or segment < RESPONSES * response_samples(linear):  # what outlasts a piece counts as noise
         return
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = np.abs(np.linalg.solve(np.exp(1j * angles)[:, None, None] * np.eye(len(linear.a)) - linear.a, linear.b))

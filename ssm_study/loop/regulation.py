@@ -197,10 +197,8 @@ class Loop:
         """This experiment with a horizon: as given, else `RESPONSES` times as long as the model's own response."""
         if self.horizon_s is not None:
             return self
-        linear, most = at_rest(model), SAMPLES[1]
-        response = np.abs(linear.simulate(np.eye(most, 1)[:, :1] * np.ones((1, linear.b.shape[1])))[0]).sum(axis=1)
-        left = 1 - np.cumsum(response) / max(float(response.sum()), np.finfo(float).tiny)
-        samples = int(np.clip(RESPONSES * (np.argmax(left <= REMAINDER) + 1), *SAMPLES))
+        response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)
+        samples = int(np.clip(RESPONSES * response, *SAMPLES))
         return replace(self, horizon_s=samples * model.step_s)
 
     def samples(self, step_s: float) -> int:

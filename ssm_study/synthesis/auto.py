@@ -5,9 +5,9 @@ Among guaranteed-cost designs on a grid of rates and weights that are predicted 
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
-`area` the response's on the model (`synthesis.area`), `spread` that of ln g among blocks of the record: the mismatch is
-not a number but a sample, and the fastest design that just passes is the one that any optimism of g lets through.
-Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
+`area` the response's on the model (`synthesis.area`), `spread` the standard error of ln g, from blocks of the record:
+the mismatch is not a number but a sample, and the fastest design that just passes is the one that any optimism of g
+lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
 """
 
 from collections.abc import Sequence

@@ -48,7 +48,7 @@ COLUMNS = (
     Column("mismatch_gain", "Float64", "low", word="Model mismatch gain", tolerance=ITERATED),
     Column("mismatch_seen", "Float64", "low", word="Largest mismatch gain of any record", tolerance=ITERATED),
     Column("mismatch_in_loop", "Float64", "low", word="Mismatch gain of trials in closed loop", tolerance=ITERATED),
-    Column("mismatch_spread", "Float64", "low", word="Spread of the mismatch among blocks", tolerance=ITERATED),
+    Column("mismatch_spread", "Float64", "low", word="Uncertainty of the mismatch", tolerance=ITERATED),
     Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED),
     Column("resolved_margin", "Float64", "high", "margin", "Prediction margin", "–", ITERATED, shown=True),
     Column("controller_radius", "Float64", "low", "ctl radius", "Controller's own spectral radius", "–", ITERATED),

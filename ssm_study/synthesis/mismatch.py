@@ -43,7 +43,7 @@ IN_LOOP = (1 / 3, 300)  # share, and most samples, of a trial in closed loop tha
 MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
 NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
 QUIET = 0.25  # quantile of the bands of e that is taken for white noise in a closed loop where no record measured it
-BLOCKS = 8  # pieces of the largest record, among which the gain's spread is taken
+BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
 Spectra = tuple[Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]]
 
 
@@ -65,7 +65,7 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """All views, the smallest amplitude first. `spread`: standard deviation of `ln g` over blocks of the largest.
+    """All views, the smallest amplitude first. `spread`: standard error of the largest's `ln g`, from blocks.
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None without such a
     record. `unexcited`: bands without input power in the largest record. `loop`: what trials in closed loop show.
@@ -163,10 +163,11 @@ class _Errors:
         )
 
     def spread(self) -> float:
-        """Standard deviation of `ln(||e|| / ||u||)` over `BLOCKS` pieces."""
+        """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS` pieces."""
         pieces = zip(np.array_split(self.e, BLOCKS), np.array_split(self.u, BLOCKS), strict=True)
         ratios = [float((e**2).sum() / (u**2).sum()) for e, u in pieces if np.any(u) and np.any(e)]
-        return 0.5 * float(np.std(np.log(ratios))) if len(ratios) > 1 else 0.0  # half: of g, not of g^2
+        known = np.std(np.log(ratios)) / np.sqrt(len(ratios)) if len(ratios) > 1 else 0.0
+        return 0.5 * float(known)  # half: of g, not of g^2
 
     def spectra(self) -> Spectra:
         """Fourier transforms of both periods of e, and of input and model over the second."""

@@ -13,7 +13,8 @@ alone, so it must be stable by itself (`controller_radius` below one), which `1 
 the tracking error hold there (`1 - M Q` is zero at w = 0), so only `controller_radius`, without them, speaks of it.
 
 The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
-predicted to hold the plant stable when it exceeds one and the controller is stable. A predictor, not a certificate.
+predicted to hold the plant stable when it exceeds one and its controller is stable: no certificate.
+Every g counts `SCATTER` times.
 Source: THEORY sections 5 and 7 for small gain by amplitude; docs/trust.md for the phase and what was measured.
 """
 
@@ -29,6 +30,7 @@ from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.sensitivity import frequency_response
 from ssm_study.systems import Balls, Pair
 
+SCATTER = 1.05  # one, and what Welch's estimate of g alone scatters by
 HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time
 MIXTURES = (0.25, 0.5, 0.75)  # shares of the larger of two neighbouring amplitudes
 
@@ -84,7 +86,7 @@ def worst(model: Model, pair: Pair, balls: Balls, shown: Mismatch, shared: loops
             open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])
         single = answer.shape[1:] == open_loop.shape[1:] == (1, 1)
         through = slope[0] * slope[1] * open_loop[:, 0, 0] * answer[:, 0, 0] if single else None
-        size = loops.sizes(answer)
+        size = SCATTER * loops.sizes(answer)
         largest = max(
             largest, _over_views(shown, _Loop(angles=angles, size=size, through=through, integrates=integrates))
         )
@@ -93,7 +95,7 @@ def worst(model: Model, pair: Pair, balls: Balls, shown: Mismatch, shared: loops
 
 @dataclass(frozen=True, kw_only=True)
 class _Loop:
-    """`|T_ue|` at `angles (K,)`, and `M` where there is one input and one output."""
+    """`SCATTER |T_ue|` at `angles (K,)`, and `M` where there is one input and one output."""
 
     angles: Float[np.ndarray, "K"]
     size: Float[np.ndarray, "K"]

@@ -13,6 +13,7 @@ from scipy.io import loadmat, savemat
 from ssm_study.data.metrics import benchmark_rmse, position_rmse_mm
 from ssm_study.data.readers.csv import CsvReader
 from ssm_study.data.recording import Recording
+from ssm_study.evidence.feedback import EARLIER, PRESENT, fed_back
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -212,3 +213,10 @@ def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> N
     columns = {name: values[:, None] for name, values in CsvReader().read(source, names).columns.items()}
     target.parent.mkdir(exist_ok=True)
     savemat(target, columns | more, appendmat=False)
+
+
+@pytest.mark.parametrize(("name", "closed"), [("emps", True), ("emps_position", True), ("ced", False),
+                                              ("cascaded_tanks", False), ("silverbox", False)])  # fmt: skip
+def test_of_the_benchmarks_only_the_servo_was_recorded_in_a_closed_loop(built, name, closed) -> None:  # type: ignore[no-untyped-def]
+    data = built(name)
+    assert (fed_back(data, 1) > EARLIER or fed_back(data, 0) > PRESENT) == closed

@@ -8,6 +8,7 @@ import scipy.signal
 from test_loop_prediction import linear_model
 
 from ssm_study.data.assembly import assemble
+from ssm_study.evidence import feedback
 from ssm_study.evidence.finding import Case
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
@@ -92,3 +93,37 @@ def test_where_the_input_rests_in_one_record_the_others_tell():
     resting = (np.zeros((2000, 1)), 1e-3 * RNG.standard_normal((2000, 1)))
     np.testing.assert_allclose(coherence([(u, u), resting], 64), 1, atol=1e-3)
     np.testing.assert_allclose(coherence([resting], 64), 0, atol=1e-9)
+
+
+def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """The same lag under `u = r - y + 0.05 sum (r - y)`, the law `delay` samples late."""
+    y, whole, rng = 0.0, 0.0, np.random.default_rng(7)
+    log, late = np.zeros((len(reference), 2)), [0.0] * delay
+    for k, asked in enumerate(reference):
+        measured = y + noise * rng.standard_normal()
+        whole += 0.05 * (asked - measured)
+        late.append(asked - measured + whole)
+        u = late.pop(0)
+        log[k] = u, measured
+        y = 0.9 * y + 0.1 * np.tanh(1.5 * u)
+    return log[:, 0], log[:, 1]
+
+
+REFERENCES = {"steps": LEVELS.repeat(5)[:6000], "sine": 0.5 * np.sin(0.05 * np.arange(6000)), "none": np.zeros(6000)}
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("reference", REFERENCES)
+def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_is_none(reference, delay):
+    u, y = in_loop(REFERENCES[reference], 0.03, delay)
+    (found,) = feedback.findings(case(u, y))
+    assert found.level == "doubt"
+    assert "closed-loop log: record with the loop open" in found.sentence
+    assert not list(feedback.findings(case(u, answer(u, noise=0.03))))
+
+
+@pytest.mark.parametrize("u", [WHITE, LEVELS, np.sign(LEVELS), scipy.signal.lfilter([0.1], [1, -0.9], WHITE)])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
+    assert feedback.fed_back(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
+    assert feedback.fed_back(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < feedback.EARLIER / 2

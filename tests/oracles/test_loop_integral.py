@@ -125,6 +125,7 @@ def test_the_margin_with_integrators_by_two_routes(design):
 
 def test_auto_chooses_with_integral_action():
     auto = Auto(
+        own_rate_shares=(0.1, 0.5),
         stretch_shares=(0.3, 0.8),
         observer_rates=(0.05, 0.3),
         input_weights=(0.01, 0.1, 1.0, 10.0),

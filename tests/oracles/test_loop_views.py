@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from loop_cases import BALLS, motor, motor_design, motor_model
 from test_loop_prediction import ONES, closed, linear_model
 
-from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, SHARES, trials
+from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, trials
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory, repetition
 from ssm_study.synthesis.mismatch import AT_REST, mismatch
@@ -100,14 +100,18 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
         assert np.isfinite(shown.seen) == rests
 
 
-def test_trials_are_two_periods_at_each_amplitude_then_rest_and_free_decays():
+def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
     records = trials(motor(), 3, np.array([0.1]))
-    assert len(records) == len(SHARES) + len(DECAYS)
+    assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
     for record, share in zip(records, SHARES, strict=False):
         assert repetition(record.u) == (LEAD_IN, PERIOD)
         assert np.abs(record.u).max() <= share * motor().input_amplitude[0]
         assert not record.u[-PERIOD // 2 :].any()
-    for record, share in zip(records[len(SHARES) :], DECAYS, strict=True):
+    for record, share in zip(records[-len(RETURNS) :], RETURNS, strict=True):
+        assert record.u[0, 0] == share * motor().input_amplitude[0]
+        assert 0 < np.abs(np.diff(record.u[:, 0])).max() < np.abs(record.u[0, 0]) / 100
+        assert not record.u[-PERIOD // 2 :].any()
+    for record, share in zip(records[len(SHARES) :], DECAYS, strict=False):
         assert not record.u.any()
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
     again = trials(motor(), 3, np.array([0.1]))

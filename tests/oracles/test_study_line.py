@@ -149,7 +149,7 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
     assert main(asked) == 0
     table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet").sort_values("rate_controller")
     assert list(table["status"]) == ["ok", "ok", "infeasible"]
-    assert table["infeasible_reason"].iloc[2].count("frontier") == 1
+    assert table["infeasible_reason"].iloc[2].count("the slopes allow only rates below") == 1
     (refused,) = tmp_path.glob(f"sweep/{table['run'].iloc[2]}")
     assert failing(refused) == set()  # an observer without a controller closes no loop and claims none
     computed = {name: [path for path in (tmp_path / ".store" / name).iterdir() if path.is_dir()] for name in STAGES}

@@ -46,7 +46,7 @@ def _benchmarks_trusted():
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory) -> DictConfig:
     folder = tmp_path_factory.mktemp("refine")
-    config = composed(["study=peak", f"results_dir={folder}", "+data.trials=false", *HIDDEN, *TINY])
+    config = composed(["study=peak", "seed=1", f"results_dir={folder}", "+data.trials=false", *HIDDEN, *TINY])
     with open_dict(config):
         config.plant = {"_target_": f"{PeakingGain.__module__}.PeakingGain", **PEAK}
     return config
@@ -203,4 +203,4 @@ def test_iterations_that_are_no_count_are_refused(asked, hidden):
 def test_the_parent_keeps_what_stands_before_the_hash(hidden):
     settings = STUDY.settings(hidden)
     assert named(settings, None) == hidden.run
-    assert named(settings, 1).startswith("order2-width4-seed0-")
+    assert named(settings, 1).startswith("order2-width4-seed1-")

@@ -44,6 +44,8 @@ WRONG = {
     "use `ssm-study reproduce RUN`": ["--experimental-rerun", "config.pickle"],
     "--experimental-r=config.pickle": ["--experimental-r=config.pickle"],
     "seed": ["seed=-1"],
+    "loop_seed": ["loop_seed=-1"],
+    "model.feedthrough = True: the loop samples": ["model.feedthrough=true"],
     "study": ["study=../elsewhere"],
     "data.input": ["data=recorded", "data.path=somewhere.csv"],
     "no such file": [*RECORDED, "data.path=/nowhere/log.csv"],
@@ -159,6 +161,19 @@ def test_one_thread_unless_asked(tmp_path: Path) -> None:
 def test_unwritable_results_folder(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "experiment=smoke", "results_dir=/proc/results"]) == 2
     assert "results_dir = /proc/results" in capfd.readouterr().err
+
+
+def test_a_refused_study_leaves_nothing_where_it_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Also of a sweep, which Hydra would begin by writing its configuration into the folder."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for word in ("study=..", "study=../..", "results_dir="):
+        with pytest.raises(SystemExit, match="2"):
+            main(["run", "-m", "experiment=smoke", "results_dir=r", word, "seed=0,1"])
+        assert word.split("=")[0] in capfd.readouterr().err
+    assert list(tmp_path.rglob("*")) == [tmp_path / "here"]
 
 
 def test_what_was_meant_is_found_beside_a_swept_choice() -> None:

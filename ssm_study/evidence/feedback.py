@@ -1,0 +1,71 @@
+"""Was the log made in a closed loop? There, what is new in the output is found again in the input.
+
+What the last `PAST` inputs do not predict of an output, `v`, and of an input, `w`: without feedback the input to come
+knows nothing of `v`, whatever the plant. With feedback, past and present `v` predict a share of `w`. Fitted to one half
+of each record and scored on the other. The steps of a reference are new in the input too, and large: `w` is clipped.
+A reference that jumps every few samples still hides a loop, and so does a loop without noise.
+Source: Caines & Chan, IEEE Trans. Automatic Control 20 (1975) 498-508.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.evidence.finding import Case, Finding, doubt
+from ssm_study.signals import DataSet
+
+PAST, OUTPUTS = 20, 4  # samples of the input's own past, and of the output's
+CLIPPED = 4.4  # median sizes of w: three standard deviations of a normal one
+# Shares of w: from earlier outputs, and with the present one, which an input may reach before it is read. Largest seen:
+# 0.02 and 0.07 in open loop, least 0.05 and 0.14 in loops with noise, 0.08 and 0.11 in EMPS.
+EARLIER, PRESENT = 0.05, 0.12
+FORESEEN = 1e-4  # share of an input's power that its past must leave: what a multisine leaves is rounding
+FEWEST, SHORTEST = 300, 6  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
+SCATTER = 20  # over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
+ROUNDING = 1e-9
+Rows = Float[np.ndarray, "_ _"]
+
+
+def findings(case: Case) -> Iterator[Finding]:
+    """One doubt at most."""
+    samples = sum(len(record) for record in case.data.training)
+    chance = SCATTER / samples
+    if samples >= FEWEST and max(fed_back(case.data, 1) - EARLIER, fed_back(case.data, 0) - PRESENT) >= chance:
+        told = f"What is new in the output explains {100 * fed_back(case.data, 0):.0f} % of what is new in the input"
+        yield doubt(f"{told}, as in a closed-loop log: record with the loop open.")
+
+
+def fed_back(data: DataSet, first: int) -> float:
+    """The largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other half."""
+    into, out, records = data.scale.scaled_input, data.scale.scaled_output, data.training
+    halves = [half for record in records for half in _halves(into(record.u), out(record.y), first)]
+    if not halves:
+        return 0.0
+    one, other = ([np.concatenate(part) for part in zip(*halves[k::2], strict=True)] for k in (0, 1))
+    power, new, clipped, missed = _missed(one, other) + _missed(other, one)
+    tested = (new > FORESEEN * power) & (clipped > 0)
+    return float(np.max(1 - missed[tested] / clipped[tested], initial=0.0))
+
+
+def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
+    """Of the scored half: powers of the input, of `w`, of `w` clipped, and of what `v` leaves of that."""
+    (past, y, u), (own_past, own_y, own_u) = fitted, scored
+    on_u, on_y = (np.linalg.lstsq(past, side, rcond=ROUNDING)[0] for side in (u, y))
+    v, w, own_v, own_w = y - past @ on_y, u - past @ on_u, own_y - own_past @ on_y, own_u - own_past @ on_u
+    most = CLIPPED * np.median(np.abs(w), axis=0)
+    w, own = np.clip(w, -most, most), np.clip(own_w, -most, most)
+    left = own - own_v @ np.linalg.lstsq(v, w, rcond=ROUNDING)[0]
+    return np.array([(side**2).sum(axis=0) for side in (own_u - own_u.mean(axis=0), own_w, own, left)])
+
+
+def _halves(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
+    """Past inputs (and one), outputs of `first` to `OUTPUTS` samples ago, the input: of each half of a record."""
+
+    def ago(signal: Rows, lags: range) -> Rows:
+        return np.hstack([signal[PAST - lag : len(signal) - lag] for lag in lags])
+
+    if len(u) >= SHORTEST * PAST:
+        past = np.hstack([ago(u, range(1, PAST + 1)), np.ones((len(u) - PAST, 1))])
+        sides, half = (past, ago(y, range(first, OUTPUTS + 1)), u[PAST:]), len(past) // 2
+        yield from ([side[part] for side in sides] for part in (slice(half), slice(half, None)))
