@@ -14,6 +14,7 @@ from ssm_study.extensions import taken_from
 from ssm_study.refusal import BadRequest
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
+Command = Callable[[argparse.Namespace], int | None]
 COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -26,8 +27,8 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments[:1] == ["run"]:
             return _run(arguments[1:])
         options = _parser().parse_args(arguments or ["--help"])
-        command: Callable[[argparse.Namespace], int] = options.command
-        return command(options)
+        command: Command = options.command
+        return command(options) or DONE
     except KeyboardInterrupt:
         print("ssm-study: interrupted; the same command again does what is missing", file=sys.stderr)
         sys.excepthook = lambda *_: None  # without a traceback, yet ended by the signal: a script's loop ends with it
@@ -100,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _on_its_folder(action: Callable[[argparse.Namespace], int], subject: str, options: argparse.Namespace) -> int:
+def _on_its_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
     from ssm_study.table import folders
 
     found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
@@ -114,35 +115,31 @@ def _run(overrides: list[str]) -> int:
     return run(overrides)
 
 
-def _new(options: argparse.Namespace) -> int:
+def _new(options: argparse.Namespace) -> None:
     from ssm_study.cli.new import new
 
     for path in new(options.folder):
         print(path)
-    return DONE
 
 
-def _excite(options: argparse.Namespace) -> int:
+def _excite(options: argparse.Namespace) -> None:
     from ssm_study.data.excitations.own_plant import OwnPlantRecord
 
     settings = {name: value for name, value in vars(options).items() if name not in ("command", "to")}
     print(OwnPlantRecord(**settings).write(options.to))
-    return DONE
 
 
 # Each command imports what it takes when it is given, so that `--help` and refusals load no library of numerics.
-def _gather(options: argparse.Namespace) -> int:
+def _gather(options: argparse.Namespace) -> None:
     from ssm_study.table.gather import gather
 
     print(f"{len(gather(options.study))} runs in {options.study / 'runs.parquet'}")
-    return DONE
 
 
-def _show(options: argparse.Namespace) -> int:
+def _show(options: argparse.Namespace) -> None:
     from ssm_study.table.show import show
 
     show(options.study, by=options.by, where=options.where, cost=options.cost, columns=options.columns)
-    return DONE
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -168,24 +165,22 @@ def _reproduce(options: argparse.Namespace) -> int:
     return DONE if again.holds() else SOME_FAILED
 
 
-def _export(options: argparse.Namespace) -> int:
+def _export(options: argparse.Namespace) -> None:
     from ssm_study.export.targets import export
     from ssm_study.study.verify import verify
 
     verify(options.run).demand("run", options.run)  # what is exported claims to be certified: recompute it first
     for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
         print(path)
-    return DONE
 
 
-def _export_mlflow(options: argparse.Namespace) -> int:
+def _export_mlflow(options: argparse.Namespace) -> None:
     from ssm_study.export.mlflow import export_mlflow
 
     print(f"{export_mlflow(options.study, options.store)} runs written")
-    return DONE
 
 
-def _report(options: argparse.Namespace) -> int:
+def _report(options: argparse.Namespace) -> None:
     from ssm_study.report.figures import draw
 
     for path in [] if options.others else draw(options.only, options.study, tell=print):
@@ -194,19 +189,17 @@ def _report(options: argparse.Namespace) -> int:
         from ssm_study.report.page.writing import write_page
 
         print(write_page(options.study, tuple(options.others)))
-    return DONE
 
 
-def _watch(options: argparse.Namespace) -> int:
+def _watch(options: argparse.Namespace) -> None:
     from ssm_study.report.page.live import serve
 
     with serve(options.study, options.port, announce=lambda address: print(address, flush=True)) as server:
         server.serve_forever()
-    return DONE
 
 
 # Command: what it does, on what, and what its help says.
-ACTIONS: dict[str, tuple[Callable[[argparse.Namespace], int], str, str]] = {
+ACTIONS: dict[str, tuple[Command, str, str]] = {
     "gather": (_gather, "study", "(re)build runs.parquet and runs.csv of a study folder"),
     "show": (_show, "study", "print the study's table, best first; failures with reasons"),
     "verify": (_verify, "run", "recompute every claim of a run from its files alone"),
@@ -231,6 +224,7 @@ SUBJECTS = {
     "run": "the run folder, or the study with the digits that `show` prints: results/paper/1a2b3c4d5e",
 }
 FIGURES = sorted(path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py"))
+ONLY = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
 OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "show": {
         "--by": {"metavar": "COLUMN", "help": "sort by this column of runs.csv, in its better direction"},
@@ -250,14 +244,8 @@ OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     },
     "report": {
         "others": {"nargs": "*", "type": Path, "metavar": "STUDY", "help": "further studies to show on the same page"},
-        "--only": {
-            "action": "append",
-            "metavar": "NAME",
-            "help": f"draw only this figure (may be repeated): {', '.join(FIGURES)}",
-        },
+        "--only": {"action": "append", "metavar": "NAME", "help": ONLY},
     },
     "watch": {"--port": {"type": int, "default": 8420, "metavar": "PORT", "help": "local port (0: any free one)"}},
-    "export-mlflow": {
-        "--store": {"metavar": "ADDRESS", "help": "tracking address (default: sqlite:///STUDY/mlflow.db)"}
-    },
+    "export-mlflow": {"--store": {"metavar": "ADDRESS", "help": "address (default: sqlite:///STUDY/mlflow.db)"}},
 }
