@@ -188,13 +188,14 @@ def _export_mlflow(options: argparse.Namespace) -> None:
 
 def _report(options: argparse.Namespace) -> None:
     from ssm_study.report.figures import draw
+    from ssm_study.report.page.writing import write_page
 
-    for path in [] if options.others else draw(options.only, options.study, tell=print):
-        print(path)
-    if options.only is None:
-        from ssm_study.report.page.writing import write_page
-
-        print(write_page(options.study, tuple(options.others)))
+    pages = []
+    try:  # first: after the figures of 20,000 runs it would take 80 MB more
+        pages += [] if options.only else [write_page(options.study, tuple(options.others))]
+    finally:
+        for path in [*([] if options.others else draw(options.only, options.study, tell=print)), *pages]:
+            print(path)
 
 
 def _watch(options: argparse.Namespace) -> None:
