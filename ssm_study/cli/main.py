@@ -1,24 +1,18 @@
 """`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the request was wrong."""
 
 import argparse
-import gc
 import os
 import select
 import sys
-import warnings
 from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
-
 from ssm_study import __version__
 from ssm_study.extensions import taken_from
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import BadRequest
 
-PYTHONS_WARNING = warnings.formatwarning
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
 Command = Callable[[argparse.Namespace], int | None]
 COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -31,7 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         arguments = taken_from(arguments)
         if arguments[:1] == ["run"]:
-            return run(arguments[1:])
+            return _run(arguments[1:])
         options = _parser().parse_args(arguments or ["--help"])
         command: Command = options.command
         return command(options) or DONE
@@ -54,13 +48,14 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
     if isinstance(error, BadRequest):
         return error
     if isinstance(error, OSError):
-        return _full_or_forbidden("file", error)
+        return full_or_forbidden("file", error)
     problem = f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
     remedy = "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 
-def _full_or_forbidden(field: str, error: OSError) -> BadRequest:
+def full_or_forbidden(field: str, error: OSError) -> BadRequest:
+    """The sentence for a disk that is full or a folder that is not ours; `field` names what was asked."""
     problem, remedy = error.strerror or type(error).__name__, "make room, or choose a folder that you may write to"
     return BadRequest(field, error.filename or "not named", problem, remedy)
 
@@ -78,80 +73,6 @@ def limit_threads() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads sleep instead of spinning
     for variable in COUNTS:
         os.environ.setdefault(variable, "1")
-
-
-def refuse_more_threads_than_cores() -> None:
-    """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
-    cores = len(os.sched_getaffinity(0))
-    for variable in COUNTS:
-        asked = os.environ[variable]
-        fits = asked.isdigit() and 1 <= int(asked) <= cores
-        require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
-
-
-def _warned(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
-) -> str:
-    """Our own warnings are sentences for the user: without the line of code that gave them."""
-    ours = category.__module__.startswith("ssm_study")
-    return f"ssm-study: {message}\n" if ours else PYTHONS_WARNING(message, category, filename, lineno, line)
-
-
-def configuration_folder() -> Path:
-    """Where the configuration lies: inside the installed package, or beside it in a clone."""
-    package = Path(str(files("ssm_study")))
-    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
-
-
-def run(overrides: list[str]) -> int:
-    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
-    import hydra
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from ssm_study.cli.endings import StudyCallback
-    from ssm_study.cli.explained import advised, refuse_dashes
-    from ssm_study.cli.request import asks_only, check_request, translate
-    from ssm_study.engine.compose import Request
-
-    warnings.formatwarning = _warned
-    refuse_more_threads_than_cores()
-    refuse_dashes(overrides, configuration_folder())
-    overrides = translate(overrides)
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
-    sys.argv = ["ssm-study run", *overrides]
-    StudyCallback.conclude = StudyCallback.stop_watching = None  # of an earlier call in this process
-    try:
-        if any(word in ("--help", "-h") for word in overrides):
-            Request(overrides, configuration_folder(), "study").help()
-        elif asks_only(overrides):
-            hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(_nothing)()
-        else:
-            check_request(overrides, configuration_folder(), "study").do(_job())
-        # Here and not in the callback: Hydra swallows what a callback raises.
-        return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
-    except (HydraException, OmegaConfBaseException) as error:
-        raise advised(error, overrides, configuration_folder()) from error
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        raise _full_or_forbidden("results_dir", error) from error
-    finally:
-        GlobalHydra.instance().clear()  # a program that calls this may compose again
-
-
-def _nothing(_: DictConfig) -> None:
-    """For a request that Hydra answers by itself."""
-
-
-def _job() -> Callable[[DictConfig], Any]:
-    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
-    from ssm_study.study import line as study
-
-    gc.enable()
-    gc.freeze()  # the modules stay until the end: later collections pass over them
-    return study.STUDY.job
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -186,6 +107,12 @@ def _on_its_folder(action: Command, subject: str, options: argparse.Namespace) -
     found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
     setattr(options, subject, found)
     return action(options)
+
+
+def _run(overrides: list[str]) -> int:
+    from ssm_study.cli.run import run
+
+    return run(overrides)
 
 
 def _new(options: argparse.Namespace) -> None:

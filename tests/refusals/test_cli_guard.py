@@ -65,7 +65,7 @@ def test_whatever_is_raised_is_one_sentence(
         if command in ACTIONS:
             monkeypatch.setitem(ACTIONS, command, (ends, *ACTIONS[command][1:]))
         else:
-            monkeypatch.setattr(cli, command if command == "run" else f"_{command}", ends)
+            monkeypatch.setattr(cli, f"_{command}", ends)
         assert type(error).__name__ in one_sentence(words, capsys)
     monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")
     with pytest.raises(AssertionError):
