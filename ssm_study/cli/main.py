@@ -174,6 +174,12 @@ def _export(options: argparse.Namespace) -> None:
         print(path)
 
 
+def _export_mcap(options: argparse.Namespace) -> None:
+    from ssm_study.export.one_recording import export_mcap
+
+    print(export_mcap(options.study))
+
+
 def _export_mlflow(options: argparse.Namespace) -> None:
     from ssm_study.export.mlflow import export_mlflow
 
@@ -208,6 +214,7 @@ ACTIONS: dict[str, tuple[Command, str, str]] = {
     "export": (_export, "run", "write the controller in C, as ONNX and for python-control"),
     "report": (_report, "study", "draw the figures of a study into its folder and write its page, report.html"),
     "watch": (_watch, "study", "serve the report page on a local port while a sweep runs; it reloads itself"),
+    "export-mcap": (_export_mcap, "study", "write the closed loops of all runs into one recording, for Foxglove"),
     "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
 }
 EXCITE: dict[str, dict[str, Any]] = {
