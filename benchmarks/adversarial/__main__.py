@@ -53,7 +53,8 @@ def before(known: Identified) -> Mismatch:
     shown = replace(known, trials=()).shown
     view: View = shown.views[0]
     unknown = np.isin(np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9))
-    return Mismatch.flat(np.where(unknown, view.gain, view.by_frequency), view.gain)
+    sizes = np.where(unknown, view.gain, view.by_frequency)
+    return Mismatch(views=(replace(view, by_frequency=sizes, linear=0 * view.linear, rest=sizes),))
 
 
 def study_of(*settings: str) -> Specification:

@@ -77,12 +77,6 @@ class Mismatch:
     left_at_rest: float | None = None
     unexcited: tuple[float, ...] = ()
 
-    @classmethod
-    def flat(cls, by_frequency: Float[np.ndarray, "F"], gain: float) -> "Mismatch":
-        """One view of which only sizes are known."""
-        none = np.zeros(len(ANGLES), dtype=complex)
-        return cls(views=(View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency),))
-
     @property
     def gain(self) -> float:
         return self.views[-1].gain
