@@ -3,6 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
+unexport PYTHONDONTWRITEBYTECODE # hundreds of processes would compile every module again
 
 .PHONY: help install study test docs clean
 

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.cli import main as command
+from ssm_study.cli import run as command
 from ssm_study.cli.explained import advised
 from ssm_study.data.arrays import logged, signal
 from ssm_study.engine.records import FAILED, read_record

@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.cli.main import configuration_folder
+from ssm_study.cli.run import configuration_folder
 from ssm_study.engine.settings import register_resolver
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -24,7 +24,7 @@ OURS = r"(?:ssm-study|python|make) [^`\n]+"
 INLINE, INDENTED = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`"), re.compile(rf"^    ({OURS})$", re.M)
 
 # The rule. The same command with these settings appended (or in place of its own), where its configuration has them;
-# of every swept list the first value, `experiment=smoke` is small as it is and stays whole.
+# of every swept list the first value; `experiment=smoke` is small as it is and stays whole, but for long sweeps.
 SMALL = {
     "data.trajectories": 2,
     "data.samples": 200,
@@ -126,9 +126,9 @@ def maker(study: str) -> str | None:
 
 def small(arguments: list[str], written: Path | None = None) -> list[str]:
     """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the reader's own."""
-    if {"experiment=smoke", "--help", "--cfg"} & set(arguments):
-        return arguments
     words = [word if word.startswith("-") else first_value(word) for word in arguments]
+    if {"experiment=smoke", "--help", "--cfg"} & set(arguments):
+        return words if sum(word.count(",") for word in arguments) > 6 else arguments
     config = composed([*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])])
     given = {word.split("=")[0] for word in words}
     swept = OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]

@@ -23,25 +23,11 @@ COLUMNS = (
     Column("input_slope_lower_spectral", "Float64", word="Smallest slope of S_u from norms (unsound)"),
     Column("input_slope_upper_spectral", "Float64", word="Largest slope of S_u from norms"),
     Column("local_controllability", "boolean", "high", word="Locally controllable"),
-    Column(
-        "controllability_gramian_lower",
-        "Float64",
-        word="Controllability Gramian, smallest eigenvalue",
-        tolerance=ITERATED,
-    ),
-    Column(
-        "controllability_gramian_upper",
-        "Float64",
-        word="Controllability Gramian, largest eigenvalue",
-        tolerance=ITERATED,
-    ),
+    Column("controllability_gramian_lower", "Float64", word="Controllability Gramian, least", tolerance=ITERATED),
+    Column("controllability_gramian_upper", "Float64", word="Controllability Gramian, largest", tolerance=ITERATED),
     Column("local_observability", "boolean", "high", word="Locally observable"),
-    Column(
-        "observability_gramian_lower", "Float64", word="Observability Gramian, smallest eigenvalue", tolerance=ITERATED
-    ),
-    Column(
-        "observability_gramian_upper", "Float64", word="Observability Gramian, largest eigenvalue", tolerance=ITERATED
-    ),
+    Column("observability_gramian_lower", "Float64", word="Observability Gramian, least", tolerance=ITERATED),
+    Column("observability_gramian_upper", "Float64", word="Observability Gramian, largest", tolerance=ITERATED),
 )
 
 

@@ -1,25 +1,20 @@
 """`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the request was wrong."""
 
 import argparse
-import gc
 import os
 import select
 import sys
-import warnings
 from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
-
 from ssm_study import __version__
 from ssm_study.extensions import taken_from
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import BadRequest
 
-PYTHONS_WARNING = warnings.formatwarning
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
+Command = Callable[[argparse.Namespace], int | None]
 COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -30,10 +25,10 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         arguments = taken_from(arguments)
         if arguments[:1] == ["run"]:
-            return run(arguments[1:])
+            return _run(arguments[1:])
         options = _parser().parse_args(arguments or ["--help"])
-        command: Callable[[argparse.Namespace], int] = options.command
-        return command(options)
+        command: Command = options.command
+        return command(options) or DONE
     except KeyboardInterrupt:
         print("ssm-study: interrupted; the same command again does what is missing", file=sys.stderr)
         sys.excepthook = lambda *_: None  # without a traceback, yet ended by the signal: a script's loop ends with it
@@ -53,13 +48,14 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
     if isinstance(error, BadRequest):
         return error
     if isinstance(error, OSError):
-        return _full_or_forbidden("file", error)
+        return full_or_forbidden("file", error)
     problem = f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
     remedy = "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 
-def _full_or_forbidden(field: str, error: OSError) -> BadRequest:
+def full_or_forbidden(field: str, error: OSError) -> BadRequest:
+    """The sentence for a disk that is full or a folder that is not ours; `field` names what was asked."""
     problem, remedy = error.strerror or type(error).__name__, "make room, or choose a folder that you may write to"
     return BadRequest(field, error.filename or "not named", problem, remedy)
 
@@ -77,80 +73,6 @@ def limit_threads() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads sleep instead of spinning
     for variable in COUNTS:
         os.environ.setdefault(variable, "1")
-
-
-def refuse_more_threads_than_cores() -> None:
-    """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
-    cores = len(os.sched_getaffinity(0))
-    for variable in COUNTS:
-        asked = os.environ[variable]
-        fits = asked.isdigit() and 1 <= int(asked) <= cores
-        require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
-
-
-def _warned(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
-) -> str:
-    """Our own warnings are sentences for the user: without the line of code that gave them."""
-    ours = category.__module__.startswith("ssm_study")
-    return f"ssm-study: {message}\n" if ours else PYTHONS_WARNING(message, category, filename, lineno, line)
-
-
-def configuration_folder() -> Path:
-    """Where the configuration lies: inside the installed package, or beside it in a clone."""
-    package = Path(str(files("ssm_study")))
-    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
-
-
-def run(overrides: list[str]) -> int:
-    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
-    import hydra
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from ssm_study.cli.endings import StudyCallback
-    from ssm_study.cli.explained import advised, refuse_dashes
-    from ssm_study.cli.request import asks_only, check_request, translate
-    from ssm_study.engine.compose import Request
-
-    warnings.formatwarning = _warned
-    refuse_more_threads_than_cores()
-    refuse_dashes(overrides, configuration_folder())
-    overrides = translate(overrides)
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
-    sys.argv = ["ssm-study run", *overrides]
-    StudyCallback.conclude = StudyCallback.stop_watching = None  # of an earlier call in this process
-    try:
-        if any(word in ("--help", "-h") for word in overrides):
-            Request(overrides, configuration_folder(), "study").help()
-        elif asks_only(overrides):
-            hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(_nothing)()
-        else:
-            check_request(overrides, configuration_folder(), "study").do(_job())
-        # Here and not in the callback: Hydra swallows what a callback raises.
-        return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
-    except (HydraException, OmegaConfBaseException) as error:
-        raise advised(error, overrides, configuration_folder()) from error
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        raise _full_or_forbidden("results_dir", error) from error
-    finally:
-        GlobalHydra.instance().clear()  # a program that calls this may compose again
-
-
-def _nothing(_: DictConfig) -> None:
-    """For a request that Hydra answers by itself."""
-
-
-def _job() -> Callable[[DictConfig], Any]:
-    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
-    from ssm_study.study import line as study
-
-    gc.enable()
-    gc.freeze()  # the modules stay until the end: later collections pass over them
-    return study.STUDY.job
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -179,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _on_its_folder(action: Callable[[argparse.Namespace], int], subject: str, options: argparse.Namespace) -> int:
+def _on_its_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
     from ssm_study.table import folders
 
     found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
@@ -187,35 +109,37 @@ def _on_its_folder(action: Callable[[argparse.Namespace], int], subject: str, op
     return action(options)
 
 
-def _new(options: argparse.Namespace) -> int:
+def _run(overrides: list[str]) -> int:
+    from ssm_study.cli.run import run
+
+    return run(overrides)
+
+
+def _new(options: argparse.Namespace) -> None:
     from ssm_study.cli.new import new
 
     for path in new(options.folder):
         print(path)
-    return DONE
 
 
-def _excite(options: argparse.Namespace) -> int:
+def _excite(options: argparse.Namespace) -> None:
     from ssm_study.data.excitations.own_plant import OwnPlantRecord
 
     settings = {name: value for name, value in vars(options).items() if name not in ("command", "to")}
     print(OwnPlantRecord(**settings).write(options.to))
-    return DONE
 
 
 # Each command imports what it takes when it is given, so that `--help` and refusals load no library of numerics.
-def _gather(options: argparse.Namespace) -> int:
+def _gather(options: argparse.Namespace) -> None:
     from ssm_study.table.gather import gather
 
     print(f"{len(gather(options.study))} runs in {options.study / 'runs.parquet'}")
-    return DONE
 
 
-def _show(options: argparse.Namespace) -> int:
+def _show(options: argparse.Namespace) -> None:
     from ssm_study.table.show import show
 
     show(options.study, by=options.by, where=options.where, cost=options.cost, columns=options.columns)
-    return DONE
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -241,24 +165,28 @@ def _reproduce(options: argparse.Namespace) -> int:
     return DONE if again.holds() else SOME_FAILED
 
 
-def _export(options: argparse.Namespace) -> int:
+def _export(options: argparse.Namespace) -> None:
     from ssm_study.export.targets import export
     from ssm_study.study.verify import verify
 
     verify(options.run).demand("run", options.run)  # what is exported claims to be certified: recompute it first
     for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
         print(path)
-    return DONE
 
 
-def _export_mlflow(options: argparse.Namespace) -> int:
+def _export_mcap(options: argparse.Namespace) -> None:
+    from ssm_study.export.one_recording import export_mcap
+
+    print(export_mcap(options.study))
+
+
+def _export_mlflow(options: argparse.Namespace) -> None:
     from ssm_study.export.mlflow import export_mlflow
 
     print(f"{export_mlflow(options.study, options.store)} runs written")
-    return DONE
 
 
-def _report(options: argparse.Namespace) -> int:
+def _report(options: argparse.Namespace) -> None:
     from ssm_study.report.figures import draw
 
     for path in [] if options.others else draw(options.only, options.study, tell=print):
@@ -267,19 +195,17 @@ def _report(options: argparse.Namespace) -> int:
         from ssm_study.report.page.writing import write_page
 
         print(write_page(options.study, tuple(options.others)))
-    return DONE
 
 
-def _watch(options: argparse.Namespace) -> int:
+def _watch(options: argparse.Namespace) -> None:
     from ssm_study.report.page.live import serve
 
     with serve(options.study, options.port, announce=lambda address: print(address, flush=True)) as server:
         server.serve_forever()
-    return DONE
 
 
 # Command: what it does, on what, and what its help says.
-ACTIONS: dict[str, tuple[Callable[[argparse.Namespace], int], str, str]] = {
+ACTIONS: dict[str, tuple[Command, str, str]] = {
     "gather": (_gather, "study", "(re)build runs.parquet and runs.csv of a study folder"),
     "show": (_show, "study", "print the study's table, best first; failures with reasons"),
     "verify": (_verify, "run", "recompute every claim of a run from its files alone"),
@@ -288,6 +214,7 @@ ACTIONS: dict[str, tuple[Callable[[argparse.Namespace], int], str, str]] = {
     "export": (_export, "run", "write the controller in C, as ONNX and for python-control"),
     "report": (_report, "study", "draw the figures of a study into its folder and write its page, report.html"),
     "watch": (_watch, "study", "serve the report page on a local port while a sweep runs; it reloads itself"),
+    "export-mcap": (_export_mcap, "study", "write the closed loops of all runs into one recording, for Foxglove"),
     "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
 }
 EXCITE: dict[str, dict[str, Any]] = {
@@ -304,6 +231,7 @@ SUBJECTS = {
     "run": "the run folder, or the study with the digits that `show` prints: results/paper/1a2b3c4d5e",
 }
 FIGURES = sorted(path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py"))
+ONLY = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
 OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "show": {
         "--by": {"metavar": "COLUMN", "help": "sort by this column of runs.csv, in its better direction"},
@@ -323,14 +251,8 @@ OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     },
     "report": {
         "others": {"nargs": "*", "type": Path, "metavar": "STUDY", "help": "further studies to show on the same page"},
-        "--only": {
-            "action": "append",
-            "metavar": "NAME",
-            "help": f"draw only this figure (may be repeated): {', '.join(FIGURES)}",
-        },
+        "--only": {"action": "append", "metavar": "NAME", "help": ONLY},
     },
     "watch": {"--port": {"type": int, "default": 8420, "metavar": "PORT", "help": "local port (0: any free one)"}},
-    "export-mlflow": {
-        "--store": {"metavar": "ADDRESS", "help": "tracking address (default: sqlite:///STUDY/mlflow.db)"}
-    },
+    "export-mlflow": {"--store": {"metavar": "ADDRESS", "help": "address (default: sqlite:///STUDY/mlflow.db)"}},
 }

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ssm_study.cli.main import configuration_folder
+from ssm_study.cli.run import configuration_folder
 from ssm_study.engine.settings import plain
 from ssm_study.extensions import configurations
 

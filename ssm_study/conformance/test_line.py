@@ -27,10 +27,12 @@ EVERY = [
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _shapes_unchecked() -> Iterator[None]:
+def _no_more_than_the_line() -> Iterator[None]:
     """Without the check of every call that a test run may ask of jaxtyping: here whole lines run, step by step."""
     jaxtyping.config.update("jaxtyping_disable", True)
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())  # each draws the same two, for a third of its time
+        yield
     jaxtyping.config.update("jaxtyping_disable", False)
 
 

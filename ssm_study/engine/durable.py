@@ -3,11 +3,13 @@
 import errno
 import fcntl
 import hashlib
+import io
 import json
 import math
 import os
 import secrets
 import shutil
+import stat
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 SYNCED_AT_ONCE = 8
+LARGEST = 2**27  # bytes of a file that is read at once
 FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to
 
 
@@ -90,9 +93,26 @@ def sync_together(paths: Iterable[Path]) -> None:
         list(pool.map(sync, paths))
 
 
+def opened(path: Path) -> io.BufferedReader:
+    """For reading; raises `OSError` for a pipe or a device, which may never end."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is no plain file", str(path))
+    return os.fdopen(descriptor, "rb")
+
+
+def contents(path: Path, most: int = LARGEST) -> bytes:
+    """The whole file; raises `OSError` as `opened`, and for one of more than `most` bytes before any are read."""
+    with opened(path) as stream:
+        if os.fstat(stream.fileno()).st_size > most:
+            raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))
+        return stream.read()
+
+
 def sha256_of_file(path: Path) -> str:
     """Hexadecimal digest, read block by block."""
-    with path.open("rb") as stream:
+    with opened(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
@@ -144,7 +164,7 @@ def locked_or_none(path: Path, patience_s: float = 1.0) -> Iterator[bool]:
 def is_locked(path: Path) -> bool:
     """Whether a living process holds the flock on `path`."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
         return False
     try:

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.engine.durable import is_locked, sealed, unsealed, write_json_atomically
+from ssm_study.engine.durable import contents, is_locked, sealed, unsealed, write_json_atomically
 from ssm_study.refusal import BadRequest
 
 RECORD = "record.json"
 LOCK = ".lock"
 RECORD_VERSION = 1
+LARGEST = 2**22  # bytes of a record: a real one has 5,000
 # What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the lock) and
 # `corrupt` (the file is not what was written).
 RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
@@ -29,9 +30,11 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
 def read_record(folder: Path) -> dict[str, Any] | None:
     """The record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there is none."""
     try:
-        content = (folder / RECORD).read_bytes()
+        content = contents(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError:  # no plain file, or one that no run wrote
+        content = b""
     record = parse_record(content)
     # The lock decides, never a process number: after a restart, or on another machine, that may be somebody else's.
     if record.get("status") == RUNNING and not is_locked(folder / LOCK):

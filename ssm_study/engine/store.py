@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.engine import durable
-from ssm_study.engine.durable import locked, sealed, sha256_of_file, sync, unsealed
+from ssm_study.engine.durable import contents, locked, sealed, sha256_of_file, sync, unsealed
 from ssm_study.engine.records import storable
 from ssm_study.engine.settings import digest
 from ssm_study.engine.stages import Compute, Facts, Kept, StageResult, Stages, measure_key
@@ -39,7 +39,7 @@ class Store(Stages):
         """From their sealed file beside its folder, or measured into it."""
         key = measure_key(kept, before)
         path = kept.result.path.with_name(f"{kept.result.path.name}.{key[:16]}.json")
-        found = unsealed(path.read_bytes()) if path.is_file() else None
+        found = unsealed(contents(path)) if path.is_file() else None
         if found is None or found["key"] != key:
             measured = kept.stage.measure(kept.value, *(one.value for one in before))
             found = {"key": key, "facts": {name: storable(name, value) for name, value in measured.items()}}
@@ -148,7 +148,7 @@ def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
     """The manifest of `folder` if it and every file it lists are as they were written, else None."""
     try:
-        manifest = unsealed((folder / MANIFEST).read_bytes())
+        manifest = unsealed(contents(folder / MANIFEST))
     except OSError:
         return None
     return manifest if manifest is not None and not damaged_files(folder, manifest) else None

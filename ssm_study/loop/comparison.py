@@ -8,7 +8,8 @@ from scipy.stats import qmc
 
 from ssm_study.loop import peers
 from ssm_study.loop.metrics import pooled
-from ssm_study.loop.peers.peer import ComparisonTable, Identified, Peer, Row, compared
+from ssm_study.loop.peers.peer import UNSAID, ComparisonTable, Identified, Peer, Row, compared
+from ssm_study.loop.peers.pi import PI
 from ssm_study.loop.regulation import Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
@@ -29,11 +30,13 @@ class Comparison(ComparisonTable):
     (four times the variance); `saturation` (inputs cut at `reach_share` of the plant's excitation amplitude, unknown
     to the controller); `delay` (one sample, unknown); `spread` (`spread_plants` plants whose `spread_fields` are off by
     up to `spread_share`, a Latin hypercube). What a plant cannot show (no disturbance, no fields) is left out.
+    `own_pi`: the controller that the plant has today, its gain (input per output) and integral time (s), as `own_pi`.
     """
 
     controllers: Sequence[str] = field(default_factory=lambda: tuple(Peer.members(peers)))
     situations: Sequence[str] = ("nominal",)
     rate: float = 0.05
+    own_pi: Sequence[float] | None = None
     load: float = 0.005
     load_frequency_hz: float = 2.0
     reach_share: float = 0.5
@@ -49,10 +52,14 @@ class Comparison(ComparisonTable):
         share = self.spread_share
         require(0 <= share < 1, "loop.comparison.spread_share", share, "parameters would change sign", "use 0.2")
         at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
+        good, problem = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0), "not a gain and a time"
+        require(good, "loop.comparison.own_pi", self.own_pi, problem, "give [gain, integral time in seconds]")
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
         """The table; a controller that does not exist for this model has rows with the reason and no numbers."""
         built = [compared(name, plant, known, self.rate) for name in self.controllers]
+        if self.own_pi is not None:
+            built.append((PI.on(plant, *self.own_pi), UNSAID | {"controller": "own_pi"}))
         rows = []
         for situation in self.situations:
             cases = self.cases(plant, loop, situation, seed)

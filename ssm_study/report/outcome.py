@@ -40,11 +40,9 @@ def print_outcome(
 
 def figure_lines(figures: Sequence[Path]) -> list[str]:
     """A line per figure, from where the user stands: `results/paper/figures/rates.png, .pdf`."""
-    kinds: dict[Path, list[str]] = {}
+    kinds: dict[str, list[str]] = {}
     for path in figures:
-        near = path.is_absolute() and path.is_relative_to(Path.cwd())
-        shown = path.relative_to(Path.cwd()) if near else path
-        kinds.setdefault(shown.with_suffix(""), []).append(shown.suffix)
+        kinds.setdefault(str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/"), []).append(path.suffix)
     return [f"{stem}{', '.join(suffixes)}" for stem, suffixes in kinds.items()]
 
 
@@ -66,11 +64,6 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 
 def _on_plant(record: Mapping[str, Any]) -> bool:
     return record.get("loop_on") in (None, "plant")
-
-
-def _where(record: Mapping[str, Any]) -> str:
-    """A loop on the identified model shows what the certificate promises, not what the plant does."""
-    return "the true plant" if _on_plant(record) else f"the {record['loop_on']}"
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -98,7 +91,8 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield "certified_tolerance", "Mismatch tolerated", f"{number('certified_tolerance')} is proved, {seen}"
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
-    settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on {_where(record)}"
+    where = "true plant" if _on_plant(record) else record["loop_on"]
+    settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on the {where}"
     yield "stable_count", "Starts settled", settled
     time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")
     ratio = f" (ratio {time_s / alone_s:.2f})" if time_s is not None and alone_s else ""
@@ -116,11 +110,8 @@ def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
     said = "stays stable" if record["predicted_stable"] else "not predicted to be stable"
     said += ", with doubts" if record.get("evidence") == DOUBT else ""
     rests_on = decides(record.get("resolved_margin"), record.get("controller_radius"))
-    return (
-        "predicted_stable",
-        f"Prediction{' for the plant' if _on_plant(record) else ''}",
-        f"{said}: {rests_on}" if rests_on else said,
-    )
+    label = "Prediction for the plant" if _on_plant(record) else "Prediction"
+    return "predicted_stable", label, f"{said}: {rests_on}" if rests_on else said
 
 
 def _certified(record: Mapping[str, Any], side: str) -> str:
@@ -133,11 +124,7 @@ def _certified(record: Mapping[str, Any], side: str) -> str:
 def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
     """Whatever the record says about why a run is infeasible, not certified or failed."""
     told = re.split(r" (?=(?:note|doubt|cannot judge): )", str(record.get("evidence_reasons") or ""))
-    yield from (
-        f"{sentence[0].upper()}{sentence[1:]}"
-        for sentence in told
-        if sentence.startswith(("doubt: ", "cannot judge: "))
-    )
+    yield from (f"{one[0].upper()}{one[1:]}" for one in told if one.startswith(("doubt: ", "cannot judge: ")))
     for name in ("infeasible_reason", "uncertified_reason", "error_message"):
         if record.get(name):
             yield f"{name.replace('_', ' ').capitalize()}: {record[name]}"

@@ -14,6 +14,7 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 from jaxtyping import Float
 
+from ssm_study.engine.durable import contents
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import model_from_json
 from ssm_study.refusal import BadRequest, require
@@ -82,8 +83,8 @@ class RunFolder:
         """The content of a file, None where there is none. Raises `BadRequest` that names a damaged one."""
         path = self.path / name
         try:
-            return parse(path.read_text(encoding="utf-8")) if path.is_file() else None
-        except (ValueError, RecursionError, yaml.YAMLError) as error:
+            return parse(contents(path).decode()) if path.is_file() else None
+        except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             cause = " ".join(str(error).split())[:200]
             raise BadRequest("report", path, f"the file is damaged ({cause})", "run the study again") from error
 

@@ -17,6 +17,7 @@ DERIVED = {"verdict": "Outcome", "slope_ratio": "Certified slope ratio of S_u, s
 CHOICES: dict[str, str] = {
     "pi": "PI", "lqg": "LQG", "mpc": "MPC", "lmi": "LMI", "paper_lmi": "paper's LMI", "modal_lmi": "modal LMI",
     "auto_integral": "auto, integral",
+    "own_pi": "own PI",
     "load_periodic": "load sine", "noise_free": "no noise", "noise_4x": "noise × 4", "spread": "off-nominal",
     "dc_motor": "DC motor", "dc_motor_limited": "DC motor, limited", "stribeck_drive": "Stribeck drive",
     "DCMotor": "DC motor", "StribeckDrive": "Stribeck drive", "CascadedTanks": "cascaded tanks",

@@ -16,7 +16,7 @@ from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
-from ssm_study.engine.durable import unsealed
+from ssm_study.engine.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.store import MANIFEST, damaged_files
@@ -76,7 +76,7 @@ Claims = Iterator[Finding | Derived | NotChecked]
 
 def files(run: RunFiles) -> Claims:
     """Every file that such a run leaves is there, sealed, and as it was written."""
-    manifest = unsealed((run.path / MANIFEST).read_bytes()) if (run.path / MANIFEST).is_file() else None
+    manifest = unsealed(contents(run.path / MANIFEST)) if (run.path / MANIFEST).is_file() else None
     sums = manifest["files"] if manifest else {}
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"

@@ -13,7 +13,7 @@ from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.runs import Run
 from ssm_study.engine.settings import Settings, entry
 from ssm_study.engine.stages import Facts, Kept, Stages
-from ssm_study.engine.task import Task
+from ssm_study.engine.task import Task, folder_of
 from ssm_study.refusal import require
 from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
 
@@ -121,8 +121,8 @@ STUDY = Study()
 
 
 def study_folder(config: DictConfig) -> Path:
-    """`results_dir/study`."""
-    return Path(str(config.results_dir)) / str(config.study)
+    """`results_dir/study`; raises `BadRequest` for a name that leaves the results folder."""
+    return folder_of({"results_dir": config.results_dir, "study": config.study, "run": "any"}).parent
 
 
 def check_retry(config: DictConfig, run: str = "*") -> None:

@@ -53,7 +53,7 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         if ended:
             return
         if _same(files, child):
-            yield Step(said=f"Stopped: the choice no longer changes, although {proved:.3g} is proved.")
+            yield Step(said=f"Stopped: the choice no longer changes, although only {proved:.3g} is proved.")
             return
         files = child
     tried = "Try the new design and refine with its log." if log else f"Stopped after {times} iterations."
@@ -109,7 +109,7 @@ def _same(one: RunFiles, other: RunFiles) -> bool:
 
 def _covered(proved: float, shown: float) -> str:
     if shown == 0:
-        return "Stopped: the loop comes to rest, so it shows no mismatch that what is proved would have to cover."
+        return "Stopped: the loop comes to rest, so it shows no mismatch and the choice stays as it is."
     return f"Stopped: what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
 
 
@@ -121,4 +121,4 @@ def _told(child: RunFiles, proved: float, shown: float, outcome: Outcome) -> str
     counts = (record.get(name) for name in ("stable_count", "initial_conditions"))
     settled = ", {:.0f} of {:.0f} settle".format(*counts) if "stable_count" in record else ""
     chosen = f"chosen again: {judged[record['predicted_stable']]}{settled}"
-    return f"{child.path.name}: the loop shows {shown:.3g}, {proved:.3g} is proved; {chosen}"
+    return f"{child.path.name}: the loop showed a mismatch of {shown:.3g}, {proved:.3g} was proved; {chosen}"

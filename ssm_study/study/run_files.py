@@ -8,6 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from ssm_study.engine.durable import contents
 from ssm_study.evidence.judgement import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
@@ -34,7 +35,7 @@ class RunFiles:
     @cached_property
     def config(self) -> DictConfig:
         """The resolved configuration that the run was made from."""
-        config = OmegaConf.load(self.path / CONFIGURATION)
+        config = OmegaConf.create(contents(self.path / CONFIGURATION).decode())
         require(isinstance(config, DictConfig), CONFIGURATION, "a list", "is no configuration", "run the study again")
         assert isinstance(config, DictConfig)
         return config
@@ -76,7 +77,7 @@ class RunFiles:
     @cached_property
     def certificate(self) -> dict[str, Any]:
         name = "certificate.json"
-        content = json.loads((self.path / name).read_text(encoding="utf-8"))
+        content = json.loads(contents(self.path / name))
         require(isinstance(content, dict), name, type(content).__name__, "is no object", "run the study again")
         return dict(content)
 

@@ -60,22 +60,32 @@ class Specification:
         # OmegaConf's own search resolves every name, which takes 15 ms a run.
         missing = next((path for path, _, value in nodes(settings) if value == "???"), "")
         require(not missing, missing, "???", "is missing", "give it a value on the command line")
-        seed = settings.seed
-        whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32
-        require(whole, "seed", seed, "not a whole number from 0 to 2^32 - 1", "use 0")
+        for name in ("seed", "loop_seed"):
+            whole = type(settings[name]) is int and 0 <= settings[name] < 2**32
+            require(whole, name, settings[name], "not a whole number from 0 to 2^32 - 1", "use 0")
         parts = {name: part(name, settings[name]) for name in PARTS if name != "plant"}
         recorded = not isinstance(parts["data"], SimulatedData)
         found = cls(
             plant=None if recorded else part("plant", settings["plant"]),
             **parts,
-            seed=seed,
+            seed=settings.seed,
             loop_seed=settings.loop_seed,
             refine=_refine(settings.get("refine"), recorded),
             progress=bool(settings.progress),
             configuration=settings,
         )
         found.refuse_sizes()
+        found.refuse_feedthrough()
         return found
+
+    def refuse_feedthrough(self) -> None:
+        """Raise `BadRequest` for a model that no loop can be closed with, before it is trained; a structured model of
+        recorded data is scored and certified without a loop."""
+        known = self.configuration["model"]
+        structured = str(known.get("_target_", "")).endswith(".StructuredSpec")
+        loops = self.model.gives_ssm and (self.plant is not None or not structured)
+        problem, remedy = "the loop samples the output before the input acts", "identify with model.feedthrough=false"
+        require(not (loops and known.get("feedthrough")), "model.feedthrough", True, problem, remedy)
 
     def refuse_sizes(self) -> None:
         """Raise `BadRequest` for what no memory holds, and for more states than there are, before any is allocated."""

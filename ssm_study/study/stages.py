@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.metrics import benchmark_rmse, data_facts
+from ssm_study.engine.durable import contents
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.judgement import Judgement, judge
@@ -257,7 +258,7 @@ def measure_loop(experiment: Experiment | None, data: DataSet, bounded: Simulate
 
 def read_json(path: Path) -> Any:
     """The content of a file of the stage."""
-    return json.loads(path.read_text(encoding="utf-8"))
+    return json.loads(contents(path))
 
 
 def write_json(path: Path, content: Any) -> None:

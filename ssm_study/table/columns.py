@@ -43,12 +43,10 @@ def label(name: str) -> str:
 
 def by_part(names: Iterable[str]) -> dict[str, list[str]]:
     """The names by the part of the study that they describe: settings first, what no part declares last."""
-    titles = {column.name: title for title, room in PARTS.items() for column in room.COLUMNS}
-    titles |= dict.fromkeys((column.name for column in SETTINGS), "Settings")
+    titles = {c.name: "Settings" if c.setting else title for title, room in PARTS.items() for c in room.COLUMNS}
     found: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
     for name in names:
-        column = declared(name)
-        found[titles.get(column.name if column else name, "Circumstances")].append(name)
+        found[titles.get(getattr(declared(name), "name", name), "Circumstances")].append(name)
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from ssm_study.columns import Column, Kind
-from ssm_study.engine.durable import sealed, sha256_of_file, unsealed, write_atomically, write_json_atomically
+from ssm_study.engine.durable import contents, sealed, sha256_of_file, unsealed, write_atomically, write_json_atomically
 from ssm_study.engine.records import LOST, RECORD, RUNNING, read_record
 from ssm_study.refusal import require
 from ssm_study.table.columns import BY_NAME, declared
@@ -63,7 +63,7 @@ def marks_of(study: Path) -> dict[str, list[int]]:
 def _gathered(study: Path) -> tuple[pd.DataFrame, dict[str, list[int]]]:
     """The last table and the marks it was made by; without rows where its files are not unharmed."""
     with suppress(OSError):
-        index = unsealed((study / MARKS).read_bytes())
+        index = unsealed(contents(study / MARKS))
         if index is not None and all(sha256_of_file(study / name) == index[name] for name in (PARQUET, CSV)):
             return pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable"), index["marks"]
     return pd.DataFrame({"run": [], "status": []}), {}

@@ -159,8 +159,8 @@ def over_folds(table: pd.DataFrame) -> list[str]:
 def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
     """A line per reason; reasons that differ in numbers alone are one."""
     runs: dict[str, list[tuple[str, str]]] = {}
-    for row in _plain(rows):
-        why = printable(AGAIN.get(status) or _reason(row))
+    for row in rows[[name for name in ("run", *REASONS) if name in rows]].to_dict("records"):
+        why = printable(AGAIN.get(status) or _why(row))
         runs.setdefault(NUMBER.sub("#", why), []).append((str(row["run"]), why))
     lines = []
     for alike in list(runs.values())[:limit]:
@@ -169,23 +169,9 @@ def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
     return lines + ([f"  ... {status} for {len(runs) - limit} more reasons"] if len(runs) > limit else [])
 
 
-def _plain(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """What reasons are made of, row by row; None for what is missing."""
-    sides = ("rate_{}", "{}_rate_limit", "{}_feasible")
-    named = ("run", *REASONS, *(name.format(part) for part in ("controller", "observer") for name in sides))
-    rows = rows[[name for name in named if name in rows]].astype(object)
-    return rows.where(rows.notna(), None).to_dict("records")  # type: ignore[return-value]
-
-
-def _reason(row: dict[str, Any]) -> str:
-    """What the record says, or else which request was infeasible."""
-    said = [str(row[name]) for name in REASONS if row.get(name) is not None]
-    parts = [
-        f"{part} at rate {cell(row[f'rate_{part}'])}, limit {cell(row[f'{part}_rate_limit'])}"
-        for part in ("controller", "observer")
-        if row[f"{part}_feasible"] is False
-    ]
-    return said[0] if said else "; ".join(parts) or "no reason recorded"
+def _why(row: dict[Any, Any]) -> str:
+    """What the record says."""
+    return next((str(row[name]) for name in REASONS if not pd.isna(row.get(name))), "no reason was recorded")
 
 
 def ranged(sentences: list[str]) -> str:

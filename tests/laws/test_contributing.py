@@ -66,7 +66,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The project with the examples in it; no file that was there before is touched."""
     folder = tmp_path_factory.mktemp("copy")
     for name in ("ssm_study", "hydra_plugins", "conf", "tests"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     for files in guides().values():
         for path, content in files.items():

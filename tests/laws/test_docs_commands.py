@@ -31,6 +31,7 @@ import ssm_study.plants
 import ssm_study.synthesis
 from ssm_study import extensions
 from ssm_study.cli import main as cli
+from ssm_study.cli.main import ACTIONS
 from ssm_study.report import figures, style
 
 COMMANDS = every_command()
@@ -185,7 +186,10 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
         executed(found, clone)
     records = sorted((clone / "results" / study).glob("*/record.json"))
     runs = [path.parent.name for path in records if json.loads(path.read_text()).get("status") == "ok"]
-    return [word.replace("/RUN", f"/{(runs or [records[0].parent.name])[0]}") for word in arguments]
+    run = (runs or [records[0].parent.name])[0]
+    if ACTIONS[arguments[0]][1] == "run" and arguments[1].count("/") == 1:  # other pages' commands add runs to it
+        arguments[1] += "/RUN"
+    return [word.replace("/RUN", f"/{run}") for word in arguments]
 
 
 def benchmark(arguments: list[str], clone: Path) -> None:

@@ -2,10 +2,12 @@
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from ssm_study.engine import code
 from ssm_study.engine.code import Code, code_version, symbol_of
 from ssm_study.study.stages import BOUNDS, DATASET, LOOP, MODEL, STAGES, SYNTHESIS
 
@@ -19,13 +21,29 @@ TARGETS = {
 }
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _each_text_is_scanned_once() -> Iterator[None]:
+    """The same file is read a score of times, before and after each edit."""
+    scan, known = code._scanned, dict[tuple[bytes, str, bool], code.Module]()
+
+    def scanned(path: Path, module: str) -> code.Module:
+        key = path.read_bytes(), module, path.name == "__init__.py"
+        if key not in known:
+            known[key] = scan(path, module)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(code, "_scanned", scanned)
+        yield
+
+
 def versions(folder: Path) -> dict[str, str]:
     """By stage: the version of what computes it, and of what measures it, over the sources in `folder`."""
-    code, found = Code({"ssm_study": folder}), {}
+    sources, found = Code({"ssm_study": folder}), {}
     for stage in STAGES:
         targets = [symbol_of(target) for target in TARGETS.get(stage.name, ())]
-        found[stage.name] = code.version(symbol_of(stage.compute), *targets)
-        found[f"{stage.name} measured"] = code.version(symbol_of(stage.measure))
+        found[stage.name] = sources.version(symbol_of(stage.compute), *targets)
+        found[f"{stage.name} measured"] = sources.version(symbol_of(stage.measure))
     return found
 
 

@@ -84,7 +84,7 @@ def test_a_log_that_cannot_bear_it_gets_no_unqualified_word(name, tmp_path, caps
     assert (record["predicted_stable"] is None) == withheld
     assert (status == 1) == withheld
     assert ("allows no judgement" in text) == withheld
-    assert not record["predicted_stable"] or "stays stable, with the doubts below" in text
+    assert not record["predicted_stable"] or "stays stable, with doubts" in text
 
 
 def test_a_test_record_that_is_the_training_record_says_nothing_new(tmp_path, capsys):

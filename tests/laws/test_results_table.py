@@ -55,6 +55,7 @@ RECORDS = [
         "rate_controller": 0.8,
         "controller_feasible": False,
         "controller_rate_limit": 0.91,
+        "infeasible_reason": "rate 0.8 is too much",
     },
     {
         "run": "e",
@@ -190,7 +191,7 @@ def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixt
     assert max(len(line) for line in output.splitlines() if "failed c:" not in line) <= 80
     assert "5 runs (4 shown): 3 ok, 1 infeasible, 1 failed" in output
     assert "failed c: the solver gave up" in output
-    assert "infeasible d: controller at rate 0.8, limit 0.91" in output
+    assert "infeasible d: rate 0.8 is too much" in output
     assert "\x1b" not in output
 
 

@@ -44,7 +44,7 @@ print(json.dumps([data["words"][name] for name in ("input_mean_square", "curve_r
 def scratch_copy(folder: Path) -> Path:
     """The package and its configuration with two more columns, each written into one file."""
     for name in ("ssm_study", "hydra_plugins", "conf"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc"))
     for file, additions in ADDED.items():
         text = (folder / file).read_text()
         for mark, added in additions.items():

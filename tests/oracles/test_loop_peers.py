@@ -139,6 +139,20 @@ def test_the_spread_fills_its_range():
         assert (np.floor((np.sort(factors) - 0.8) / 0.04) == np.arange(10)).all()  # one in each tenth
 
 
+def test_the_plants_own_pi_is_a_row_of_its_own():
+    """Given the numbers of the rule, it is the rule's controller; at another gain it is not."""
+    rule = tyreus_luyben(KNOWN.model)
+    plant = motor()
+    same, other = (
+        Comparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(plant, KNOWN, SHORT, seed=0)
+        for times in (1, 0.5)
+    )
+    assert [row["controller"] for row in same] == ["pi", "own_pi"]
+    assert same[0] | {"controller": ""} == same[1] | {"controller": ""}
+    assert other[0] == same[0]
+    assert other[1]["integral_squared_error"] != same[1]["integral_squared_error"]
+
+
 class Undisturbed(Wrapper):
     """A plant that nothing acts on but its input."""
 
@@ -170,6 +184,8 @@ def test_what_cannot_be_built_says_why():
         ({"rate": 1.0}, "rate"),
         ({"spread_share": 1.0}, "spread_share"),
         ({"spread_plants": 0}, "spread_plants"),
+        ({"own_pi": (0.5, 0.0)}, "own_pi"),
+        ({"own_pi": (0.5,)}, "own_pi"),
     ],
 )
 def test_values_out_of_range(values, names):

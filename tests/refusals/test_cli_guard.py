@@ -1,6 +1,7 @@
 """Every command goes through one guard: damaged files and read-only folders end it in one sentence, with status 2."""
 
 import json
+import os
 import shutil
 import struct
 import subprocess
@@ -15,7 +16,10 @@ from ssm_study.cli import main as cli
 from ssm_study.cli.main import ACTIONS, main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
+from ssm_study.refusal import BadRequest
+from ssm_study.study.verify import verify
 from ssm_study.synthesis.certificate import digest
+from ssm_study.table.gather import gather
 
 NEEDED_BY_EXCITE = ("to", "lower", "upper", "rest", "step-s", "settle-s")
 NEEDED = {"export": ["--to", "out"], "gather": [], "show": [], "verify": [], "report": []}
@@ -61,7 +65,7 @@ def test_whatever_is_raised_is_one_sentence(
         if command in ACTIONS:
             monkeypatch.setitem(ACTIONS, command, (ends, *ACTIONS[command][1:]))
         else:
-            monkeypatch.setattr(cli, command if command == "run" else f"_{command}", ends)
+            monkeypatch.setattr(cli, f"_{command}", ends)
         assert type(error).__name__ in one_sentence(words, capsys)
     monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")
     with pytest.raises(AssertionError):
@@ -84,6 +88,26 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "table": lambda study: cut(study / "runs.parquet"),
     "index": lambda study: (study / ".gathered.json").write_text(DEEP),
 }
+SPARSE: dict[str, Callable[[Path], object]] = {
+    "a pipe": lambda path: (path.unlink(), os.mkfifo(path)),
+    "a device": lambda path: (path.unlink(), path.symlink_to("/dev/zero")),
+    "20 GB": lambda path: os.truncate(path, 20 * 2**30),
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "name"),
+    [*((what, "record.json") for what in SPARSE), ("20 GB", "certificate.json"), ("a pipe", ".hydra/config.yaml")],
+)
+def test_what_never_ends_is_not_read(what: str, name: str, study: Path) -> None:
+    """A run's file that is none, or larger than any: the study is gathered, `verify` says what is wrong."""
+    SPARSE[what](run_of(study) / name)
+    (status,) = gather(study)["status"]
+    assert status == ("corrupt" if name == "record.json" else "ok")
+    with pytest.raises(BadRequest, match=r"do not hold|there is no record\.json"):
+        verify(run_of(study)).demand("run", study)
+
+
 # The table is made anew; what `verify` makes of each damage has tests of its own, and `export` refuses by it.
 OF_THE_RUN = ("model nested", "comparison")
 

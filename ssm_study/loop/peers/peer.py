@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 PREDICTED = ("mismatch_margin", "resolved_margin", "controller_radius")  # nothing where a controller has no model
+UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED), "reason": ""}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +77,7 @@ def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> 
     Raises `BadRequest` for another name.
     """
     one_of(Peer.members(peers), "loop.comparison.controllers", name)
-    said: Row = {"controller": name, "certified": False, **dict.fromkeys(PREDICTED), "reason": ""}
+    said = UNSAID | {"controller": name}
     try:
         built = Peer.known[name]().build(plant, known, rate)
         controller = ObserverFeedback.of(known.model, built) if isinstance(built, Design) else built

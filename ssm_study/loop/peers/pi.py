@@ -29,6 +29,14 @@ class PI(Controller):
     step_s: float
     dimensions: tuple[int, int] = (1, 1)
 
+    @classmethod
+    def on(cls, plant: Plant, gain: float, integral_s: float) -> "PI":
+        """For this plant and its sampling time; raises `BadRequest` for more than one input or output."""
+        shape = len(plant.inputs), len(plant.outputs)
+        require(shape == (1, 1), "loop.comparison.own_pi", shape, "inputs and outputs of the plant", "leave it out")
+        rest = float(plant.equilibrium().u[0])
+        return cls(gain=gain, integral_s=integral_s, input_equilibrium=rest, step_s=plant.step_s)
+
     def start(self, cases: int) -> Memory:
         return np.zeros((cases, 1))
 

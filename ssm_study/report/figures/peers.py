@@ -20,9 +20,10 @@ def draw(study: StudyFolder) -> Figure:
     table = study.comparison[text(study.comparison, "situation") == "nominal"] if compared else study.table
     method = text(table, "controller" if compared else "synthesis_method")
     ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
+    ratio = ratio.where(ratio > 0)  # without: starts that were at rest
     panels: list[tuple[pd.Series, str, dict[str, Any]]] = [
         (column(table, "stable_fraction"), words("stable_fraction"), {"xlim": (-0.05, 1.05)}),
-        (ratio, "Settling time / uncontrolled (–)", {"xscale": "log"}),
+        (ratio, "Settling time / uncontrolled (–)", {"xscale": "log"} if ratio.notna().any() else {}),
         (column(table, "input_peak_v"), words("input_peak_v"), {"xlim": (0, None)}),
     ]
     known = method.ne("") & pd.concat([values for values, _, _ in panels], axis=1).notna().any(axis=1)

@@ -1,7 +1,6 @@
 """The page's plots as Vega-Lite specifications: one point per run, brushed together, coloured by verdict."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import altair as alt
@@ -55,17 +54,10 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
 
     Fits that all but agree say nothing, nor does a margin beside the one that decides.
     """
-    fits, left_out = column(table, "fit_test_percent"), set()
-    if fits.max() - fits.min() < SAME_FIT:
-        left_out.add("fit_test_percent")
-    if column(table, "resolved_margin").notna().any():
-        left_out.add("mismatch_margin")
-    drawn = (panel for panel in PANELS if panel.x not in left_out)
-    usable = [
-        panel
-        for panel in map(partial(_telling, table), drawn)
-        if (column(table, panel.x) * column(table, panel.y)).notna().any()
-    ]
+    fits, decides = column(table, "fit_test_percent"), column(table, "resolved_margin")
+    idle = {"fit_test_percent": fits.max() - fits.min() < SAME_FIT, "mismatch_margin": decides.notna().any()}
+    drawn = [_telling(table, panel) for panel in PANELS if not idle.get(panel.x)]
+    usable = [panel for panel in drawn if (column(table, panel.x) * column(table, panel.y)).notna().any()]
     return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
 
 

@@ -1,0 +1,89 @@
+"""`ssm-study run`: one run or a sweep, composed by Hydra, with a sentence for whatever is wrong with the request."""
+
+import gc
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from ssm_study.cli.endings import StudyCallback
+from ssm_study.cli.explained import advised, refuse_dashes
+from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden
+from ssm_study.cli.request import asks_only, check_request, translate
+from ssm_study.engine.compose import Request
+from ssm_study.refusal import require
+
+PYTHONS_WARNING = warnings.formatwarning
+
+
+def refuse_more_threads_than_cores() -> None:
+    """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
+    cores = len(os.sched_getaffinity(0))
+    for variable in COUNTS:
+        asked = os.environ[variable]
+        fits = asked.isdigit() and 1 <= int(asked) <= cores
+        require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
+
+
+def _warned(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Our own warnings are sentences for the user: without the line of code that gave them."""
+    ours = category.__module__.startswith("ssm_study")
+    return f"ssm-study: {message}\n" if ours else PYTHONS_WARNING(message, category, filename, lineno, line)
+
+
+def configuration_folder() -> Path:
+    """Where the configuration lies: inside the installed package, or beside it in a clone."""
+    package = Path(str(files("ssm_study")))
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def run(overrides: list[str]) -> int:
+    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
+    warnings.formatwarning = _warned
+    refuse_more_threads_than_cores()
+    refuse_dashes(overrides, configuration_folder())
+    overrides = translate(overrides)
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
+    sys.argv = ["ssm-study run", *overrides]
+    StudyCallback.conclude = StudyCallback.stop_watching = None  # of an earlier call in this process
+    try:
+        if any(word in ("--help", "-h") for word in overrides):
+            Request(overrides, configuration_folder(), "study").help()
+        elif asks_only(overrides):
+            hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(_nothing)()
+        else:
+            check_request(overrides, configuration_folder(), "study").do(_job())
+        # Here and not in the callback: Hydra swallows what a callback raises.
+        return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
+    except (HydraException, OmegaConfBaseException) as error:
+        raise advised(error, overrides, configuration_folder()) from error
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise full_or_forbidden("results_dir", error) from error
+    finally:
+        GlobalHydra.instance().clear()  # a program that calls this may compose again
+
+
+def _nothing(_: DictConfig) -> None:
+    """For a request that Hydra answers by itself."""
+
+
+def _job() -> Callable[[DictConfig], Any]:
+    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
+    from ssm_study.study import line as study
+
+    gc.enable()
+    gc.freeze()  # the modules stay until the end: later collections pass over them
+    return study.STUDY.job
