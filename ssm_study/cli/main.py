@@ -160,9 +160,9 @@ def _reproduce(options: argparse.Namespace) -> int:
     from ssm_study.study import line as study
     from ssm_study.study.reproduce import reproduce
 
-    again = reproduce(options.run, study.STUDY.job)
-    print("\n".join(again.lines()))
-    return DONE if again.holds() else SOME_FAILED
+    lines, agrees = reproduce(options.run, study.STUDY.job)
+    print("\n".join(lines))
+    return DONE if agrees else SOME_FAILED
 
 
 def _export(options: argparse.Namespace) -> None:

@@ -17,6 +17,7 @@ from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, by_convolution
 from ssm_study.study.recordings import read_rollouts
+from ssm_study.study.reproduce import compared
 from ssm_study.study.verify import verify
 
 CONTRACT_FILES = ("record.json", "model.json", "certificate.json", "validation.mcap", "closed_loop.mcap", ".hydra")
@@ -206,3 +207,20 @@ def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(smo
     assert "certified" in again
     shutil.copytree(study / smoke_run.name, study / "another")
     assert told().endswith("0 True\n")
+
+
+def test_a_second_run_is_compared_number_by_number() -> None:
+    then = {"status": "ok", "order": 4, "fit_test_percent": 90.0, "threads": 1, "synthesis_seconds": 1.0}
+    assert compared(then, then | {"synthesis_seconds": 2.0}) == (
+        ["3 columns compared: 3 equal to the last bit, 0 differ"],
+        True,
+    )
+    lines, agrees = compared(then, then | {"fit_test_percent": 90.1, "order": None, "threads": 2})
+    assert not agrees
+    assert lines == [
+        "3 columns compared: 1 equal to the last bit, 2 differ",
+        "  order: 4 then, None now",
+        "  fit_test_percent: 90.0 then, 90.1 now",
+        "  changed since: threads 1 -> 2",
+    ]
+    assert compared(then, then | {"fit_test_percent": 90.0 * (1 + 1e-9)})[1]

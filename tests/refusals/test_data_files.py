@@ -1,14 +1,18 @@
 """Files the readers must refuse, each in one sentence that names file, line or field; and their good twins."""
 
+import resource
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from plants_cases import from_yaml
+from pyarrow import parquet
 from scipy.io import savemat
 
 from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.data.readers.reader import read_table
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
@@ -249,3 +253,19 @@ def test_an_unknown_suffix(tmp_path: Path) -> None:
     (tmp_path / "log.xlsx").write_bytes(b"PK")
     with pytest.raises(BadRequest, match=r"the suffix is none of \.csv, \.mat, \.mcap, \.parquet"):
         data(tmp_path / "log.xlsx").build(0)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_path: Path) -> None:
+    """Zeros pack to nothing. MCAP's test: tests/oracles/test_data_mcap.py."""
+    zeros = np.zeros(10_000_000)
+    savemat(tmp_path / "a.mat", {"u": zeros, "y": zeros}, do_compression=True)
+    table = pa.table({"u": zeros[:1_000_000], "y": zeros[:1_000_000]})
+    with parquet.ParquetWriter(tmp_path / "a.parquet", table.schema) as writer:
+        for _ in range(40):
+            writer.write_table(table)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for name, words in (("a.mat", "more than 128 MiB"), ("a.parquet", "40000000 rows are more than 16777216")):
+        assert (tmp_path / name).stat().st_size < 2**20
+        with pytest.raises(BadRequest, match=words):
+            read_table(tmp_path / name, {"u": "", "y": ""})
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 350_000  # kilobytes

@@ -20,7 +20,7 @@ CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sp
            17: "an object"}  # fmt: skip
 FIRST_NUMERIC_CLASS, LAST_NUMERIC_CLASS, COMPLEX = 6, 15, 0x0800
 V4_STORAGE = {0: "f8", 1: "f4", 2: "i4", 3: "i2", 4: "u2", 5: "u1"}
-MOST_BYTES = 1 << 28  # of one decompressed variable
+MOST_BYTES = 1 << 27  # of all decompressed variables
 
 Value = np.ndarray | str  # a string says what it is instead of a real matrix
 
@@ -70,11 +70,15 @@ def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None:
         raise NotAMatFile("its header names no byte order")
+    left = MOST_BYTES
     for kind, data in _elements(content[128:], order):
         parts: Iterable[tuple[int, bytes]] = [(kind, data)]
         if kind == COMPRESSED:
             stream = zlib.decompressobj()
-            parts = _elements(stream.decompress(data, MOST_BYTES), order)
+            unpacked = stream.decompress(data, max(left, 1))  # 0 would be no limit
+            left -= len(unpacked)
+            _must(not stream.unconsumed_tail, f"it unpacks to more than {MOST_BYTES >> 20} MiB; split it")
+            parts = _elements(unpacked, order)
             _must(stream.eof, "a compressed variable is cut short")
         yield from (_matrix(matrix, order) for inner, matrix in parts if inner == MATRIX)
 

@@ -8,6 +8,8 @@ from pyarrow import parquet
 from ssm_study.data.readers.reader import Reader, Table, arrow_numbers, check_named
 from ssm_study.refusal import BadRequest, require
 
+MOST_BYTES = 1 << 28  # of the named columns, unpacked
+
 
 class ParquetReader(Reader, names=(".parquet",)):
     """The named columns; page checksums are verified where the file has them. Refuses a file that is not whole."""
@@ -20,6 +22,8 @@ class ParquetReader(Reader, names=(".parquet",)):
             for kind, name in ((schema.field(name).type, name) for name in names):
                 numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind)
                 require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
+            rows, most = parquet.read_metadata(path).num_rows, MOST_BYTES // 8 // len(names)
+            require(rows <= most, "data.path", path, f"{rows} rows are more than {most}", "split the record")
             table = parquet.read_table(path, columns=names, page_checksum_verification=True)
             columns = arrow_numbers(path, table, {name: name for name in names}, "row", 0)
         except BadRequest:
