@@ -24,11 +24,12 @@ CLEAR, SMALL = 4.0, 0.1  # standard errors of a lag, and the share of the larges
 SMOOTH = 1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
+COARSE, FINE, ENOUGH = 3, 1000, 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
 def findings(case: Case) -> list[Finding]:
-    """The doubt on coherence, and the dead time."""
-    return [*_coherence(case), *_dead_time(case)]
+    """The doubt on coherence, the dead time, and the sampling time of a log."""
+    return [*_coherence(case), *_dead_time(case), *_sampling(case)]
 
 
 def response_samples(linear: StateSpace) -> int:
@@ -69,6 +70,17 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     power = power + max(ridge, np.finfo(float).tiny) * np.eye(power.shape[-1])
     explained = np.einsum("fmp,fmp->fp", through.conj(), np.linalg.solve(power, through)).real
     return np.asarray((explained / np.maximum(whole, np.finfo(float).tiny)).min(axis=1))
+
+
+def _sampling(case: Case) -> Iterator[Finding]:
+    """Whether a log was sampled much too slowly or too fast for what its model answers."""
+    response = response_samples(case.model.linear)
+    told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
+    if case.data.metadata.get("source") == "recorded" and response <= COARSE:
+        yield note(f"{told}: sample more often, or the controller cannot act within it.")
+    elif case.data.metadata.get("source") == "recorded" and response >= FINE:
+        keep = response // ENOUGH
+        yield note(f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}.")
 
 
 def _dead_time(case: Case) -> Iterator[Finding]:
