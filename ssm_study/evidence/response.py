@@ -61,21 +61,15 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     Spectra are averaged over all records: where the input rests in one of them, the others tell. Zero without power.
     """
 
-    def cross(i: int, j: int) -> np.ndarray:
-        return np.sum([len(part[0]) * _cross_spectra(part[i], part[j], segment) for part in parts], axis=0)
+    def cross(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
+        pairs = ((part[i][:, :, None], part[j][:, None, :]) for part in parts)
+        return np.sum([len(a) * scipy.signal.csd(a, b, nperseg=segment, axis=0)[1] for a, b in pairs], axis=0)
 
     power, through, whole = cross(0, 0), cross(0, 1), np.einsum("fpp->fp", cross(1, 1)).real
     ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
     power = power + max(ridge, np.finfo(float).tiny) * np.eye(power.shape[-1])
     explained = np.einsum("fmp,fmp->fp", through.conj(), np.linalg.solve(power, through)).real
     return np.asarray((explained / np.maximum(whole, np.finfo(float).tiny)).min(axis=1))
-
-
-def _cross_spectra(
-    a: Float[np.ndarray, "T r"], b: Float[np.ndarray, "T c"], segment: int
-) -> Complex[np.ndarray, "F r c"]:
-    rows = [[scipy.signal.csd(p, q, nperseg=segment)[1] for q in b.T] for p in a.T]
-    return np.moveaxis(np.array(rows, dtype=complex), 2, 0)
 
 
 def _sampling(case: Case) -> Iterator[Finding]:
