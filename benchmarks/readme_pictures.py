@@ -84,7 +84,7 @@ def study_line(study: StudyFolder) -> Figure:
         panels[3].set_ylabel(loop.label("output"))
         for axes in panels:
             axes.legend(
-                loc="lower right" if axes is panels[0] else "upper right",
+                loc={panels[0]: "lower right", panels[2]: "lower left"}.get(axes, "upper right"),
                 fontsize=8,
                 frameon=True,
                 framealpha=0.9,
@@ -116,14 +116,14 @@ def _slopes(axes: Axes, model: SSM, record: dict[str, Any]) -> None:
 
 def _decay(axes: Axes, model: SSM, certificate: dict[str, Any], record: dict[str, Any]) -> None:
     """Distances of pairs of trajectories of the model, which the theorem bounds by `r^k`."""
-    side = certificate["state_feedback"]
-    a, b, k, p = (np.array(side[name]) for name in ("a", "b", "k", "p"))
+    side = certificate.get("state_feedback_deployed") or certificate["state_feedback"]
+    a, b, k, p = (np.array({**certificate["state_feedback"], **side}[name]) for name in ("a", "b", "k", "p"))
     d = distances(controlled(model, a, b, k), np.linalg.inv(p))[:, :DECAY]  # the dual form: M = P^-1
     samples = np.arange(DECAY)
     axes.plot(samples, np.sqrt(1 - side["rate"]) ** samples, color=style.VERMILLION, ls="--", label="proved bound")
     axes.fill_between(samples, d.min(axis=0), d.max(axis=0), color=style.BLUE, alpha=0.3, lw=0, label="200 pairs")
     axes.plot(samples, d.max(axis=0), color=style.BLUE, label="worst of them")
-    title = f"3  Certificate\nrate {record['rate_controller']:.3f} of at most {record['controller_rate_limit']:.3f}"
+    title = f"3  Certificate\nrate {side['rate']:.3f} is proved, at most {record['controller_rate_limit']:.3f} can be"
     axes.set(title=title, xlabel="Sample", ylabel="Distance / first (–)", yscale="log")
 
 

@@ -12,12 +12,19 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.dc_motor import DCMotor
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.mismatch import ANGLES, Mismatch, View
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 INPUT_BALL = JacobianBall.from_slopes(0.12, 1.0)
 OUTPUT_BALL = JacobianBall(alpha=1.0, beta=0.0)
 BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+
+
+def flat(by_frequency: np.ndarray, gain: float) -> Mismatch:
+    """One view of which only sizes are known."""
+    none = np.zeros(len(ANGLES), dtype=complex)
+    return Mismatch(views=(View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency),))
 
 
 @cache

@@ -53,7 +53,8 @@ def before(known: Identified) -> Mismatch:
     shown = replace(known, trials=()).shown
     view: View = shown.views[0]
     unknown = np.isin(np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9))
-    return Mismatch.flat(np.where(unknown, view.gain, view.by_frequency), view.gain)
+    sizes = np.where(unknown, view.gain, view.by_frequency)
+    return Mismatch(views=(replace(view, by_frequency=sizes, linear=0 * view.linear, rest=sizes),))
 
 
 def study_of(*settings: str) -> Specification:
@@ -106,22 +107,31 @@ def by_plant(lines: pd.DataFrame) -> str:
     `time` is the median settling time of the predicted choices, relative to the plant left alone.
     """
     lines = lines.assign(
-        settled=lines.choice_predicted & lines.choice_settles, silent=lines.evidence == "cannot judge", models=1
-    )
+        settled=lines.choice_predicted & lines.choice_settles, silent=lines.evidence == "cannot judge", models=1,
+        **{f"sound_{name}": lines[name].where(lines.evidence == "sound", 0) for name in ("predicted", "wrong")},
+    )  # fmt: skip
     counts = ["models", "designs", "settle", "old_predicted", "old_wrong", "predicted", "wrong", "both_right"]
     groups = lines.groupby(["plant", "shown_by"])
-    table = groups[[*counts, "choice_predicted", "settled", "silent"]].sum()
+    table = groups[[*counts, "choice_predicted", "settled", "silent", "sound_predicted", "sound_wrong"]].sum()
     table["time"] = lines[lines.choice_predicted].groupby(["plant", "shown_by"])["choice_time_ratio"].median()
     table.loc[("all", ""), :] = table.sum(min_count=1)
     heads = ["plant", "fault shown by", "models", "designs", "settle", "old rule: predicted / wrong"]
-    heads += ["this rule: predicted / wrong", "right by both", "choices predicted / settle", "cannot judge", "time"]
+    heads += [
+        "this rule: predicted / wrong",
+        "without a doubt",
+        "right by both",
+        "choices predicted / settle",
+        "cannot judge",
+        "time",
+    ]
     rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for (plant, shown_by), row in table.iterrows():
         pairs = [f"{row[a]:.0f} / {row[b]:.0f}" for a, b in
-                 (("old_predicted", "old_wrong"), ("predicted", "wrong"), ("choice_predicted", "settled"))]  # fmt: skip
-        cells = [plant, shown_by, *(f"{row[name]:.0f}" for name in counts[:3]), *pairs[:2], f"{row.both_right:.0f}"]
+                 (("old_predicted", "old_wrong"), ("predicted", "wrong"), ("sound_predicted", "sound_wrong"),
+                  ("choice_predicted", "settled"))]  # fmt: skip
+        cells = [plant, shown_by, *(f"{row[name]:.0f}" for name in counts[:3]), *pairs[:3], f"{row.both_right:.0f}"]
         time = f"{row.time:.2f}" if plant != "all" and row.choice_predicted else ""
-        rows.append("| " + " | ".join([*cells, pairs[2], f"{row.silent:.0f}", time]) + " |")
+        rows.append("| " + " | ".join([*cells, pairs[3], f"{row.silent:.0f}", time]) + " |")
     return "\n".join(rows)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.evidence.finding import Case, Finding, doubt
 from ssm_study.signals import DataSet
@@ -38,8 +39,8 @@ def findings(case: Case) -> Iterator[Finding]:
 
 def fed_back(data: DataSet, first: int) -> float:
     """The largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other half."""
-    into, out, records = data.scale.scaled_input, data.scale.scaled_output, data.training
-    halves = [half for record in records for half in _halves(into(record.u), out(record.y), first)]
+    scaled = ((data.scale.scaled_input(one.u), data.scale.scaled_output(one.y)) for one in data.training)
+    halves = [half for u, y in scaled for half in _halves(u, y, first)]
     if not halves:
         return 0.0
     one, other = ([np.concatenate(part) for part in zip(*halves[k::2], strict=True)] for k in (0, 1))
@@ -61,11 +62,9 @@ def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
 
 def _halves(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
     """Past inputs (and one), outputs of `first` to `OUTPUTS` samples ago, the input: of each half of a record."""
-
-    def ago(signal: Rows, lags: range) -> Rows:
-        return np.hstack([signal[PAST - lag : len(signal) - lag] for lag in lags])
-
+    rows = len(u) - PAST
     if len(u) >= SHORTEST * PAST:
-        past = np.hstack([ago(u, range(1, PAST + 1)), np.ones((len(u) - PAST, 1))])
-        sides, half = (past, ago(y, range(first, OUTPUTS + 1)), u[PAST:]), len(past) // 2
-        yield from ([side[part] for side in sides] for part in (slice(half), slice(half, None)))
+        past = sliding_window_view(u[:-1], PAST, axis=0).reshape(rows, -1)
+        before = sliding_window_view(y[PAST - OUTPUTS : len(y) - first], OUTPUTS + 1 - first, axis=0).reshape(rows, -1)
+        sides = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0), before, u[PAST:]
+        yield from ([side[part] for side in sides] for part in (slice(rows // 2), slice(rows // 2, None)))

@@ -24,11 +24,12 @@ CLEAR, SMALL = 4.0, 0.1  # standard errors of a lag, and the share of the larges
 SMOOTH = 1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
+COARSE, FINE, ENOUGH = 3, 1000, 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
 def findings(case: Case) -> list[Finding]:
-    """The doubt on coherence, and the dead time."""
-    return [*_coherence(case), *_dead_time(case)]
+    """The doubt on coherence, the dead time, and the sampling time of a log."""
+    return [*_coherence(case), *_dead_time(case), *_sampling(case)]
 
 
 def response_samples(linear: StateSpace) -> int:
@@ -60,8 +61,9 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     Spectra are averaged over all records: where the input rests in one of them, the others tell. Zero without power.
     """
 
-    def cross(i: int, j: int) -> np.ndarray:
-        return np.sum([len(part[0]) * _cross_spectra(part[i], part[j], segment) for part in parts], axis=0)
+    def cross(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
+        pairs = ((part[i][:, :, None], part[j][:, None, :]) for part in parts)
+        return np.sum([len(a) * scipy.signal.csd(a, b, nperseg=segment, axis=0)[1] for a, b in pairs], axis=0)
 
     power, through, whole = cross(0, 0), cross(0, 1), np.einsum("fpp->fp", cross(1, 1)).real
     ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
@@ -70,11 +72,15 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     return np.asarray((explained / np.maximum(whole, np.finfo(float).tiny)).min(axis=1))
 
 
-def _cross_spectra(
-    a: Float[np.ndarray, "T r"], b: Float[np.ndarray, "T c"], segment: int
-) -> Complex[np.ndarray, "F r c"]:
-    rows = [[scipy.signal.csd(p, q, nperseg=segment)[1] for q in b.T] for p in a.T]
-    return np.moveaxis(np.array(rows, dtype=complex), 2, 0)
+def _sampling(case: Case) -> Iterator[Finding]:
+    """Whether a log was sampled much too slowly or too fast for what its model answers."""
+    response = response_samples(case.model.linear)
+    told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
+    if case.data.metadata.get("source") == "recorded" and response <= COARSE:
+        yield note(f"{told}: sample more often, or the controller cannot act within it.")
+    elif case.data.metadata.get("source") == "recorded" and response >= FINE:
+        keep = response // ENOUGH
+        yield note(f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}.")
 
 
 def _dead_time(case: Case) -> Iterator[Finding]:

@@ -130,6 +130,11 @@ class RunFolder:
         return self._recording("validation", most=1)
 
     @cached_property
+    def test(self) -> RecordedCases | None:
+        """Likewise."""
+        return self._recording("test", most=1)
+
+    @cached_property
     def excitation(self) -> RecordedCases | None:
         """The training records' input; the validation record's where those were not kept."""
         return self._recording("excitation") or self.validation

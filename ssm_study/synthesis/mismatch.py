@@ -77,12 +77,6 @@ class Mismatch:
     left_at_rest: float | None = None
     unexcited: tuple[float, ...] = ()
 
-    @classmethod
-    def flat(cls, by_frequency: Float[np.ndarray, "F"], gain: float) -> "Mismatch":
-        """One view of which only sizes are known."""
-        none = np.zeros(len(ANGLES), dtype=complex)
-        return cls(views=(View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency),))
-
     @property
     def gain(self) -> float:
         return self.views[-1].gain
@@ -128,8 +122,10 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
     require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
     periodic = [one for one in moving if one.period is not None]
     noise = _noise(periodic) if periodic else None
-    views = [_once(moving)] if noise is None else _repeated(periodic, noise)
-    largest = max(periodic or moving, key=lambda one: float((one.u**2).mean()))
+    largest = max(periodic or moving, key=_Errors.strength)
+    most, views = largest.strength(), [_once(moving)]
+    if noise is not None:
+        views = [_view(record, record.strength() == most, noise) for record in periodic]
     drive = welch([largest.u])
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
@@ -161,6 +157,9 @@ class _Errors:
             start=found[0] if found else 0,
             period=found[1] if found else None,
         )
+
+    def strength(self) -> float:
+        return float((self.u**2).mean())
 
     def spread(self) -> float:
         """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS` pieces."""
@@ -252,21 +251,14 @@ def _noise(records: list[_Errors]) -> Float[np.ndarray, "F"]:
     return np.asarray(np.median([banded(power(a - b) / 2) / period for (a, b), period in spectra], axis=0))
 
 
-def _repeated(records: list[_Errors], noise: Float[np.ndarray, "F"]) -> list[View]:
-    """One view a record."""
-    largest = max(float((record.u**2).mean()) for record in records)
-    alike = [float((record.u**2).mean()) == largest for record in records]
-    return [_view(r, r.spectra(), noise=noise, sure=sure) for r, sure in zip(records, alike, strict=True)]
-
-
-def _view(record: _Errors, spectra: Spectra, noise: Float[np.ndarray, "F"], sure: bool) -> View:
+def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
     """With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured, noise included.
     Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`. Below the largest amplitude only
     what exceeds `SURE` of its standard deviations counts.
     """
-    both, drive, said = spectra
+    both, drive, said = record.spectra()
     drawn, (_, lines) = noise * float(record.period or 1), bands_of(len(drive))
     power_u, power_said = banded(power(drive)), banded(power(said))
     repeats = banded((both[0] * both[1].conj()).real.sum(axis=1))  # noise averages out, see above

@@ -65,6 +65,12 @@ def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(smoke
     assert drawn == set(figures.names()) - NEEDS_SEVERAL
 
 
+def test_the_figure_of_the_fit_shows_the_test_record_first_and_validation_below(smoke_copy: Path) -> None:
+    panels = drawn("validation_trajectory", smoke_copy).axes
+    assert [panel.lines[0].get_label() for panel in panels[:2]] == ["test record", "validation record"]
+    assert len(panels) == 3
+
+
 @pytest.mark.parametrize("name", ["rates", "closed_loop_responses"])
 def test_the_same_files_give_the_same_bytes(studies: dict[str, Path], name: str) -> None:
     first = [path.read_bytes() for path in figures.draw([name], studies["runs"])]

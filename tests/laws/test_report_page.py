@@ -327,6 +327,6 @@ def test_two_studies_stand_on_one_page(browser: Any, tmp_path: Path) -> None:
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     assert shown(browser) == 8
     wait_for(browser, "document.querySelector('#groups tbody tr') !== null")
-    assert "study" in browser.execute_script("return DATA.parameters"), "runs can be grouped by their study"
+    assert browser.execute_script("return state.group.by") == ["study"], "studies against each other first"
     names = browser.execute_script("return COLUMNS.run")
     assert sum(name.startswith("../second/") for name in names) == 3

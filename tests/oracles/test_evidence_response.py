@@ -20,15 +20,15 @@ WHITE = RNG.uniform(-1, 1, 6000)
 LEVELS = np.repeat(RNG.uniform(-1, 1, 1200), RNG.integers(1, 12, 1200))[:6000]
 
 
-def case(u: np.ndarray, y: np.ndarray) -> Case:
-    """The log of one input and one output with the model `y[k] = 0.9 y[k-1] + 0.1 u[k-1]`."""
+def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorded") -> Case:
+    """The log of one input and one output with the model `y[k] = slow y[k-1] + 0.1 u[k-1]`."""
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
     rest, channel = np.zeros(1), Channel(name="a", unit="")
     data = assemble(
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
-        inputs=(channel,), outputs=(replace(channel, name="b"),), start_up_samples=0, metadata={},
+        inputs=(channel,), outputs=(replace(channel, name="b"),), start_up_samples=0, metadata={"source": source},
     )  # fmt: skip
-    lag = StateSpace(a=np.array([[0.9]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    lag = StateSpace(a=np.array([[slow]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1)))
     model = replace(linear_model(0), linear=lag)
     parts = {name: Simulation.of(model, getattr(data, name), 0) for name in ("validation", "test")}
     return Case(data=data, model=model, **parts)
@@ -51,6 +51,19 @@ def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
     assert "answers 5 samples late" in found.sentence
     assert "use model.order=7" in found.sentence
     assert findings(case(LEVELS, answer(LEVELS, 1))) == []
+
+
+@pytest.mark.parametrize(
+    ("slow", "said"),
+    [(0.3, "3 samples of 0.1 s: sample more often"), (0.9, None), (0.998, "data.decimate=5 keeps one sample in 5")],
+)
+def test_a_log_sampled_too_slowly_or_too_fast_is_told_what_to_do(slow, said):
+    """A lag has lost nine tenths of its response after ln(0.1) / ln(slow) samples, and one more."""
+    y = scipy.signal.lfilter([0, 0.1], [1, -slow], LEVELS)
+    notes = [found for found in findings(case(LEVELS, y, slow)) if "bulk" in found.sentence]
+    assert len(notes) == (said is not None)
+    assert all(found.level == "note" and said in found.sentence for found in notes)
+    assert not [found for found in findings(case(LEVELS, y, slow, "simulated")) if "bulk" in found.sentence]
 
 
 @pytest.mark.parametrize("noise", [3.0, 100.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_cases import BALLS, INPUT_BALL, motor_design, motor_model, motor_record, random_model
+from loop_cases import BALLS, INPUT_BALL, flat, motor_design, motor_model, motor_record, random_model
 
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
@@ -132,7 +132,7 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     own = predict(model, design.pair, BALLS, shown)
     peak = sensitivity_peak(model.linear, design.pair, BALLS)
     assert own.mismatch_margin == pytest.approx(1 / (shown.gain * peak))
-    none = Mismatch.flat(np.zeros(len(BANDS)), 0.0)
+    none = flat(np.zeros(len(BANDS)), 0.0)
     assert predict(model, design.pair, BALLS, none).mismatch_margin == np.inf
 
 

@@ -9,7 +9,7 @@ import scipy.signal
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loop_cases import BALLS, motor_design, motor_model
+from loop_cases import BALLS, flat, motor_design, motor_model
 
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import Loop
@@ -123,7 +123,7 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     loops = [sensitivity(a, Pair(k=k, l=l), *at) for a, l, *at in ends(model.linear, Pair(k=k, l=gain), BALLS)]  # noqa: E741
     largest = np.max([sizes(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0)
     sensitive = np.array([(near(w)(FINE_ANGLES) * largest).max() for w in angles])
-    shown = Mismatch.flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)
+    shown = flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)
     found = predict(model, Pair(k=k, l=gain), BALLS, shown)
     assert found.resolved_margin == pytest.approx(0.1 * found.mismatch_margin, rel=0.05)
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_cases import BALLS as MOTOR_BALLS
-from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_model
+from loop_cases import INPUT_BALL, OUTPUT_BALL, flat, motor_model
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from ssm_study.synthesis.certificate import Design, Observer, StateFeedback, digest
 from ssm_study.synthesis.deployed import as_deployed, covering_weight
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.mismatch import ANGLES, Mismatch
+from ssm_study.synthesis.mismatch import ANGLES
 from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
 from ssm_study.synthesis.theorem import Known
 from ssm_study.synthesis.theorems.deployed_rate import largest_rate
@@ -26,7 +26,7 @@ from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)
-SHOWN = Mismatch.flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
+SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
 
 
 def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls, Design]:

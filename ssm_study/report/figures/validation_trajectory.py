@@ -1,4 +1,4 @@
-"""Validation record: measured output, and the identified model's free-run simulation from the same input."""
+"""Test and validation record: measured output, and the identified model's free-run simulation from the same input."""
 
 from matplotlib.figure import Figure
 
@@ -9,17 +9,20 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 
 def draw(study: StudyFolder) -> Figure:
-    validation, record = study.of_best("validation", "record", otherwise="No run left a validation record.")
-    fig = style.canvas(style.COLUMN_IN, 3.0)
-    output, given = fig.subplots(2, 1, sharex=True, height_ratios=[1.6, 1])
-    u, y, simulated = (validation[name][0, :LONGEST, 0] for name in ("input", "measured", "simulated"))
-    time_s, fit = validation.time_s("measured")[:LONGEST], record.get("fit_validation_percent")
-    output.plot(time_s, y, color=style.GREY, lw=0.7, label="measured")
-    name = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
-    output.plot(time_s, simulated, color=style.BLUE, lw=1.2, label=name)
-    style.above(output, columns=2)
-    output.set_ylabel(validation.label("measured"))
-    given.step(time_s, u, where="post", color=style.INK, lw=0.7)
-    given.set(xlabel="Time (s)", ylabel=validation.label("input"), xlim=(time_s[0], time_s[-1]))
+    run, record = study.of_best("validation", "record", otherwise="No run left a validation record.")
+    test = study.best.test if study.best is not None else None
+    shown = [(name, part) for name, part in (("test", test), ("validation", run)) if part is not None]
+    fig = style.canvas(style.COLUMN_IN, 1.0 + 1.7 * len(shown))
+    panels = fig.subplots(1 + len(shown), 1, height_ratios=[1.6] * len(shown) + [1])
+    for panel, (name, part) in zip(panels, shown, strict=False):
+        time_s, fit = part.time_s("measured")[:LONGEST], record.get(f"fit_{name}_percent")
+        y, simulated = (part[signal][0, :LONGEST, 0] for signal in ("measured", "simulated"))
+        panel.plot(time_s, y, color=style.GREY, lw=0.7, label=f"{name} record")
+        told = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
+        panel.plot(time_s, simulated, color=style.BLUE, lw=1.2, label=told)
+        style.above(panel, columns=2)
+        panel.set(xlabel="Time (s)", ylabel=part.label("measured"), xlim=(time_s[0], time_s[-1]))
+    panels[-1].step(time_s, part["input"][0, :LONGEST, 0], where="post", color=style.INK, lw=0.7)
+    panels[-1].set(xlabel="Time (s)", ylabel=part.label("input"), xlim=(time_s[0], time_s[-1]))
     fig.align_ylabels()
     return fig

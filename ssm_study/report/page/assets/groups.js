@@ -81,7 +81,7 @@ function drawGroupForm() {
   const names = DATA.parameters.filter((name) => new Set(COLUMNS[name].map((_, i) => setting(name, i))).size <= MOST_GROUPS), metrics = METRICS.filter((name) => COLUMNS[name] && known(COLUMNS[name]).length);
   if (!names.length || !metrics.length) { document.getElementById("compare").hidden = true; return; }
   const kept = [state.group.by].flat().filter((name) => names.includes(name));
-  state.group = { by: kept.length ? kept : [names.find((name) => name !== "seed") || names[0]], metric: metrics.includes(state.group.metric) ? state.group.metric : metrics[0] };
+  state.group = { by: kept.length ? kept : [names.find((name) => name === "study") || names.find((name) => name !== "seed") || names[0]], metric: metrics.includes(state.group.metric) ? state.group.metric : metrics[0] };
   const box = (name) => element("label", {}, element("input", { type: "checkbox", value: name, checked: state.group.by.includes(name), onchange: (event) => {
     const by = names.filter((other) => (other === name ? event.target.checked : state.group.by.includes(other)));
     if (by.length) state.group.by = by; else event.target.checked = true; // one at least

@@ -93,7 +93,7 @@ function drawLead() {
   const numbers = headline(0).map(([number, words]) => element("div", { class: "number" }, element("strong", {}, number), element("span", {}, words)));
   const lines = evidence(0).map(([label, text]) => element("li", { class: /^(?:Outcome|Cannot judge|Doubt|Evidence: cannot)/.test(label) ? "warn" : "" }, element("strong", {}, label), text[0].toUpperCase() + text.slice(1)));
   box.append(
-    element("p", {}, whyBest(), element("button", { type: "button", class: "link", onclick: () => choose(0) }, COLUMNS.run[0]),
+    element("p", {}, whyBest(), element("button", { type: "button", class: "link", onclick: () => choose(0) }, partsOf(COLUMNS.run[0]).join("-")),
       DATA.parameters.length ? `. Its settings: ${DATA.parameters.map((name) => `${DATA.words[name].replace(/[ ,]*[(,ρ].*/, "").toLowerCase()} ${printed(setting(name, 0))}`).join(", ")}.` : ""),
     element("div", { class: "lead" }, ...(loop ? [element("div", { class: "responses" }, ...bestResponses(loop))] : []),
       element("div", { class: "numbers" }, ...numbers)), element("ul", { class: "evidence" }, ...lines));
