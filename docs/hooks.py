@@ -22,6 +22,7 @@ CHAPTERS = {
         "howto_theorem.md",
         "howto_figure.md",
         "howto_cluster.md",
+        "log_to_device.md",
         "howto_export.md",
     ],
     "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "trust.md", "engine.md"],

@@ -28,7 +28,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 WHOLE_RUNS = {
     *("test_contributing", "test_data_sets", "test_docs_commands", "test_docs_notebooks", "test_evidence_controls"),
     *("test_extensions", "test_loop_within_limits", "test_results_verify", "test_study_line", "test_study_refine"),
-    *("test_table_columns", "test_cli_guard"),
+    *("test_table_columns", "test_cli_guard", "test_log_to_device"),
 }
 # Of these, whose tests look at the figures that a run draws.
 DRAWING = {"test_study_line", "test_docs_notebooks"}

@@ -1,0 +1,29 @@
+"""The way from a log to a device, as its page tells it: every file and command of the page, and what comes of them."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from benchmarks.log_to_device import told
+
+SETTLED = 100  # samples after a new set point
+
+
+def test_the_page_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    if shutil.which("gcc") is None:
+        pytest.skip("no gcc on this machine")
+    said = told(tmp_path)
+    (path,) = (tmp_path / "results" / "device").glob("*/record.json")
+    record = json.loads(path.read_text())
+    assert (record["evidence"], record["predicted_stable"], record["controller_certified"]) == ("sound", True, True)
+    assert record["certified_tolerance"] > record["mismatch_seen"]
+    assert said["replay"].startswith("0 of 200 inputs differ, the largest by 0")
+    trial = pd.read_csv(tmp_path / "first_trial.csv")
+    assert trial["volts"].abs().max() < 3  # what the log visited, and so what the drive can do
+    error = (trial["speed"] - trial["set_point"]).groupby(trial.index // 300)
+    assert (error.apply(lambda one: one.iloc[SETTLED:].mean()).abs() < 0.1).all()
+    assert (error.apply(lambda one: one.iloc[SETTLED:].std()) < 0.2).all()
+    assert "the loop comes to rest" in capfd.readouterr().out
