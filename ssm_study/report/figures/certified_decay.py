@@ -1,5 +1,6 @@
 """Certified against measured contraction, on the model: the distance of pairs of trajectories in the certified metric,
-relative to its start (worst and median of many pairs), under the bound r^k. Left the feedback, right the observer."""
+relative to its start (worst and median of many pairs), under the bound r^k that is proved of the gains. Left the
+feedback, right the observer."""
 
 from collections.abc import Callable
 
@@ -20,7 +21,10 @@ def draw(study: StudyFolder) -> Figure:
     model, certificate = study.of_best("model", "certificate", otherwise="No run left a certificate.")
     fig = style.canvas(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
-    feedback, observer = certificate.get("state_feedback") or {}, certificate.get("observer") or {}
+    feedback, observer = (  # with what is proved of the gains where the run knows it
+        (certificate.get(side) or {}) | (certificate.get(f"{side}_deployed") or {})
+        for side in ("state_feedback", "observer")
+    )
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         d = distances(controlled(model, a, b, k), np.linalg.inv(p))  # the dual form: M = P^-1
@@ -57,7 +61,7 @@ def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray,
 
 def _panel(axes: Axes, d: Float[np.ndarray, "N T"], rate: float, title: str) -> None:
     k, r, median = np.arange(d.shape[1]), np.sqrt(1 - rate), np.median(d, axis=0)
-    axes.plot(k, r**k, color=style.VERMILLION, ls="--", label=f"bound, r = {r:.3f}")
+    axes.plot(k, r**k, color=style.VERMILLION, ls="--", zorder=3, label=f"bound, r = {r:.3f}")
     axes.plot(k, d.max(axis=0), color=style.BLUE, label="worst pair")
     axes.plot(k, median, color=style.SKY, label="median pair")
     axes.set(yscale="log", ylim=(max(1e-12, 0.3 * float(np.nanmin(median))), 3))  # below lies only rounding
