@@ -126,9 +126,13 @@ def maker(study: str) -> str | None:
 
 def small(arguments: list[str], written: Path | None = None) -> list[str]:
     """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the reader's own."""
+    if {"--help", "--cfg"} & set(arguments):
+        return arguments
     words = [word if word.startswith("-") else first_value(word) for word in arguments]
-    if {"experiment=smoke", "--help", "--cfg"} & set(arguments):
+    if "experiment=smoke" in arguments:
         return words if sum(word.count(",") for word in arguments) > 6 else arguments
+    if not any(word.startswith(("study=", "experiment=")) for word in words):
+        words.append("study=unnamed")  # not into the paper's, of which other pages speak
     config = composed([*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])])
     given = {word.split("=")[0] for word in words}
     swept = OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]

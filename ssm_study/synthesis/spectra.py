@@ -34,10 +34,9 @@ def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
     return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
 
 
-def welch(signals: list[Float[np.ndarray, "T c"]]) -> Float[np.ndarray, "F"]:
+def welch(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
     """Welch's power density, summed over channels and records (each by its length), at equal steps from 0 to pi."""
     segment = min(SEGMENT, *(len(signal) for signal in signals))
     even = max(segment - segment % 2, 2)  # so that the last band is at pi
     powers = [scipy.signal.welch(one, nperseg=even, detrend=False, axis=0)[1].sum(axis=1) for one in signals]
-    total: Float[np.ndarray, F] = sum(len(one) * density for one, density in zip(signals, powers, strict=True))
-    return total
+    return np.sum([len(one) * density for one, density in zip(signals, powers, strict=True)], axis=0)
