@@ -91,7 +91,7 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield "certified_tolerance", "Mismatch tolerated", f"{number('certified_tolerance')} is proved, {seen}"
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
-    where = "true plant" if _on_plant(record) else record["loop_on"]
+    where = "simulated plant" if _on_plant(record) else record["loop_on"]
     settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on the {where}"
     yield "stable_count", "Starts settled", settled
     time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")

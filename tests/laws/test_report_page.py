@@ -177,6 +177,12 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
         assert int(row[0]) == here.count(label)
         if own:
             assert float(row[place - 1].split(" ")[0]) == pytest.approx(sum(own) / len(own), rel=6e-3)
+    every = [v for v in table[metric] if v is not None]
+    last = opened.execute_script(
+        "return [...document.querySelectorAll('#groups tfoot tr > *')].map(c => c.textContent)"
+    )
+    assert (last[0], int(last[1])) == ("All", RUNS)
+    assert float(last[place].split(" ")[0]) == pytest.approx(sum(every) / len(every), rel=6e-3)
 
 
 def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
@@ -200,7 +206,7 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     lines = browser.execute_script("return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)")
     assert lines[0] == "Predicted for the plant\nIt stays stable: the prediction margin is 2 (above 1 is needed)."
-    assert lines[1].startswith("Seen on the plant\nIt settles in 0.")
+    assert lines[1].startswith("Seen on the simulated plant\nIt settles in 0.")
     assert lines[2:] == [
         "Evidence: doubt\nThe records leave a doubt.",
         "Note\nOne amplitude: the record shows no other.",

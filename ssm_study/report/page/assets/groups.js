@@ -59,10 +59,10 @@ function strips(groups, metric, rows) {
     for (const place of new Set(values.map((value) => Math.round(2 * x(value)) / 2))) svg.append(shape("circle", { cx: place, cy: y, r: 4, class: "one" })); // one where many coincide
     if (runs.includes(0) && typeof COLUMNS[metric][0] === "number") svg.append(shape("circle", { cx: x(COLUMNS[metric][0]), cy: y, r: 7, class: "ring" }));
     if (!values.length) svg.append(shape("text", { x: left + 12, y: y - 3, class: "tick" }, "no run has this number"));
-    else svg.append(shape("line", { x1: x(mean(values)), x2: x(mean(values)), y1: y - 9, y2: y + 9, class: "mean" }));
+    else if (values.length > 1) svg.append(shape("line", { x1: x(mean(values)), x2: x(mean(values)), y1: y - 9, y2: y + 9, class: "mean" }));
   });
   for (const value of [Math.min(...all), Math.max(...all)]) svg.append(shape("text", { x: x(value), y: groups.size * row + 20, class: "tick middle" }, printed(Number(value.toPrecision(3)))));
-  return element("figure", {}, element("figcaption", {}, DATA.words[metric] || metric, element("span", { class: "note" }, `Rows: ${rows}. One dot per run, a bar at the mean, a ring around the best run${log ? "; logarithmic axis" : ""}.`)), svg);
+  return element("figure", {}, element("figcaption", {}, DATA.words[metric] || metric, element("span", { class: "note" }, `Rows: ${rows}. One dot per run, a bar at the mean of several, a ring around the best run${log ? "; logarithmic axis" : ""}.`)), svg);
 }
 
 function drawGroups(shown, news) {
@@ -71,10 +71,11 @@ function drawGroups(shown, news) {
   drawGroups.said = said;
   const groups = grouped(by, shown), metrics = METRICS.filter((name) => !by.includes(name) && COLUMNS[name] && known(COLUMNS[name]).length);
   const few = new Map([...groups].slice(0, MOST_GROUPS)), more = groups.size - few.size, names = by.map((name) => DATA.words[name] || name).join(" · ");
-  const caption = `Mean ± standard deviation over the runs of each group${more ? `; ${more} more groups are not shown` : ""}`;
+  const caption = `Mean ± standard deviation over the runs of each group, below them over all${more ? `; ${more} more groups are not shown` : ""}`;
   box.replaceChildren(strips(few, metric, names), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": caption },
     element("table", {}, element("caption", {}, caption), element("thead", {}, element("tr", {}, ...[names, "Runs", ...metrics.map((name) => DATA.words[name] || name)].map((text) => element("th", { scope: "col" }, text)))),
-      element("tbody", {}, ...[...few].map((group) => groupRow(group, metrics))))));
+      element("tbody", {}, ...[...few].map((group) => groupRow(group, metrics))),
+      element("tfoot", {}, ...(groups.size > 1 ? [groupRow(["All", [...groups.values()].flat()], metrics)] : [])))));
 }
 
 function drawGroupForm() {

@@ -52,12 +52,12 @@ function headline(i) {
   const rate = value("controller_certified_rate") ?? value("rate_controller"), limit = value("controller_rate_limit");
   if (both && rate !== null) add(printed(Number(rate.toPrecision(2))), `certified rate${value("rate_controller") === null ? "" : `, designed for ${printed(Number(value("rate_controller").toPrecision(2)))}`}: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample`);
   else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`);
-  add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, value("loop_on") === "plant" || !value("loop_on") ? "starts settle on the plant" : "starts settle on the model");
+  add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, value("loop_on") === "plant" || !value("loop_on") ? "starts settle on the simulated plant" : "starts settle on the model");
   add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
   return told;
 }
 
-const SUPPORT = { sound: "no check of the records speaks against this judgement", doubt: "the records leave a doubt", "cannot judge": "the records allow no judgement" };
+const SUPPORT = { sound: "no check of the records speaks against the prediction", doubt: "the records leave a doubt", "cannot judge": "the records allow no judgement" };
 
 /** What is proved, what is predicted, what was seen, and what the records say of it: one short line each. */
 function evidence(i) {
@@ -67,7 +67,7 @@ function evidence(i) {
   if (value("certified_tolerance") && value("mismatch_seen")) lines.push(["Proved for the model", `any two motions under control approach each other, also with a mismatch of gain up to ${digits("certified_tolerance")}; the records show ${digits("mismatch_seen")}, ${value("mismatch_seen") > value("certified_tolerance") ? "so the proof alone does not cover the plant" : "which is less"}.`]);
   if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? "it stays stable" : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
   else if (value("evidence") === "cannot judge") lines.push(["Predicted for the plant", "nothing: the records allow no judgement."]);
-  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on}`, `it settles in ${digits("settling_time_mean_s")}\u00a0s on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${digits("settling_time_open_loop_s")}\u00a0s`}.`]);
+  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on === "plant" ? "simulated plant" : on}`, `it settles in ${digits("settling_time_mean_s")}\u00a0s on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${digits("settling_time_open_loop_s")}\u00a0s`}.`]);
   const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean).map((reason) => reason.split(/: (.*)/s));
   if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, `${SUPPORT[value("evidence")]}.`]);
   return [...lines, ...told.map(([level, text]) => [level[0].toUpperCase() + level.slice(1), text])];
