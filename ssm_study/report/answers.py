@@ -119,7 +119,7 @@ def _feasibility(table: pd.DataFrame, side: str) -> list[str]:
         none = f"{held} of those were certified" if held else "none of those was certified"
         sentences.append(f"{int(beyond.sum())} of {int(known.sum())} requests lie beyond it, and {none}.")
     else:
-        sentences.append("Every rate lies inside it." if known.sum() > 1 else "The rate lies inside it.")
+        sentences.append("Every rate is below the limit of its model." if known.sum() > 1 else "The rate is below it.")
     if missed.any():
         sentences.append(f"Inside it, {int(missed.sum())} got no certificate: there the method fell short.")
     return sentences
@@ -156,9 +156,12 @@ def _margin(table: pd.DataFrame) -> tuple[str, ...]:
     if by_frequency[known].any():
         yes, no = "Where the loop was predicted to stay stable", "Where it was not"
     sides = ((yes, share[known & said_so]), (no, share[known & ~said_so]))
-    return tuple(
+    told = [
         f"{said}, every start settles in {int((own >= 1).sum())} of {len(own)} runs." for said, own in sides if len(own)
-    )
+    ]
+    if len(told) < len(sides):
+        told.append("All runs are on one side, so this study cannot show where the prediction fails.")
+    return tuple(told)
 
 
 def _failed(table: pd.DataFrame) -> tuple[str, ...]:
