@@ -153,8 +153,10 @@ def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
     try:
         yield
     finally:
-        for job in running:  # the groups first: what a job has started is no child of the server
-            kill_group(job)
-        server.close()
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        try:
+            for job in running:  # the groups first: what a job has started is no child of the server
+                kill_group(job)
+            server.close()
+        finally:
+            for number, handler in previous.items():
+                signal.signal(number, handler)

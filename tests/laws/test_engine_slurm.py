@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,15 @@ def begun(folder: Path, how: str) -> JobReturn:
     return returned
 
 
+@pytest.fixture(autouse=True)
+def _interrupts_count() -> Iterator[None]:
+    """Jobs are cancelled as by Ctrl-C, which whoever began this process may ignore or block for all below it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def submitted(folder: Path, how: str) -> Any:
     """submitit's own local scheduler: real processes that return, die and are cancelled as Slurm's do."""
     local = submitit.AutoExecutor(cluster="local", folder=folder / "logs")
@@ -55,7 +65,11 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     while read_record(tmp_path / "study" / "waits") is None:
         assert time.monotonic() < deadline, "the job never began"
         time.sleep(0.05)
-    jobs["waits"].cancel(check=False)
+    while not jobs["waits"].done():
+        assert time.monotonic() < deadline, "the job was not cancelled"
+        jobs["waits"].cancel(check=False)
+        for _ in range(50):
+            time.sleep(0.0 if jobs["waits"].done() else 0.1)
     for how, running in jobs.items():
         job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / how)
         outcome = settled(job, running, patience_s=600.0)  # submitit's local scheduler has no accounts to ask
