@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.network import PortableMap
 from ssm_study.export.device import REALS, Device, Inverse
+from ssm_study.models.structured import NEURONS
 from ssm_study.refusal import require
 
 _HEADER, _SET_POINTS, _REPLAY = (
@@ -37,7 +38,7 @@ class Words:
 
 
 def c_files(device: Device, words: Words, name: str = "controller") -> dict[str, str]:
-    """File name and text: header, source, and where there are set points a replay with its own `main`.
+    """File name and text: header, source, and a replay with its own `main`.
 
     `name` prefixes every symbol and file. Raises `BadRequest` for one that C does not allow.
     """
@@ -46,7 +47,7 @@ def c_files(device: Device, words: Words, name: str = "controller") -> dict[str,
     guard = name.upper()
     source = f"#ifndef {guard}_EXTERN\n#define {guard}_EXTERN\n#endif\n#define {guard}_IMPLEMENTATION\n"
     files = {f"{name}.h": _header(device, words, name), f"{name}.c": f'{source}#include "{name}.h"\n'}
-    return files | ({f"{name}_replay.c": _replay(device, name)} if device.set_points else {})
+    return files | {f"{name}_replay.c": _replay(device, name)}
 
 
 def _header(device: Device, words: Words, name: str) -> str:
@@ -61,7 +62,7 @@ def _header(device: Device, words: Words, name: str) -> str:
         declared = "".join(f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line)
     constants = sum(int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps))
     return _HEADER.substitute(
-        sizes, tables=tables, maps=maps, declared=declared, defined=defined,
+        sizes | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
         about=harmless(words.about), digest=harmless(words.digest) or "none",
         signals="\n".join(f" * {harmless(line)}" for line in words.signals) or " *",
         rates="\n".join(f" * {harmless(line)}" for line in words.rates) or " *",
@@ -83,6 +84,47 @@ def _sizes(device: Device, name: str) -> dict[str, object]:
     return {"name": name, "guard": name.upper(), "real": device.real, **sizes}
 
 
+def _inner(device: Device, name: str) -> dict[str, str]:
+    """What neurons add to the header: math.h, their function, and its calls where the error is and is not known."""
+    if (neurons := device.controller.neurons) is None:
+        return dict.fromkeys(("include", "neurons", "read", "driven"), "")
+    (n, r), real, (q, _) = neurons.into.shape, device.real, neurons.h.shape
+    arguments = {"f": ("x", n), "g": ("lifted", neurons.g.shape[1]), "l_z": ("error", neurons.l_z.shape[1])}
+    given = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
+    text = f"
+static inline void {name}_neurons({given}, {real} *w) {{
+    {real} z;
+"
+    text += f"    for (int i = 0; i < {r}; ++i) w[i] = {name}_bias[i];
+"
+    for matrix, (vector, size) in arguments.items():
+        text += f"    {name}_matvec({r}, {size}, {name}_{matrix}, {vector}, w);
+"
+    for i, kind in enumerate(neurons.kinds):
+        c = NEURONS[kind].c
+        if real == "float":  # tanhf and 1.0f
+            c = re.sub(r"(\d\.\d)", r"\1f", re.sub(r"([a-z]\w+)\(", r"\1f(", c))
+        text += f"    z = w[{i}];
+    w[{i}] = {c} - {name}_phi_bias[{i}];
+"
+    read = f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};
+    {real} seen[{r}];
+"
+    read += f"    {name}_neurons(state->x, lifted, none, seen);
+    {name}_matvec({q}, {r}, {name}_h, seen, ybar);
+"
+    driven = f"    {real} w[{r}];
+    {name}_neurons(state->x, lifted, error, w);
+"
+    driven += f"    {name}_matvec({n}, {r}, {name}_into, w, next);
+"
+    include = "#include <math.h> /* link with -lm */
+
+"
+    return {"include": include, "neurons": text + "}
+", "read": read * neurons.h.any(), "driven": driven}
+
+
 def _replay(device: Device, name: str) -> str:
     """Levels within two scales of rest, also beyond the limits, noise on top; set points change in between."""
     scale, rng = device.controller.scale, np.random.default_rng(REPLAY_SEED)
@@ -90,12 +132,19 @@ def _replay(device: Device, name: str) -> str:
     noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
     y, r = (scale.physical_output(values) for values in (noisy, np.roll(levels[1], 7, axis=0)))
     u = device.replay(y, r)
-    tables = {}
-    for label, values in {"measured": y, "wanted": r, "expected": u}.items():
+    points = device.set_points is not None
+    begin = f"{name}_init(&state, measured[0]);" if points else f"{name}_reset(&state);"
+    act = f"{name}_track(&state, measured[k], wanted[k], u);"
+    if not points:
+        act = f"{name}_input(&state, u);\n        {name}_clamp(u);\n        {name}_advance(&state, measured[k], u);"
+    tables, wanted = {"begin": begin, "act": act}, {"wanted": r} if points else {}
+    for label, values in ({"measured": y, "expected": u} | wanted).items():
         rows = (", ".join(_number(value, device.real) for value in row) for row in values)
-        tables[label] = ", ".join(f"{{{row}}}" for row in rows)
+        listed = ", ".join(f"{{{row}}}" for row in rows)
+        width = values.shape[1]
+        tables[label] = f"static const {device.real} {label}[{REPLAYED}][{width}] = {{{listed}}};"
     tolerance = repr(AGREEMENT[device.real] * max(1.0, float(np.abs(u).max())))
-    return _REPLAY.substitute(_sizes(device, name) | tables, samples=REPLAYED, tolerance=tolerance)
+    return _REPLAY.substitute({"wanted": ""} | _sizes(device, name) | tables, samples=REPLAYED, tolerance=tolerance)
 
 
 def _number(value: float | np.floating[Any], real: str) -> str:  # The shortest text that reads back to the same float

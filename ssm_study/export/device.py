@@ -16,11 +16,33 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network, PortableMap, break_points
-from ssm_study.models.identified import SSM
+from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.refusal import BadRequest, one_of, require
 from ssm_study.signals import Scale
 from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.systems import StateSpace
+from ssm_study.systems import StateSpace, StructuredSystem, System
+
+
+@dataclass(frozen=True, kw_only=True)
+class PortableNeurons:
+    """`phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output: `into` x+, and `h` the output.
+
+    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for integrators.
+    """
+
+    into: Float[np.ndarray, "n r"]
+    f: Float[np.ndarray, "r n"]
+    g: Float[np.ndarray, "r k"]
+    h: Float[np.ndarray, "q r"]
+    l_z: Float[np.ndarray, "r p"]
+    bias: Float[np.ndarray, "r"]
+    phi_bias: Float[np.ndarray, "r"]
+    kinds: tuple[str, ...]
+
+    def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
+        """In the order of the C code; without `error`, nothing is injected."""
+        z = _times(self.g, lifted, _times(self.f, x, self.bias))
+        return phi(self.kinds, z if error is None else _times(self.l_z, error, z)) - self.phi_bias
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +51,7 @@ class PortableController:
 
     `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the equilibrium: the estimate
     of the model's scaled state and, with integral action, the integrators `z+ = z + w` below it (`E` is zero without).
+    `neurons` are those of a structured model, added to `x+` and to what `S_y` reads.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -42,23 +65,30 @@ class PortableController:
     s_out: PortableMap
     scale: Scale
     step_s: float
+    neurons: PortableNeurons | None = None
 
     def to_json(self) -> dict[str, Any]:
-        maps = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
+        maps: dict[str, Any] = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
+        maps |= {"kinds": self.neurons.kinds} if self.neurons else {}
         return {name: values.tolist() for name, values in self.arrays().items()} | maps | {"step_s": self.step_s}
 
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Every constant but the maps' own, by name."""
-        return {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")} | vars(self.scale)
+        inner = {name: part for name, part in vars(self.neurons or 0).items() if name != "kinds"}
+        return {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")} | vars(self.scale) | inner
 
-    def recurrence(self) -> StateSpace:
+    def recurrence(self) -> System:
         """`A, B, C, D` of the model alone, without the integrators, in float64."""
         n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the integrators alone
         parts = {"a": self.a[:n, :n], "b": self.b[:n], "c": self.c[:, :n], "d": self.d}
-        return StateSpace(**{name: np.asarray(part, dtype=float) for name, part in parts.items()})
+        linear = {name: np.asarray(part, dtype=float) for name, part in parts.items()}
+        if not self.neurons:
+            return StateSpace(**linear)
+        inner = in_floats(self.neurons, np.float64)
+        return StructuredSystem(**linear, e=inner.into[:n], f=inner.f[:, :n], g=inner.g, h=inner.h)
 
 
-def portable(model: SSM, design: Design) -> PortableController:
+def portable(model: Model, design: Design) -> PortableController:
     """Raises `BadRequest` when the design has no controller or observer, or was made for another model."""
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
@@ -81,7 +111,18 @@ def portable(model: SSM, design: Design) -> PortableController:
         s_out=model.scaffold_out.portable(),
         scale=model.scale,
         step_s=model.step_s,
+        neurons=_neurons(model, design.pair.l_z, added),
     )
+
+
+def _neurons(model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int) -> PortableNeurons | None:
+    if not isinstance(model, StructuredSSM) or not model.neurons:
+        return None
+    none = np.zeros((len(model.neurons), model.scale.outputs))
+    return PortableNeurons(
+        into=np.pad(model.e, ((0, added), (0, 0))), f=np.pad(model.f, ((0, 0), (0, added))), g=model.g, h=model.h,
+        l_z=none if l_z is None else l_z, bias=model.bias, phi_bias=phi(model.neurons, model.bias), kinds=model.neurons,
+    )  # fmt: skip
 
 
 Row = Float[np.ndarray, "_"]
@@ -164,8 +205,8 @@ class SetPoints:
 class Device:
     """A controller rounded to `real`, with input limits `lower, upper (m,)`, physical; infinite where there is none.
 
-    `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, or no constant
-    input reaches every output. Raises `BadRequest` for another `real`.
+    `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, no constant input
+    reaches every output, or the rest points of neurons would have to be searched. Raises `BadRequest` for another `real`.
     """
 
     controller: PortableController
@@ -187,6 +228,8 @@ class Device:
         """From the rounded numbers, computed in float64 and rounded once more."""
         c = in_floats(self.controller, np.float64)
         model, inward, outward = c.recurrence(), inverse_of(c.s_in), inverse_of(c.s_out)
+        if not isinstance(model, StateSpace):
+            return None
         rest = np.linalg.solve(np.eye(model.order) - model.a, model.b)  # x = A x + B v
         gain = model.c @ rest + model.d
         reached = np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) == len(gain)
@@ -208,6 +251,8 @@ class Device:
         c = self.controller
         maps = sum(w.size for s in (c.s_in, c.s_out) for w in (s.linear, *(s.network.weights if s.network else ())))
         products = sum(table.size for table in self.tables().values() if table.ndim == 2)
+        if (inner := c.neurons) and inner.h.any():  # computed twice: for the output, then with its error
+            products += inner.f.size + inner.g.size
         return products + maps + (maps + 2 * len(c.k) if self.set_points else 0)
 
     def start(self, y0: Vector) -> Vector:
@@ -218,22 +263,28 @@ class Device:
         return _times(points.at_rest, _times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))))
 
     def track(self, x: Vector, y: Vector, r: Vector) -> tuple[Vector, Vector]:
-        """The input for this sample, clamped, and the next state."""
+        """The input for this sample, clamped, and the next state; without set points towards the equilibrium."""
         c, rest = self.controller, self.aim(r)
         asked = c.scale.physical_input(_times(c.k, x - rest["x"], rest["v"]))
         u = np.clip(asked, self.lower, self.upper)
         lifted = _mapped(c.s_in, c.scale.scaled_input(u))  # the observer is told what was applied
         measured = c.scale.scaled_output(y)
-        error = _mapped(c.s_out, _times(c.d, lifted, _times(c.c, x))) - measured
+        read = _times(c.d, lifted, _times(c.c, x))
+        if c.neurons and c.neurons.h.any():
+            read = _times(c.neurons.h, c.neurons(x, lifted), read)
+        error = _mapped(c.s_out, read) - measured
         following = _times(c.l, error, _times(c.b, lifted, _times(c.a, x)))
+        if c.neurons:
+            following = _times(c.neurons.into, c.neurons(x, lifted, error), following)
         if np.array_equal(u, asked):  # integrators rest while a limit acts
             following = _times(c.e, measured - rest["w"], following)
         return u, following
 
     def aim(self, r: Vector) -> dict[str, Vector]:
         """The rest point nearest to `r` within the limits: state `x`, scaled input `v` and output `w`."""
-        c, points = self.controller, self.set_points
-        assert points is not None, "a device without set points tracks nothing"
+        c, points, real = self.controller, self.set_points, REALS[self.real]
+        if points is None:
+            return {"x": np.zeros(len(c.a), real), "v": np.zeros(len(c.k), real), "w": np.zeros(c.l.shape[1], real)}
         wanted = _times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
         u = np.clip(c.scale.physical_input(_undone(points.inward, wanted)), self.lower, self.upper)
         v = c.scale.scaled_input(u)

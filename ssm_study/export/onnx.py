@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import PortableMap
-from ssm_study.export.device import PortableController
+from ssm_study.export.device import PortableController, PortableNeurons
 
 OPSET, IR_VERSION = 17, 8  # old enough for runtimes in the field
 
@@ -44,6 +44,31 @@ class _Graph:
         terms += [self.times(d, s.network.weights[-1])] if s.network else []
         return self.apply("Sum", *terms)
 
+    def neurons(self, inner: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
+        """`phi(F x + G v + L_z e + b) - phi(b)`, the kinds side by side, each masked to its own neurons."""
+        seen = [self.times(x, inner.f), self.times(lifted, inner.g)] + [self.times(error, inner.l_z)] * bool(error)
+        z, parts = self.apply("Sum", *seen, inner.bias), []
+        for kind in sorted(set(inner.kinds)):
+            own = np.array([each == kind for each in inner.kinds], dtype=float)
+            parts.append(self.apply("Mul", self.phi(kind, z), own))
+        return self.apply("Sum", *parts, -inner.phi_bias)
+
+    def phi(self, kind: str, z: str) -> str:
+        """One kind, in operators that runtimes have for doubles."""
+        if kind == "tanh":
+            return self.apply("Tanh", z)
+        above = self.apply("Max", z, np.zeros(1))
+        if kind == "relu":
+            return above
+        if kind == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
+            fading = self.apply("Exp", self.apply("Neg", self.apply("Abs", z)))
+            return self.apply("Add", above, self.apply("Log", self.apply("Add", fading, np.ones(1))))
+        clipped = self.apply("Min", self.apply("Max", z, -np.ones(1)), np.ones(1))
+        if kind == "saturation":
+            return clipped
+        cubed = self.apply("Mul", self.apply("Mul", clipped, clipped), self.apply("Div", clipped, np.full(1, 3.0)))
+        return self.apply("Add", cubed, self.apply("Sub", z, clipped))  # clipped cubic: slope one beyond
+
 
 def onnx_model(controller: PortableController, about: str) -> Any:
     """The checked `onnx.ModelProto`. Needs the extra `export`."""
@@ -65,8 +90,13 @@ def _cell(c: PortableController) -> _Graph:  # v = K xh is the scaled input; the
     v = g.times("state", c.k)
     g.apply("Add", g.apply("Mul", v, scale.input_scale), scale.input_equilibrium, output="u")
     lifted = g.map(c.s_in, v)
-    predicted = g.map(c.s_out, g.apply("Add", g.times("state", c.c), g.times(lifted, c.d)))
+    read, inner = g.apply("Add", g.times("state", c.c), g.times(lifted, c.d)), c.neurons
+    if inner and inner.h.any():
+        read = g.apply("Add", read, g.times(g.neurons(inner, "state", lifted), inner.h))
+    predicted = g.map(c.s_out, read)
     measured = g.apply("Div", g.apply("Sub", "y", scale.output_equilibrium), scale.output_scale)
-    factors = {"state": c.a, lifted: c.b, g.apply("Sub", predicted, measured): c.l, measured: c.e}
+    error = g.apply("Sub", predicted, measured)
+    factors = {"state": c.a, lifted: c.b, error: c.l, measured: c.e}
+    factors |= {g.neurons(inner, "state", lifted, error): inner.into} if inner else {}
     g.apply("Sum", *(g.times(signal, matrix) for signal, matrix in factors.items()), output="next_state")
     return g

@@ -21,10 +21,9 @@ from ssm_study.export.c import Words, c_files
 from ssm_study.export.device import Device, PortableController, in_floats, portable
 from ssm_study.export.onnx import onnx_model
 from ssm_study.loop.certified_bound import within_limits
-from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.mlp import MlpScaffold
-from ssm_study.models.structured import model_from_json
+from ssm_study.models.structured import Model, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 from ssm_study.synthesis.certificate import Design
@@ -145,12 +144,10 @@ def load(run: Path) -> PortableController:
     return portable(_model(run), Design.load(run / "certificate.json"))
 
 
-def _model(run: Path) -> SSM:
+def _model(run: Path) -> Model:
     model = model_from_json(json.loads((run / "model.json").read_text()))
-    if isinstance(model, SSM):
-        return model
-    problem = "its neurons are not written for other programs yet"
-    raise BadRequest("model", type(model).__name__, problem, "use model=ssm")
+    require(isinstance(model, Model), "model", type(model).__name__, "has no certificate", "use model=ssm or structured")
+    return model  # type: ignore[return-value]  # just asked
 
 
 def describe(run: Path) -> str:
@@ -180,6 +177,7 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
     if len(c.a) > system.order:
         controlled = augmented(system, c.s_out.linear, 1.0)  # the weight is a cost: no part of the certificate
     gains = {"state_feedback": {"k": c.k}, "observer": {"l": c.l[: system.order]}}
+    gains["observer"] |= {"l_z": c.neurons.l_z} if c.neurons else {}
     inner, outer = _ball(c.s_in), _ball(c.s_out)
     if inner is None or outer is None:  # no ball, no theorem
         return dict.fromkeys(gains)
