@@ -112,13 +112,15 @@ def _spectrum(case: Case) -> Iterator[str]:
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
-    off = max(shown.stuck, *(stuck(*case.scaled(record), response) for record in case.data.test))
+    off = max((*shown.stuck, *(stuck(*case.scaled(record), response) for record in case.data.test)))
     if not shown.rests:
         told = f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield doubt(f"The output does not come to rest by itself ({told}): no loop is predicted to settle it.")
     elif off > AT_REST:
         told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
-        yield doubt(f"{told}: friction or play; a loop without integrators may stop as far off.")
+        yield doubt(
+            f"{told}: friction or play; a loop without integrators may stop as far off. Record more returns to rest."
+        )
     elif shown.left_at_rest is None:
         problem = "No record ends at rest input: whether the output rests by itself is unknown"
         yield note(f"{problem}; add such a record.")

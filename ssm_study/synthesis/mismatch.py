@@ -41,7 +41,7 @@ SURE = 3.0
 AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
 RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
 BAND = 0.05  # share of the farthest start on record (of the output's scale without one) that counts as settled
-UNSEEN = 2.0  # where friction leaves the output differs by case: N cases all miss half of the worst once in 2^N times
+MISSED = 0.05  # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it: chance p
 IN_LOOP = (1 / 3, 300)  # share, and most samples, of a trial in closed loop that only tell its initial state
 MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
 NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
@@ -72,8 +72,8 @@ class Mismatch:
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None without such a
     record. `unexcited`: bands without input power in the largest record. `loop`: what trials in closed loop show.
-    `stuck`: the most, in output scales, that stays at rest input after it has moved (friction, play); `farthest`: the
-    output, in scales, from which a decay at rest input was recorded.
+    `stuck`: what stays of the output at rest input after it has moved (friction, play), where more than `AT_REST`;
+    `farthest`: from where a decay at rest input was recorded; both in output scales.
     """
 
     views: tuple[View, ...]
@@ -81,13 +81,14 @@ class Mismatch:
     spread: float = 0.0
     left_at_rest: float | None = None
     unexcited: tuple[float, ...] = ()
-    stuck: float = 0.0
+    stuck: tuple[float, ...] = ()
     farthest: float = 1.0
 
     @property
     def offset(self) -> float:
-        """What may stay of the output at rest input, `UNSEEN` times the most seen, in bands of settling (-)."""
-        return UNSEEN * self.stuck / (BAND * self.farthest) if self.stuck > AT_REST else 0.0
+        """What may stay of the output at rest input, in bands of settling (-): at most, with 95 % confidence."""
+        worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
+        return worst / (BAND * self.farthest)
 
     @property
     def gain(self) -> float:
@@ -144,7 +145,7 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
         loop=_in_loop(loops, noise) if loops else None,
         spread=largest.spread(),
         left_at_rest=max((left(one.e + one.model) for one in measured if not one.u.any()), default=None),
-        stuck=max(stuck(one.u, one.e + one.model, response) for one in moving),
+        stuck=tuple(off for one in moving if (off := stuck(one.u, one.e + one.model, response)) > AT_REST),
         farthest=max((float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()), default=1.0),
         unexcited=tuple(float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]),
     )

@@ -16,7 +16,7 @@ the tracking error hold there (`1 - M Q` is zero at w = 0), so only `controller_
 Where the output stays off at rest input (friction, play) the loop answers that offset at w = 0, and what is left of it
 must lie within the band of settling:
 
-    offset sigma_max(I + s_u s_y G T_ue)(0) < 1,      offset in bands, twice the largest on record (`Mismatch.offset`)
+    offset sigma_max(I + s_u s_y G T_ue)(0) < 1,      the offset in bands, as `Mismatch.offset` bounds it
 
 The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
 predicted to settle the plant when it exceeds one and its controller is stable: no certificate.
