@@ -81,8 +81,11 @@ class Study(Task["Specification"]):
         from ssm_study.study.stages import EVIDENCE, LOOP, SYNTHESIS
 
         plant = ("plant",) if request.plant else ()
-        judged = stages.take(EVIDENCE, {}, {}, data, bounded)
-        design = stages.take(SYNTHESIS, *request.select("synthesis"), data, bounded, judged)
+        known = data, bounded, stages.take(EVIDENCE, {}, {}, data, bounded)
+        settings, parts = request.select("synthesis")
+        limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
+        limits["applied"] = request.plant is None or any(end is not None for end in limits.values())
+        design = stages.take(SYNTHESIS, {**settings, "limits": limits}, {**parts, "limits": limits}, *known)
         return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)
 
     def identified(
