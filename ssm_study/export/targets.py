@@ -21,7 +21,6 @@ from ssm_study.engine.settings import resolved
 from ssm_study.export.c import Words, c_files
 from ssm_study.export.device import Device, PortableController, in_floats, portable
 from ssm_study.export.onnx import onnx_model
-from ssm_study.loop.certified_bound import within_limits
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.mlp import MlpScaffold
@@ -29,6 +28,7 @@ from ssm_study.models.structured import model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.deployed import within_limits
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.theorem import Known, Theorem
 from ssm_study.synthesis.theorems.integral_action import augmented, controlled_system
@@ -87,7 +87,7 @@ def limits(run: Path) -> tuple[Range, Range]:
         return np.array([-np.inf]), np.array([np.inf])
     asked = OmegaConf.load(file) if file.is_file() else OmegaConf.create()
     given = [OmegaConf.select(asked, f"loop.input_{end}") for end in ("lower", "upper")]
-    return input_limits(*map(resolved, given), [np.stack(seen[1:])])
+    return input_limits(resolved(given[0]), resolved(given[1]), [np.stack(seen[1:])])
 
 
 def _seen(run: Path, name: str, topic: str) -> tuple[tuple[Channel, ...], Range, Range] | None:
@@ -117,7 +117,7 @@ def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
     if device.set_points is None or max(-lower.min(), upper.max()) >= UNLIMITED:
         return ()
     try:
-        found = within_limits(_model(run), design, lower, upper, informed=True)
+        found = within_limits(_model(run), design, lower, upper)
     except BadRequest as refusal:
         return (str(refusal),)
     ends = " and ".join(f"{low:.6g} to {high:.6g}" for low, high in zip(found.lower, found.upper, strict=True))

@@ -1,4 +1,4 @@
-"""The certified bound of the output feedback, sample by sample, and what it says when the input is limited.
+"""The certified bound of the output feedback, sample by sample.
 
 With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] = ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <= r_c d[k] + c e[k]`
 and Theorem 2 `e[k+1] <= r_o e[k]`, so
@@ -9,35 +9,23 @@ and Theorem 2 `e[k+1] <= r_o e[k]`, so
 `nu ||K (xh - x)||`. With neurons it also acts through them, see `input_gain`. Source: [Z26] Lemma 1 and Theorem 3,
 with the constant made explicit.
 
-**Inside, the estimate at the equilibrium.** While `|k_i xh| <= l_i` no limit acts, so all this holds, and
-
-    |k_i xh| <= kappa_i d + eta_i e,      kappa_i = sqrt(k_i P k_i'),  eta_i = sqrt(k_xi Q^{-1} k_xi').
-
-If the right-hand side, along the bound from `(d_0, e_0)`, stays at or below `l_i` for every sample, then by induction
-no limit ever acts and the full rates hold. It is linear in the start, so the largest set of starts is a scaled one.
-An estimate that starts exact, and every start: `theorems/unlimited_start.py`, `theorems/limited_input.py`.
-Source: [Z26] Theorems 1 to 3; THEORY section 8.
+With limited inputs: `theorems/limited_input.py`, whose certificate takes the state feedback's place here, and
+`theorems/unlimited_start.py`. Source: [Z26] Theorems 1 to 3; THEORY section 8.
 """
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.models.identified import SSM
-from ssm_study.refusal import require
-from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
-from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of, with_limits
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.certificate import Observer, StateFeedback
 from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
 
 ROUNDING = 1e-9  # relative: what float64 may add to a distance over a thousand steps
 RESOLUTION = 1e-12  # of the bound's own start: below it both sides are rounding
 MOST_NEURONS = 10  # up to so many the corners of their slopes are tried, a thousand small norms
 FORGOTTEN = 1e-6  # of the estimate's first error: its decay is measured until there, far above rounding
-PEAK_PASSED = 1e-9  # of the start: a bound that has shrunk to it stays below its peak
 States = Float[np.ndarray, "N T n"]
 Estimates = Float[np.ndarray, "N T s"]  # integrators are the columns beyond n
 
@@ -131,56 +119,3 @@ def excess(x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedba
     beyond = _in_metric(x_hat, feedback) - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
     moving = bound[:, 0] > 0
     return float(np.maximum(beyond[moving] / bound[moving, :1], 0.0).max()) if moving.any() else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class WithinLimits:
-    """`lower, upper (p,)`: plants at rest at outputs between them start inside the set, physical units.
-
-    `everywhere` is the certificate of the saturated state feedback from any start, None where none is proved.
-    """
-
-    lower: Float[np.ndarray, "p"]
-    upper: Float[np.ndarray, "p"]
-    everywhere: StateFeedbackOfBall | None
-
-
-def within_limits(
-    model: SSM, design: Design, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"], *, informed: bool
-) -> WithinLimits:
-    """Both statements for input limits in physical units; `informed`: the estimate starts at rest at the measurement.
-
-    Otherwise it starts at the equilibrium. Raises `BadRequest` where the equilibrium's input is not inside the limits,
-    for an infeasible design, for neurons, or for several outputs behind a nonlinear S_y.
-    """
-    (feedback, observer), scale, outward = design.parts(), model.scale, model.scaffold_out
-    room = np.minimum(upper - scale.input_equilibrium, scale.input_equilibrium - lower)
-    limits, problem = (lower.tolist(), upper.tolist()), "do not enclose the input at rest"
-    require(bool((room > 0).all()), "input limits", limits, problem, "widen them or choose another operating point")
-    single, told = outward.inputs == 1 or outward.kind == "linear", "the range of several outputs needs a linear map"
-    require(single, "model.scaffold_out", outward.kind, told, "use scaffold@model.scaffold_out=linear")
-    parts = with_limits(model, design, lower, upper)
-    problem = "no metric proves a range within the limits"
-    require(SETS in parts, "input limits", limits, problem, "use model=ssm, or another synthesis")
-    starts = parts[SETS].starts
-    if not informed:
-        corners = starts / np.abs(model.linear.c @ starts[: model.order]).max()
-        starts = corners * float((room / scale.input_scale / _peaks(model, corners, feedback, observer)).min())
-        starts /= 1 + ROUNDING
-    low, high = outputs_of(model, starts)
-    return WithinLimits(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
-
-
-def _peaks(
-    model: SSM, corners: Float[np.ndarray, "s j"], feedback: StateFeedback, observer: Observer
-) -> Float[np.ndarray, "m"]:
-    """The largest `kappa_i d + eta_i e` along the bound, from the corners and an estimate at the equilibrium."""
-    n = model.order
-    d0 = np.linalg.norm(rooted(feedback.p, corners), axis=0)
-    e0 = np.linalg.norm(corners[:n].T @ np.linalg.cholesky(observer.q), axis=1)
-    samples = 2 + int(np.ceil(np.log(PEAK_PASSED) / np.log(max(feedback.contraction, observer.contraction))))
-    d = certified_bound(np.array([d0.max()]), np.array([e0.max()]), samples, feedback, observer)[0]
-    e = e0.max() * observer.contraction ** np.arange(samples)
-    kappa = np.sqrt(np.einsum("ij,jk,ik->i", feedback.k, feedback.p, feedback.k))  # |k_i x| <= kappa_i ||x||_M
-    eta = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(observer.q), feedback.k[:, :n].T), axis=0)
-    return (kappa[:, None] * d + eta[:, None] * e).max(axis=1)

@@ -47,7 +47,8 @@ def behaviour(loop: LoopRuns) -> Columns:
     do. `overshoot_worst`: as a share of the initial distance. `input_peak_v`: largest `|u - u_eq|`. `control_energy`:
     mean over cases of `sum |u - u_eq|^2 step_s`; `integral_squared_error`: likewise of `y - r`. `final_error_worst`:
     largest `|mean of y - r|` over the last tenth of the horizon (noise averages out). `judged_noise_free`: the noise
-    alone crosses the band, so settling is judged without it. `empirical_rate`: None when several plants are pooled. `noise_gain_measured`: see `noise_gain`.
+    alone crosses the band, so settling is judged without it.
+    `empirical_rate`: None when several plants are pooled. `noise_gain_measured`: see `noise_gain`.
     """
     rate = empirical_rate(loop.controlled, loop.settling_band)
     return pooled([loop]) | {"empirical_rate": rate, "noise_gain_measured": noise_gain(loop.controlled)}

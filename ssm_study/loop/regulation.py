@@ -134,8 +134,8 @@ class Loop:
     `horizon_s` None is taken from the model's own response (`fitted`). Measured outputs carry Gaussian noise, variance
     `measurement_noise_variance` (unit of the output, squared; None is the plant's own) times `noise_factor`. A case
     whose output strays more than `bound_in_initial_ranges` times the initial range from the equilibrium, beyond what
-    the reference asks, is stopped and counts as unstable. Input limits (unit of the input; one for all, or a list) are known to the controller.
-    `comparison` is a table the run leaves beside its record, `comparison.csv`.
+    the reference asks, is stopped and counts as unstable. Input limits (unit of the input; one for all, or a list) are
+    known to the controller. `comparison` is a table the run leaves beside its record, `comparison.csv`.
     """
 
     initial_conditions: int = 10

@@ -185,7 +185,8 @@ def compute_synthesis(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import as_deployed
 
-    chosen_by, model, balls = synthesis, bounded.model, certified_balls(bounded.model)
+    chosen_by: Synthesis | Auto = synthesis
+    model, balls = bounded.model, certified_balls(bounded.model)
     ends = input_limits(limits["input_lower"], limits["input_upper"], [record.u for record in data.training])
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis

@@ -65,7 +65,8 @@ def relative_areas(
     """`sum_k ||y[k]|| / sum_k ||y_uncontrolled[k]||`, mean over the released states, of each of the pairs of gains.
 
     Observers start from zero. Gains of width `s = n + p` act on integrators too, and are also judged by how soon they
-    remove constant loads. No noise, scaled units, inputs within `limits`, where integrators are held. Below one is faster than no control.
+    remove constant loads. No noise, scaled units, inputs within `limits`, where integrators are held.
+    Below one is faster than no control.
     """
     start = *release(model, validation, loaded=gains.k.shape[-1] > model.order), limits or (-LARGEST, LARGEST)
     alone = _areas(model, Pair(k=0 * gains.k[:1], l=0 * gains.l[:1]), *start)[0]

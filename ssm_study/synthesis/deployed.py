@@ -5,7 +5,7 @@ All are about the very gains that are deployed: `theorems/deployed_rate.py`, `to
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -15,12 +15,13 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
+from ssm_study.refusal import require
 from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.problem import NoSolution, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem
 from ssm_study.synthesis.theorems.integral_action import controlled_system
-from ssm_study.synthesis.theorems.limited_input import from_everywhere
+from ssm_study.synthesis.theorems.limited_input import LimitedFeedback, from_everywhere
 from ssm_study.synthesis.theorems.noise_gain import NoiseGain
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
@@ -82,6 +83,31 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
     corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
     found[SETS] = within_reach(partial(unlimited, known, corners, limits))
     return {label: part for label, part in found.items() if part is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithinLimits:
+    """No limit acts from rest at outputs between `lower` and `upper (p,)`, physical, the estimate exact.
+
+    `everywhere` is the certificate of the saturated state feedback from any start, None where none is proved.
+    """
+
+    lower: Outputs
+    upper: Outputs
+    everywhere: LimitedFeedback | None
+
+
+def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
+    """Both statements for input limits in physical units.
+
+    Raises `BadRequest` for an infeasible design, and where the limits leave no room around the input at rest.
+    """
+    design.parts()
+    parts, limits = with_limits(model, design, lower, upper), (lower.tolist(), upper.tolist())
+    problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"
+    require(SETS in parts, "input limits", limits, problem, remedy)
+    low, high = outputs_of(model, parts[SETS].starts)
+    return WithinLimits(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
 
 
 def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:

@@ -121,8 +121,8 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
     for label, part in design.content.items():
         broken += [f"{label}{claim}" for claim in _of_part(part, known)]
     for label, again in design.beside.items():  # what is proved beside a side is of the gain that is deployed
-        part = design.content.get(BESIDE.get(label, ""))
-        if isinstance(again, Side) and (not isinstance(part, Side) or not np.array_equal(again.gain, part.gain)):
+        whole = design.content.get(BESIDE.get(label, ""))
+        if isinstance(again, Side) and (not isinstance(whole, Side) or not np.array_equal(again.gain, whole.gain)):
             broken.append(f"{label}: the gain is not the one that is deployed")
     for side in SIDES:
         stated, derived = content[side].get("certified_rate"), design.certified_rate(side)

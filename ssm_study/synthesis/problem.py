@@ -65,8 +65,8 @@ class Problem:
     """Find `K` and `P` such that `A + B J K` contracts by `r = sqrt(1 - rate)` for every `J` of the ball.
 
     Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`, symmetric:
-    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1) or matrices that are not
-    finite. A ball that holds zero admits analysis only: `design.Request` refuses it.
+    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1) or matrices that are
+    not finite. A ball that holds zero admits analysis only: `design.Request` refuses it.
     """
 
     a: Float[np.ndarray, "n n"]

@@ -198,7 +198,7 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
 @given(SEEDS)
 @settings(max_examples=10, deadline=None)
 def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_as_much(seed: int) -> None:
-    """Slopes that change at random, noise at the worst frequency: below the bound; with one slope up to a thousandth."""
+    """Slopes that change at random, noise at the worst frequency: below the bound; with one slope just below."""
     linear, balls, design = loop(seed)
     flat_balls = replace(balls, input=JacobianBall(alpha=balls.input.alpha, beta=0.0))
     one, many = (
@@ -291,7 +291,12 @@ def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace
         ("state_feedback_unlimited", "starts", lambda x: [[1.01 * v for v in row] for row in x], "fails (start 0)"),
         ("state_feedback_unlimited", "level", lambda level: 1.01 * level, "limit 0 is not reached"),
         ("state_feedback_unlimited", "limits", lambda ends: [[-ends[0][0], ends[0][1]]], "fails (lower limit 0"),
-        ("state_feedback_unlimited", "k", lambda k: [[0.5 * v for v in row] for row in k], "not the one that is deployed"),
+        (
+            "state_feedback_unlimited",
+            "k",
+            lambda k: [[0.5 * v for v in row] for row in k],
+            "not the one that is deployed",
+        ),
         ("state_feedback", "certified_rate", lambda rate: rate * 1.01, "state_feedback.certified_rate"),
         ("tolerance", "rate", lambda _: 0.1, "is not part of a certificate"),
     ],

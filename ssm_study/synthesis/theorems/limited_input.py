@@ -7,7 +7,7 @@ Hypotheses. Those of `state_feedback`; each limit holds the input of rest.
 Statement. A limit is a map of slopes in [0, 1], so `S_u(sat(.))` has Jacobians `J D`, D diagonal with entries in
 [0, 1]. They lie in the ball `alpha_s I + beta_s Delta` with
 
-    alpha_s = beta_s = nu / 2 (one input, slopes of S_u up to nu),      alpha_s = alpha / 2, beta_s = |alpha| / 2 + beta,
+    alpha_s = beta_s = nu / 2 (one input, slopes of S_u up to nu),    alpha_s = alpha / 2, beta_s = |alpha| / 2 + beta,
 
 since `J D - alpha I / 2 = alpha (D - I / 2) + beta Delta D`; the inequality of `state_feedback` with this ball,
 `[(1 - rate) P - sigma B B^T, A Y + alpha_s B X, 0; ...] > 0`, proves the rate from everywhere. With slope zero the

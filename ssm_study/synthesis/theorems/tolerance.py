@@ -80,7 +80,7 @@ class Tolerance(Theorem):
     metric_matrix: ClassVar[str] = "p"
 
     @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:  # type: ignore[override]  # of the class: it says what is `seen`
+    def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class: it says what is `seen`
         (loop, into_u), into_w = loop_matrices(of), cls.seen(of)
         m, p, order = of.b.shape[1], of.c.shape[0], of.p.shape[0]
         storage = of.p - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u) - of.s * of.s * (into_w.T @ into_w)

@@ -13,10 +13,10 @@ Then from every start between these (their convex hull and its mirror image) no 
 the last condition, it falls in each sample as long as no limit acts, and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays
 below the limits by the others; so by induction none acts, and every rate that is proved of the pair holds.
 
-When not to use it. For an estimate that starts elsewhere: its error adds to the input (`loop.certified_bound`). For a
+When not to use it. For an estimate that starts elsewhere: its error adds to the input. For a
 set point near a limit: the room counts from rest.
 
-Reference. [Z26] Theorem 1, eq. (11); level sets of a quadratic function: Boyd et al. 1994, section 5.2; THEORY section 8.
+Reference. [Z26] Theorem 1, eq. (11); level sets: Boyd et al. 1994, section 5.2; THEORY section 8.
 
 Example. `x+ = x + u`, `u = -0.5 x`, `|u| < 1`: no limit acts from within 2.
 
@@ -55,7 +55,7 @@ class UnlimitedStart(StateFeedbackOfBall):
     level: float
 
     @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:  # type: ignore[override]  # of the class, to extend its parent's
+    def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class, to extend its parent's
         found = super().conditions(of)
         for i, (row, k) in enumerate((of.limits[i : i + 1, :], of.k[i : i + 1, :]) for i in range(of.limits.shape[0])):
             taken = of.level * (k @ of.p @ k.T)
@@ -85,6 +85,11 @@ def unlimited(
         found.append((float(np.sqrt(level / far)), level, part))
     share, level, part = max(found, key=lambda one: one[0])
     starts = {"limits": limits, "starts": (1 - ROUNDING) * share * corners, "level": level * (1 - ROUNDING)}
-    told: Any = {"rate_limit": parts[0].rate_limit, "method": "limited input", "status": "level set", "started": started}
+    told: Any = {
+        "rate_limit": parts[0].rate_limit,
+        "method": "limited input",
+        "status": "level set",
+        "started": started,
+    }
     proved: UnlimitedStart = UnlimitedStart.proved(part.numbers | starts, **told)
     return proved if proved.certified else None
