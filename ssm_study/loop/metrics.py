@@ -60,10 +60,10 @@ def noise_gain(run: Rollouts) -> float | None:
     What the sensor's noise n leaves of the true output at rest; `noise_gain` of the design bounds it for the model.
     """
     half = run.y.shape[1] // 2
-    y, seen = (signal[run.stayed, half:] for signal in (run.y, run.measured))
-    noise = (seen - y).std(axis=(0, 1))
-    if not len(y) or not noise.all():
+    if not run.stayed.any() or np.array_equal(run.y, run.measured):
         return None
+    y, seen = (signal[run.stayed, half:] for signal in (run.y, run.measured))
+    noise = np.maximum((seen - y).std(axis=(0, 1)), np.finfo(float).tiny)
     return float((np.sqrt(y.var(axis=1).mean(axis=0)) / noise).max())
 
 

@@ -72,7 +72,8 @@ def close_loop(
     _matched(plant, controller)
     (cases, samples, p), memory, x = noise.shape, controller.start(len(noise)), x0
     targets, rest, amplitude = controller.targets(reference), plant.equilibrium(), np.array(plant.input_amplitude)
-    _reachable(controller.demanded(targets), limits)
+    if np.isfinite(limits).any():
+        _reachable(controller.demanded(reference), limits)
     widths = {"u": len(plant.inputs), "y": p, "measured": p, "states": x0.shape[1]}
     widths["estimate"] = controller.estimate(memory).shape[1]
     log = {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
@@ -107,9 +108,9 @@ def _matched(plant: Plant, controller: Controller) -> None:
 
 def _reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
     excess = float(np.abs(demanded - np.clip(demanded, *limits)).max(initial=0.0))
-    needed = f"needs inputs in [{demanded.min(initial=0.0):.4g}, {demanded.max(initial=0.0):.4g}]"
+    needed = f"is held by inputs in [{demanded.min(initial=0.0):.4g}, {demanded.max(initial=0.0):.4g}]"
     problem = f"beyond the limits loop.input_lower, loop.input_upper by {excess:.4g}"
-    require(excess == 0.0, "loop.reference", needed, problem, "choose a smaller or slower reference")
+    require(excess == 0.0, "loop.reference", needed, problem, "choose a smaller reference")
 
 
 def last_step(reference: Float[np.ndarray, "T p"]) -> int:
