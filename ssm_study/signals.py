@@ -124,10 +124,7 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """The limits of each input that were given, else the range that records visited: beyond it nothing is known.
-
-    Raises `BadRequest` for another number of limits than inputs.
-    """
+    """The limits of each input as given, else the range of records; `BadRequest` for another number than inputs."""
     seen, found = np.concatenate(inputs), []
     for name, given, end in (("lower", lower, seen.min(axis=0)), ("upper", upper, seen.max(axis=0))):
         told = end if given is None else np.asarray(given, dtype=float).reshape(-1)
@@ -157,6 +154,19 @@ class DataSet:
     @property
     def step_s(self) -> float:
         return self.training[0].step_s
+
+    def undelayed(self, samples: int) -> "DataSet":
+        """Each output beside the input that many samples before it: the records of a fit without their dead time."""
+
+        shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
+        problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
+        require(samples < shortest, "model.dead_time", samples, problem, remedy)
+
+        def moved(records: Trajectories) -> Trajectories:
+            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
+
+        parts = {name: moved(getattr(self, name)) for name in ("training", "validation", "test")}
+        return replace(self, **parts)  # type: ignore[arg-type]  # records, as they were
 
 
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

@@ -72,7 +72,7 @@ def close_loop(
     _matched(plant, controller)
     (cases, samples, p), memory, x = noise.shape, controller.start(len(noise)), x0
     targets, rest, amplitude = controller.targets(reference), plant.equilibrium(), np.array(plant.input_amplitude)
-    if np.isfinite(limits).any():
+    if any(np.isfinite(end).any() for end in limits):
         _reachable(controller.demanded(reference), limits)
     widths = {"u": len(plant.inputs), "y": p, "measured": p, "states": x0.shape[1]}
     widths["estimate"] = controller.estimate(memory).shape[1]

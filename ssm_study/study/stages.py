@@ -82,8 +82,10 @@ def compute_model(
     folder: Path, data: DataSet, *, model: "ModelSpec", training: "Training", seed: int, progress: bool
 ) -> None:
     """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has no infinity."""
-    identified = training.identify(model, data, seed, folder, progress)
-    write_json(folder / "model.json", identified.model.to_json())
+    late = getattr(model, "dead_time", 0)  # of one layer; fitted without it
+    identified = training.identify(model, data.undelayed(late) if late else data, seed, folder, progress)
+    made = identified.model.delayed(late) if late else identified.model  # type: ignore[attr-defined]  # an SSM
+    write_json(folder / "model.json", made.to_json())
     write_json(folder / "training.json", {"seconds": identified.seconds, "ended": identified.ended})
     write_json(folder / "training_curve.json", with_gaps(identified.curve))
     if identified.choice:

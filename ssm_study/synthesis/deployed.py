@@ -66,10 +66,7 @@ def as_deployed(
 
 
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
-    """What is proved with limited inputs: from everywhere, and of starts within an equal share of every scaled output.
-
-    Nothing of neurons, of an uncertified state feedback, and of limits that do not enclose the input at rest.
-    """
+    """What is proved with limited inputs; nothing of neurons, without a certificate, or of limits not around rest."""
     parts = (design.state_feedback, *(design.beside.get(f"state_feedback_{more}") for more in ("deployed", "limited")))
     known = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
     limits = np.stack([model.scale.scaled_input(end) for end in (lower, upper)], axis=1)
@@ -87,10 +84,7 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
 
 @dataclass(frozen=True, kw_only=True)
 class WithinLimits:
-    """No limit acts from rest at outputs between `lower` and `upper (p,)`, physical, the estimate exact.
-
-    `everywhere` is the certificate of the saturated state feedback from any start, None where none is proved.
-    """
+    """No limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`: cut at them, or None."""
 
     lower: Outputs
     upper: Outputs
@@ -98,10 +92,7 @@ class WithinLimits:
 
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Both statements for input limits in physical units.
-
-    Raises `BadRequest` for an infeasible design, and where the limits leave no room around the input at rest.
-    """
+    """Both, for limits in physical units; `BadRequest` for an infeasible design or limits without room around rest."""
     design.parts()
     parts, limits = with_limits(model, design, lower, upper), (lower.tolist(), upper.tolist())
     problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"

@@ -13,7 +13,6 @@ then `||y - y'||_2 <= ||n - n'||_2 / s` for any two noises from the same start: 
 a long time, scaled) moves the output by at most `1 / s`. Without a ball it is the peak of the frequency response.
 
 When not to use it. As a forecast for white noise, which moves the output less: the bound is for the worst frequency.
-In the unit of one output the gain is the same; of several outputs it is one of scaled ones.
 
 Reference. [Z26] Theorem 3 without noise; THEORY section 8; Megretski & Rantzer 1997 (multipliers).
 
