@@ -47,6 +47,8 @@ def compute_dataset(folder: Path, *, data: Any, seed: int, plant: Plant | None =
     records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
     write_dataset(folder, records)
     recordings.write_records(folder / "excitation.mcap", records, records.training, outputs=False)
+    if records.trials:
+        recordings.write_records(folder / recordings.TRIALS, records, records.trials, outputs=True)
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
@@ -125,7 +127,7 @@ class Simulated:
 
 
 def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None) -> None:
-    """The model and its free runs beside the validation and test records, and the trials.
+    """The model and its free runs beside the validation and test records.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is claimed of it.
     """
@@ -134,8 +136,6 @@ def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reductio
     for name, records in (("validation", data.validation), ("test", data.test)):
         made = Simulation.of(model, records, data.start_up_samples)
         recordings.write_simulation(folder / f"{name}.mcap", made, data)
-    if data.trials:
-        recordings.write_records(folder / recordings.TRIALS, data, data.trials, outputs=True)
 
 
 def measure_score(simulated: Simulated, data: DataSet, _: Trained) -> Facts:
@@ -272,9 +272,9 @@ def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
 
 
 CURVES = ("training_curve.json", "choice.json")
-SIMULATED = ("model.json", "validation.mcap", "test.mcap", recordings.TRIALS)
+SIMULATED = ("model.json", "validation.mcap", "test.mcap")
 LOOPS = ("closed_loop.mcap", "closed_loop_model.mcap", recordings.NOISE_FREE, "comparison.csv")
-DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap",))
+DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap", recordings.TRIALS))
 MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
 SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
 BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
