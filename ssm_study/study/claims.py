@@ -36,6 +36,7 @@ from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system
 from ssm_study.table.columns import BY_NAME
@@ -200,7 +201,8 @@ def certificate(run: RunFiles) -> Claims:
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
         yield Finding(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
     kept = run.simulated.validation
-    facts = design_facts(design, run.model, balls, kept.records, kept.start_up_samples, run.trials)
+    shown = mismatch(run.model, kept.records, kept.start_up_samples, run.trials)
+    facts = design_facts(design, run.model, balls, shown)
     yield Derived(withheld(facts, run.record.get("evidence")))
 
 

@@ -78,11 +78,12 @@ class Study(Task["Specification"]):
         self, request: "Specification", stages: Stages, data: Kept["DataSet"], bounded: Kept["Simulated"]
     ) -> tuple[Kept["Design"], Kept[Any]]:
         """Controller and observer by what these records show, and the loop that they close."""
-        from ssm_study.study.stages import EVIDENCE, LOOP, SYNTHESIS
+        from ssm_study.study.stages import EVIDENCE, LOOP, MISMATCH, SYNTHESIS
 
         plant = ("plant",) if request.plant else ()
-        judged = stages.take(EVIDENCE, {}, {}, data, bounded)
-        design = stages.take(SYNTHESIS, *request.select("synthesis"), data, bounded, judged)
+        shown = stages.take(MISMATCH, {}, {}, data, bounded)
+        judged = stages.take(EVIDENCE, {}, {}, data, bounded, shown)
+        design = stages.take(SYNTHESIS, *request.select("synthesis"), data, bounded, shown, judged)
         return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)
 
     def identified(

@@ -32,7 +32,7 @@ from ssm_study.signals import DataSet
 from ssm_study.study import recordings
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import Mismatch, mismatch
 from ssm_study.training.metrics import mean_fit, training_facts
 
 if TYPE_CHECKING:
@@ -151,9 +151,24 @@ def measure_bounds(simulated: Simulated, data: DataSet, trained: Trained) -> Fac
     return measure_score(simulated, data, trained) | before | bound_facts(simulated.model)
 
 
-def compute_evidence(folder: Path, data: DataSet, bounded: Simulated) -> None:
-    """What data and model allow to be said of the plant, before anything is."""
+def compute_mismatch(folder: Path, data: DataSet, bounded: Simulated) -> Mismatch:
+    """How far the plant is from the model, as the records show it: once for all designs on this model."""
+    from safetensors.numpy import save_file
+
     shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
+    save_file(shown.to_arrays(), folder / "mismatch.safetensors")
+    return shown
+
+
+def read_mismatch(folder: Path) -> Mismatch:
+    """The views at each amplitude, as they were computed."""
+    from safetensors.numpy import load_file
+
+    return Mismatch.from_arrays(load_file(folder / "mismatch.safetensors"))
+
+
+def compute_evidence(folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch) -> None:
+    """What data and model allow to be said of the plant, before anything is."""
     judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 
@@ -169,7 +184,7 @@ def measure_evidence(judged: Judgement, *_: Any) -> Facts:
 
 
 def compute_synthesis(
-    folder: Path, data: DataSet, bounded: Simulated, judged: Judgement, *, synthesis: "Synthesis"
+    folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement, *, synthesis: "Synthesis"
 ) -> None:
     """Controller and observer, decided in exact arithmetic; chosen from the model and the records alone.
 
@@ -181,8 +196,7 @@ def compute_synthesis(
     cautious = judged.level == CANNOT_JUDGE and isinstance(synthesis, Auto)
     chosen_by = synthesis.cautious() if cautious else synthesis  # type: ignore[attr-defined]  # an Auto
     model, balls = bounded.model, certified_balls(bounded.model)
-    records = data.validation, data.start_up_samples, data.trials
-    design = as_deployed(chosen_by.design(model, balls, *records), model, balls, mismatch(model, *records))
+    design = as_deployed(chosen_by.design(model, balls, data.validation, shown), model, balls, shown)
     design.save(folder / "certificate.json")
 
 
@@ -191,10 +205,10 @@ def read_design(folder: Path) -> Design:
     return Design.load(folder / "certificate.json")
 
 
-def measure_synthesis(design: Design, data: DataSet, bounded: Simulated, judged: Judgement) -> Facts:
+def measure_synthesis(design: Design, _: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement) -> Facts:
     """The columns of the design and of its prediction."""
     model, balls = bounded.model, certified_balls(bounded.model)
-    facts = design_facts(design, model, balls, data.validation, data.start_up_samples, data.trials)
+    facts = design_facts(design, model, balls, shown)
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 
@@ -278,7 +292,8 @@ DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitati
 MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
 SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
 BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
+MISMATCH = Stage("mismatch", compute_mismatch, read_mismatch)
 EVIDENCE = Stage("evidence", compute_evidence, read_judgement, measure_evidence, ("evidence.json",))
 SYNTHESIS = Stage("synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",))
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
-STAGES = (DATASET, MODEL, SCORE, BOUNDS, EVIDENCE, SYNTHESIS, LOOP)
+STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, LOOP)
