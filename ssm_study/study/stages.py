@@ -153,18 +153,14 @@ def measure_bounds(simulated: Simulated, data: DataSet, trained: Trained) -> Fac
 
 def compute_mismatch(folder: Path, data: DataSet, bounded: Simulated) -> Mismatch:
     """How far the plant is from the model, as the records show it: once for all designs on this model."""
-    from safetensors.numpy import save_file
-
     shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
-    save_file(shown.to_arrays(), folder / "mismatch.safetensors")
+    recordings.write_mismatch(folder / "mismatch.safetensors", shown)
     return shown
 
 
 def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
-    from safetensors.numpy import load_file
-
-    return Mismatch.from_arrays(load_file(folder / "mismatch.safetensors"))
+    return recordings.read_mismatch(folder / "mismatch.safetensors")
 
 
 def compute_evidence(folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch) -> None:

@@ -105,36 +105,6 @@ class Mismatch:
         """`g(w)` of `by_frequency`, linear between the bands."""
         return np.interp(angles, ANGLES, self.by_frequency)
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """All of it, bit for bit, without complex numbers or gaps (NaN): for a file of tensors."""
-        views = self.everywhere
-        left_at_rest = np.nan if self.left_at_rest is None else self.left_at_rest
-        return {
-            "sizes": np.array([[view.amplitude, view.gain, view.response] for view in views]),
-            "spectra": np.stack([[v.by_frequency, v.linear.real, v.linear.imag, v.rest] for v in views]),
-            "known": np.array([self.spread, left_at_rest, float(self.loop is not None)]),
-            "unexcited": np.array(self.unexcited),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "Mismatch":
-        """What `to_arrays` wrote."""
-        views = []
-        for (amplitude, gain, response), (size, real, imaginary, rest) in zip(
-            arrays["sizes"].tolist(), arrays["spectra"], strict=True
-        ):
-            linear = np.stack([real, imaginary], axis=-1).view(complex)[:, 0]  # `real + 1j * imaginary` spoils infinity
-            sizes = {"amplitude": amplitude, "gain": gain, "response": response}
-            views.append(View(**sizes, by_frequency=size, linear=linear, rest=rest))
-        spread, left_at_rest, looped = arrays["known"].tolist()
-        return cls(
-            views=tuple(views[:-1] if looped else views),
-            loop=views[-1] if looped else None,
-            spread=spread,
-            left_at_rest=None if np.isnan(left_at_rest) else left_at_rest,
-            unexcited=tuple(arrays["unexcited"].tolist()),
-        )
-
 
 def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()) -> Mismatch:
     """`e = y - y_model` in free run, scaled: of the `trials` where there are any, else of the validation records.

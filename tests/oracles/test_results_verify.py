@@ -27,6 +27,7 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compared, judge, verify
 from ssm_study.synthesis.certificate import digest
 from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.table.columns import declared
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
@@ -181,8 +182,9 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(smoke_run: Path,
     run, kept = RunFiles(path=smoke_run, record=record), read_simulation(smoke_run / "validation.mcap")
     told = "riccati; not positive definite in exact arithmetic"
     missed = replace(run.design, observer=replace(run.design.observer, certified=False, solver_status=told))  # type: ignore[arg-type]
+    shown = mismatch(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
-        facts = design_facts(made, run.model, certified_balls(run.model), kept.records, kept.start_up_samples)
+        facts = design_facts(made, run.model, certified_balls(run.model), shown)
         assert facts.get("uncertified_reason") == reason
 
 
