@@ -1,5 +1,6 @@
 """The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a simulation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,6 +119,22 @@ class Scale:
 
 
 Trajectories = tuple[Trajectory, ...]
+Limit = float | Sequence[float] | None  # of every input, or one for each; None where it is not given
+Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
+
+
+def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
+    """The limits of each input that were given, else the range that records visited: beyond it nothing is known.
+
+    Raises `BadRequest` for another number of limits than inputs.
+    """
+    seen, found = np.concatenate(inputs), []
+    for name, given, end in (("lower", lower, seen.min(axis=0)), ("upper", upper, seen.max(axis=0))):
+        told = end if given is None else np.asarray(given, dtype=float).reshape(-1)
+        fits, remedy = len(told) in (1, len(end)), "give one for all, or one for each"
+        require(fits, f"loop.input_{name}", given, f"there are {len(end)} inputs", remedy)
+        found.append(np.broadcast_to(told, end.shape).copy())
+    return found[0], found[1]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,10 +27,10 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import DataSet, Trajectory, input_limits
 from ssm_study.study import trials
 from ssm_study.study.line import parameters
-from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_cases, read_experiment, signal
+from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
@@ -39,6 +39,7 @@ from ssm_study.synthesis.metrics import design_facts
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME
 from ssm_study.training.metrics import mean_fit
 
@@ -162,9 +163,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
-    cases = read_cases(run.path / "excitation.mcap")[0].values()
-    kept_inputs = [signal(case, "input", run.path / "excitation.mcap").values for case in cases]
-    inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(kept_inputs, records.training, strict=True))}
+    inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(run.inputs, records.training, strict=True))}
     yield agreement("excitation.mcap", inputs, ITERATED, "the configuration gives it")
 
 
@@ -188,7 +187,7 @@ def model(run: RunFiles) -> Claims:
 
 def certificate(run: RunFiles) -> Claims:
     """Both theorems in exact rational arithmetic on the stored matrices, and the columns that follow from them."""
-    design, system = run.design, run.model.system
+    design, system, spec = run.design, run.model.system, run.specification.loop
     balls, feedback = certified_balls(run.model), run.design.state_feedback
     controlled = controlled_system(run.model, feedback.k) if isinstance(feedback, StateFeedback) else system
     broken = broken_claims(run.certificate, system, balls, controlled)
@@ -200,6 +199,10 @@ def certificate(run: RunFiles) -> Claims:
         found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
         yield Finding(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
+    told = {label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)}
+    ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.inputs))).T
+    pairs = {label: (part.limits, ends) for label, part in told.items()}
+    yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
     kept = run.simulated.validation
     shown = mismatch(run.model, kept.records, kept.start_up_samples, run.trials)
     facts = design_facts(design, run.model, balls, shown)
@@ -234,10 +237,10 @@ def loop(run: RunFiles) -> Claims:
     spec, design, plant = run.specification, run.design, run.plant
     kept, loop_on = read_experiment(run.path)
     controller = ObserverFeedback.of(run.model, design)
-    apart = replay_error(controller, kept.controlled, spec.loop.input_lower, spec.loop.input_upper)
+    apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Finding(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    again = spec.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
+    again = run.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
     pairs = of_rollouts(kept.controlled, again.controlled) | {
         "settling_band": (kept.settling_band, again.settling_band),
         "input_equilibrium": (kept.input_equilibrium, again.input_equilibrium),

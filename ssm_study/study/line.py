@@ -83,7 +83,11 @@ class Study(Task["Specification"]):
         plant = ("plant",) if request.plant else ()
         shown = stages.take(MISMATCH, {}, {}, data, bounded)
         judged = stages.take(EVIDENCE, {}, {}, data, bounded, shown)
-        design = stages.take(SYNTHESIS, *request.select("synthesis"), data, bounded, shown, judged)
+        settings, parts = request.select("synthesis")
+        limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
+        limits["applied"] = request.plant is None or any(end is not None for end in limits.values())
+        settings, parts = settings | {"limits": limits}, parts | {"limits": limits}
+        design = stages.take(SYNTHESIS, settings, parts, data, bounded, shown, judged)
         return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)
 
     def identified(

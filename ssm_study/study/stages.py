@@ -28,7 +28,7 @@ from ssm_study.loop.regulation import Loop, LoopRuns
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.models.structured import StructuredSSM, model_from_json
 from ssm_study.plants.plant import Plant
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
@@ -180,19 +180,30 @@ def measure_evidence(judged: Judgement, *_: Any) -> Facts:
 
 
 def compute_synthesis(
-    folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement, *, synthesis: "Synthesis"
+    folder: Path,
+    data: DataSet,
+    bounded: Simulated,
+    shown: Mismatch,
+    judged: Judgement,
+    *,
+    synthesis: "Synthesis",
+    limits: dict[str, Any],
 ) -> None:
     """Controller and observer, decided in exact arithmetic; chosen from the model and the records alone.
 
-    Where the evidence allows no judgement, `auto` takes the largest margin.
+    Where the evidence allows no judgement, `auto` takes the largest margin. With `limits` that are `applied`, given or
+    a log's, `auto` scores within them; those of simulated records are certified only.
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import as_deployed
 
-    cautious = judged.level == CANNOT_JUDGE and isinstance(synthesis, Auto)
-    chosen_by = synthesis.cautious() if cautious else synthesis  # type: ignore[attr-defined]  # an Auto
+    chosen_by: Synthesis | Auto = synthesis
     model, balls = bounded.model, certified_balls(bounded.model)
-    design = as_deployed(chosen_by.design(model, balls, data.validation, shown), model, balls, shown)
+    ends = input_limits(limits["input_lower"], limits["input_upper"], [record.u for record in data.training])
+    if isinstance(synthesis, Auto):
+        judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
+        chosen_by = judgeable.within(*map(model.scale.scaled_input, ends)) if limits["applied"] else judgeable
+    design = as_deployed(chosen_by.design(model, balls, data.validation, shown), model, balls, shown, ends)
     design.save(folder / "certificate.json")
 
 
@@ -212,14 +223,7 @@ Experiment = tuple[LoopRuns, str]  # and what it was done on
 
 
 def compute_loop(
-    folder: Path,
-    data: DataSet,
-    bounded: Simulated,
-    design: Design,
-    *,
-    loop: Loop,
-    loop_seed: int,
-    plant: Plant | None = None,
+    folder: Path, data: DataSet, bounded: Simulated, design: Design, *, loop: Loop, loop_seed: int, plant: Any = None
 ) -> Experiment | None:
     """The certified pair on the true plant, or on the identified model where there is no plant; none without a pair.
 
@@ -232,7 +236,7 @@ def compute_loop(
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on, loop_on = (twin, "identified model") if plant is None else (plant, "plant")
-    fitted = loop.fitted(model)
+    fitted = (loop.within([record.u for record in data.training]) if plant is None else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
     if fitted.comparison is not None:

@@ -50,7 +50,8 @@ NUMBERS = {
     ),
     **{f"settling_time_{which}_s": ONE_FORMULA for which in ("mean", "worst", "open_loop")},
     **dict.fromkeys(("integral_squared_error", "final_error_worst", "empirical_rate"), ONE_FORMULA),
-    **dict.fromkeys(("estimate_decay_rate", "certified_bound_excess_plant"), ONE_FORMULA),
+    **dict.fromkeys(("estimate_decay_rate", "certified_bound_excess_plant", "noise_gain_measured"), ONE_FORMULA),
+    **dict.fromkeys(("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain"), ITERATED),
 }
 EIGENVALUES = {"controller_margin": 1e-12, "observer_margin": 1e-12}  # absolute, of matrices with unit diagonal
 COUNTS = (
@@ -70,12 +71,19 @@ WORDS = (
     "judged_noise_free",
     *PARTS,
 )
-ABSENT = ("benchmark", "fold", "excitation_warning", "left_bound_first_s", "unsettled_as")  # of this run: all settle
+ABSENT = (
+    "benchmark",
+    "fold",
+    "excitation_warning",
+    "left_bound_first_s",
+    "unsettled_as",
+    "limited_rate",
+)  # here: all settle
 REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower", "slope_upper", "scaffold_in",
              "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source", "loop_on",
              "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
-    *("files", "evidence.json", "model.json step_s", "excitation.mcap"),
+    *("files", "certificate limits", "evidence.json", "model.json step_s", "excitation.mcap"),
     *("trials.mcap records", "closed_loop.mcap loop_on"),
     *(f"{name}.mcap {what}" for name in ("validation", "test") for what in ("records", "/simulated")),
     *("closed_loop.mcap", "closed_loop.mcap input", "closed_loop_model.mcap"),
@@ -122,7 +130,7 @@ def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(smoke_run:
     claims = {finding.claim for finding in verified}
     certificates = {claim for claim in claims if claim.startswith("certificate.")}
     assert verified.holds
-    assert len(certificates) == 6
+    assert len(certificates) == 8
     assert claims - certificates == {*NUMBERS, *COUNTS, *WORDS, *ABSENT, *REQUESTED, *FILES}
     assert {name for name, value in record.items() if value is not None} <= {*claims, *verified.unchecked}
     assert all(verified.unchecked.values())

@@ -198,6 +198,10 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     assert record["plant"] is None
     assert record["fit_test_percent"] > 90
     assert record["stable_count"] == 10
+    log = read_rollouts(path.parent / "closed_loop.mcap")[0].u  # within what the training part of the log visited
+    assert (record["limit_lower"], record["limit_upper"]) == pytest.approx((u[:360].min(), u[:360].max()), rel=1e-9)
+    assert record["limit_lower"] * (1 + 1e-12) <= log.min() < log.max() <= record["limit_upper"] * (1 + 1e-12)
+    assert record["unlimited_from"] < 0 < record["unlimited_to"]
     assert failing(path.parent) == set()
 
 
