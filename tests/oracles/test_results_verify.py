@@ -21,7 +21,7 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
-from ssm_study.study.claims import SECTIONS, Derived, Finding
+from ssm_study.study.claims import SECTIONS, Checked, Derived
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compared, judge, verify
@@ -112,7 +112,7 @@ def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
 
 def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
     judged = [judge(name, record, derived, {}) for name in {*derived, *record}]
-    return {finding.claim for finding in judged if isinstance(finding, Finding) and not finding.holds}
+    return {finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds}
 
 
 def failing(run: Path) -> set[str]:
