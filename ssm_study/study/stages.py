@@ -32,7 +32,7 @@ from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import Mismatch, mismatch
 from ssm_study.training.metrics import mean_fit, training_facts
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ def compute_dataset(folder: Path, *, data: Any, seed: int, plant: Plant | None =
     records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
     write_dataset(folder, records)
     recordings.write_records(folder / "excitation.mcap", records, records.training, outputs=False)
+    if records.trials:
+        recordings.write_records(folder / recordings.TRIALS, records, records.trials, outputs=True)
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
@@ -127,7 +129,7 @@ class Simulated:
 
 
 def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None) -> None:
-    """The model and its free runs beside the validation and test records, and the trials.
+    """The model and its free runs beside the validation and test records.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is claimed of it.
     """
@@ -136,8 +138,6 @@ def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reductio
     for name, records in (("validation", data.validation), ("test", data.test)):
         made = Simulation.of(model, records, data.start_up_samples)
         recordings.write_simulation(folder / f"{name}.mcap", made, data)
-    if data.trials:
-        recordings.write_records(folder / recordings.TRIALS, data, data.trials, outputs=True)
 
 
 def measure_score(simulated: Simulated, data: DataSet, _: Trained) -> Facts:
@@ -153,9 +153,20 @@ def measure_bounds(simulated: Simulated, data: DataSet, trained: Trained) -> Fac
     return measure_score(simulated, data, trained) | before | bound_facts(simulated.model)
 
 
-def compute_evidence(folder: Path, data: DataSet, bounded: Simulated) -> None:
-    """What data and model allow to be said of the plant, before anything is."""
+def compute_mismatch(folder: Path, data: DataSet, bounded: Simulated) -> Mismatch:
+    """How far the plant is from the model, as the records show it: once for all designs on this model."""
     shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
+    recordings.write_mismatch(folder / "mismatch.safetensors", shown)
+    return shown
+
+
+def read_mismatch(folder: Path) -> Mismatch:
+    """The views at each amplitude, as they were computed."""
+    return recordings.read_mismatch(folder / "mismatch.safetensors")
+
+
+def compute_evidence(folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch) -> None:
+    """What data and model allow to be said of the plant, before anything is."""
     judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 
@@ -174,6 +185,7 @@ def compute_synthesis(
     folder: Path,
     data: DataSet,
     bounded: Simulated,
+    shown: Mismatch,
     judged: Judgement,
     *,
     synthesis: "Synthesis",
@@ -193,8 +205,7 @@ def compute_synthesis(
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
         chosen_by = judgeable.within(*map(model.scale.scaled_input, ends)) if limits["applied"] else judgeable
-    records = data.validation, data.start_up_samples, data.trials
-    design = as_deployed(chosen_by.design(model, balls, *records), model, balls, mismatch(model, *records), ends)
+    design = as_deployed(chosen_by.design(model, balls, data.validation, shown), model, balls, shown, ends)
     design.save(folder / "certificate.json")
 
 
@@ -203,10 +214,10 @@ def read_design(folder: Path) -> Design:
     return Design.load(folder / "certificate.json")
 
 
-def measure_synthesis(design: Design, data: DataSet, bounded: Simulated, judged: Judgement) -> Facts:
+def measure_synthesis(design: Design, _: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement) -> Facts:
     """The columns of the design and of its prediction."""
     model, balls = bounded.model, certified_balls(bounded.model)
-    facts = design_facts(design, model, balls, data.validation, data.start_up_samples, data.trials)
+    facts = design_facts(design, model, balls, shown)
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 
@@ -214,14 +225,7 @@ Experiment = tuple[LoopRuns, str]  # and what it was done on
 
 
 def compute_loop(
-    folder: Path,
-    data: DataSet,
-    bounded: Simulated,
-    design: Design,
-    *,
-    loop: Loop,
-    loop_seed: int,
-    plant: Plant | None = None,
+    folder: Path, data: DataSet, bounded: Simulated, design: Design, *, loop: Loop, loop_seed: int, plant: Any = None
 ) -> Experiment | None:
     """The certified pair on the true plant, or on the identified model where there is no plant; none without a pair.
 
@@ -284,13 +288,14 @@ def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
 
 
 CURVES = ("training_curve.json", "choice.json")
-SIMULATED = ("model.json", "validation.mcap", "test.mcap", recordings.TRIALS)
+SIMULATED = ("model.json", "validation.mcap", "test.mcap")
 LOOPS = ("closed_loop.mcap", "closed_loop_model.mcap", recordings.NOISE_FREE, "comparison.csv")
-DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap",))
+DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap", recordings.TRIALS))
 MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
 SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
 BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
+MISMATCH = Stage("mismatch", compute_mismatch, read_mismatch)
 EVIDENCE = Stage("evidence", compute_evidence, read_judgement, measure_evidence, ("evidence.json",))
 SYNTHESIS = Stage("synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",))
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
-STAGES = (DATASET, MODEL, SCORE, BOUNDS, EVIDENCE, SYNTHESIS, LOOP)
+STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, LOOP)

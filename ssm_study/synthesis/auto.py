@@ -111,14 +111,17 @@ class Auto:
             require(above, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
 
     def design(
-        self, model: Model, balls: Balls, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()
+        self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
     ) -> Design:
-        """The chosen controller and observer, exactly verified; infeasible as the Riccati route reports it."""
+        """The chosen controller and observer, exactly verified; infeasible as the Riccati route reports it.
+
+        The mismatch `shown` is that of the validation records unless given.
+        """
         candidates = self.candidates(model, balls)
         if candidates is None:
             return self._reported(self._slowest(model, balls), "nothing on the grid is feasible")
         left_out = f" ({candidates.unsolved} of the grid have no solution)" if candidates.unsolved else ""
-        shown = mismatch(model, validation, start_up_samples, trials)
+        shown = shown or mismatch(model, validation)
         weights, ks, ls = shown.at(GRID_ANGLES), candidates.ks, candidates.ls
         peaks = peaks_on_grid(model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs)
         for pair in self._in_order(model, candidates, balls, peaks, validation, shown):

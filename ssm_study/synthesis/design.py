@@ -17,6 +17,7 @@ from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Trajectories
 from ssm_study.synthesis.certificate import BESIDE, SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
 from ssm_study.synthesis.frontier import Frontier, controller_frontier
+from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem, theorem_named
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
@@ -201,8 +202,7 @@ class Synthesis(ABC):
         model: Any,
         balls: Balls,
         validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
-        start_up_samples: int = 0,  # noqa: ARG002
-        trials: Trajectories = (),  # noqa: ARG002
+        shown: Mismatch | None = None,  # noqa: ARG002
     ) -> Design:
         """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
         system = getattr(model, "system", model.linear)

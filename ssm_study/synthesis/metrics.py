@@ -8,10 +8,9 @@ from typing import Any
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.signals import Trajectories
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
 from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
@@ -71,9 +70,7 @@ def design_facts(
     design: Design,
     model: Model,
     balls: Balls,
-    validation: Trajectories,
-    start_up_samples: int,
-    trials: Trajectories = (),
+    shown: Mismatch,
 ) -> dict[str, Any]:
     """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant."""
     feedback, observer = design.state_feedback, design.observer
@@ -87,7 +84,6 @@ def design_facts(
     if not design.certified:
         missed = (f"{side}: {part.solver_status}" for side, part in sides if not part.certified)
         facts["uncertified_reason"] = "; ".join(missed)
-    shown = mismatch(model, validation, start_up_samples, trials)
     predicted = predict(model, design.pair, balls, shown)
     tolerated = {"tolerance": "certified_tolerance", "tolerance_by_frequency": "certified_tolerance_resolved"}
     facts |= {column: getattr(design.beside.get(part), "s", None) for part, column in tolerated.items()}
