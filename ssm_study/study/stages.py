@@ -86,8 +86,8 @@ def compute_model(
     """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has no infinity."""
     late = getattr(model, "dead_time", 0)  # of one layer; fitted without it
     identified = training.identify(model, data.undelayed(late) if late else data, seed, folder, progress)
-    made = identified.model.delayed(late) if late else identified.model  # type: ignore[attr-defined]  # an SSM
-    write_json(folder / "model.json", made.to_json())
+    made: Any = identified.model
+    write_json(folder / "model.json", (made.delayed(late) if late else made).to_json())
     write_json(folder / "training.json", {"seconds": identified.seconds, "ended": identified.ended})
     write_json(folder / "training_curve.json", with_gaps(identified.curve))
     if identified.choice:
@@ -193,8 +193,7 @@ def compute_synthesis(
 ) -> None:
     """Controller and observer, decided in exact arithmetic; chosen from the model and the records alone.
 
-    Where the evidence allows no judgement, `auto` takes the largest margin. With `limits` that are `applied`, given or
-    a log's, `auto` scores within them; those of simulated records are certified only.
+    Without evidence `auto` takes the largest margin; within `limits` that are `applied` (given, or a log's) it scores.
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import as_deployed
