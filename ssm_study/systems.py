@@ -43,6 +43,11 @@ class StateSpace(_Recurrence):
     def spectral_radius(self) -> float:
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
+    def held(self) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "p m"]]:
+        """`X = (I - A)^{-1} B` and `C X + D`: the states and outputs that constant inputs hold."""
+        to_state = np.linalg.solve(np.eye(self.order) - self.a, self.b)
+        return to_state, self.c @ to_state + self.d
+
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:

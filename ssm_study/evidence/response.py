@@ -82,9 +82,8 @@ def _dead_time(case: Case) -> Iterator[Finding]:
         return
     told = f"The output answers {late} samples late"
     if late > order:
-        yield doubt(
-            f"{told}, more than model.order={order} can delay it: use model.order={late + 2} or a longer step_s."
-        )
+        remedy = f"use model=delayed model.dead_time={late}, or a longer step_s"
+        yield doubt(f"{told}, more than model.order={order} can delay it: {remedy}.")
     else:
         yield note(f"{told}, which takes as many of the {order} states.")
 

@@ -17,17 +17,18 @@ from omegaconf import OmegaConf
 from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.mcap import read_mcap
+from ssm_study.engine.settings import resolved
 from ssm_study.export.c import Words, c_files
 from ssm_study.export.device import Device, PortableController, in_floats, portable
 from ssm_study.export.onnx import onnx_model
-from ssm_study.loop.certified_bound import within_limits
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.models.structured import model_from_json
 from ssm_study.refusal import BadRequest, require
-from ssm_study.signals import Channel
+from ssm_study.signals import Channel, input_limits
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.deployed import within_limits
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.theorem import Known, Theorem
 from ssm_study.synthesis.theorems.integral_action import augmented, controlled_system
@@ -86,8 +87,7 @@ def limits(run: Path) -> tuple[Range, Range]:
         return np.array([-np.inf]), np.array([np.inf])
     asked = OmegaConf.load(file) if file.is_file() else OmegaConf.create()
     given = [OmegaConf.select(asked, f"loop.input_{end}") for end in ("lower", "upper")]
-    lower, upper = (np.full_like(most, most if end is None else end) for end, most in zip(given, seen[1:], strict=True))
-    return lower, upper
+    return input_limits(resolved(given[0]), resolved(given[1]), [np.stack(seen[1:])])
 
 
 def _seen(run: Path, name: str, topic: str) -> tuple[tuple[Channel, ...], Range, Range] | None:
@@ -117,14 +117,14 @@ def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
     if device.set_points is None or max(-lower.min(), upper.max()) >= UNLIMITED:
         return ()
     try:
-        found = within_limits(_model(run), design, lower, upper, informed=True)
+        found = within_limits(_model(run), design, lower, upper)
     except BadRequest as refusal:
         return (str(refusal),)
     ends = " and ".join(f"{low:.6g} to {high:.6g}" for low, high in zip(found.lower, found.upper, strict=True))
     beyond = "Beyond that range nothing is proved from everywhere."
     if found.everywhere:
-        exact = "where the estimate is exact; the observer's error and integrators that a limit holds are not covered"
-        beyond = f"From everywhere the saturated loop contracts at rate {found.everywhere.rate:.3g} {exact}."
+        beyond = f"From everywhere the state feedback, cut at the limits, contracts at rate {found.everywhere.rate:.3g}"
+        beyond += ", and the estimate as fast as without them."
     inside = f"Within the limits the full rates hold from rest at outputs from {ends}, at the set point of rest."
     return inside, beyond
 

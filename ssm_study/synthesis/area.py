@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.signals import Trajectories
+from ssm_study.signals import Ends, Trajectories
 from ssm_study.systems import Pair, StateSpace
 
 CASES = 12  # states the model is released from, evenly spaced along the validation record
@@ -47,7 +47,7 @@ def release(
 
 def _loads(model: Model, linear: StateSpace) -> Float[np.ndarray, "L k"]:
     """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale; idle ones left out."""
-    held = np.linalg.solve(np.eye(model.order) - linear.a, linear.b).T  # states that a unit of each channel holds
+    held = linear.held()[0].T  # states that a unit of each channel holds
     reach = np.linalg.norm(model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1)
     counts = reach > 1e-6 * reach.max()
     return np.concatenate([level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS])
@@ -60,15 +60,17 @@ def at_rest(model: Model) -> StateSpace:
     return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
 
 
-def relative_areas(model: Model, gains: Pair, validation: Trajectories) -> Float[np.ndarray, "P"]:
+def relative_areas(
+    model: Model, gains: Pair, validation: Trajectories, limits: Ends | None = None
+) -> Float[np.ndarray, "P"]:
     """`J / J_uncontrolled`, mean over the released states, of each of the pairs of gains.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the area hardly sees a
     faint tail, on which the time to settle turns; the time does not see what lies beyond the horizon. Observers start
     from zero. Gains of width `s = n + p` act on integrators too, and are also judged by how soon they remove constant
-    loads. No noise, scaled units. Below one is faster than no control.
+    loads. No noise, scaled units, inputs within `limits`, where integrators are held. Below one is faster than none.
     """
-    start = release(model, validation, loaded=gains.k.shape[-1] > model.order)
+    start = *release(model, validation, loaded=gains.k.shape[-1] > model.order), limits or (-LARGEST, LARGEST)
     alone = _areas(model, Pair(k=0 * gains.k[:1], l=0 * gains.l[:1]), *start)[0]
     counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
     split = [[None] * parts if g is None else np.array_split(g, parts) for g in (gains.k, gains.l, gains.l_z)]
@@ -77,7 +79,12 @@ def relative_areas(model: Model, gains: Pair, validation: Trajectories) -> Float
 
 
 def _areas(
-    model: Model, gains: Pair, x0: Float[np.ndarray, "N n"], load: Float[np.ndarray, "N k"], horizon: int
+    model: Model,
+    gains: Pair,
+    x0: Float[np.ndarray, "N n"],
+    load: Float[np.ndarray, "N k"],
+    horizon: int,
+    limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
     n, k, l_ = model.order, gains.k.transpose(0, 2, 1), gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
@@ -85,13 +92,15 @@ def _areas(
     x_hat, area, settled = np.zeros_like(x), np.zeros(x.shape[:2]), np.zeros(x.shape[:2])
     z = np.zeros((*x.shape[:2], k.shape[1] - n))
     for sample in range(horizon):
-        u = x_hat @ k[:, :n] + z @ k[:, n:]
-        lifted = model.scaffold_in(np.clip(u, -LARGEST, LARGEST))
+        asked = x_hat @ k[:, :n] + z @ k[:, n:]
+        u = np.clip(asked, *limits)
+        lifted = model.scaffold_in(u)
         y = model.read_scaled(x, lifted + load)
         innovation = model.read_scaled(x_hat, lifted) - y
         size = np.linalg.norm(y, axis=2)
         area, settled = area + size, np.where(size > SETTLED, sample + 1.0, settled)
-        z = np.clip(z + y[..., : z.shape[2]], -LARGEST, LARGEST)
+        free = (u == asked).all(axis=2, keepdims=True)
+        z = np.clip(z + np.where(free, y[..., : z.shape[2]], 0.0), -LARGEST, LARGEST)
         x = model.advance(x, lifted + load)
         injected = () if l_z is None else (innovation @ l_z,)
         x_hat = np.clip(model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST)

@@ -49,7 +49,7 @@ def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
     (found,) = findings(case(LEVELS, answer(LEVELS, 5)))
     assert found.level == "doubt"
     assert "answers 5 samples late" in found.sentence
-    assert "use model.order=7" in found.sentence
+    assert "use model=delayed model.dead_time=5" in found.sentence
     assert findings(case(LEVELS, answer(LEVELS, 1))) == []
 
 
