@@ -19,7 +19,15 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     for volts in u:
         y.append(x[1] + 0.01 * rng.standard_normal())
         x = moved(x, volts)
-    words = ("model.order=2", "model.hidden_width=4", "data.equilibrium=zero", "model.slope_lower=0.3")
+    words = (
+        "model.order=2",
+        "model.hidden_width=4",
+        "data.equilibrium=zero",
+        "model.slope_lower=0.3",
+        "training.max_epochs=30",
+        "loop.horizon_s=10",
+        "loop.initial_conditions=2",
+    )
     design = st.control(st.fit(u, np.array(y), 0.05, *words))
     assert design.record["fit_test_percent"] > 90
     assert design.record["spectral_radius"] > 0.999
