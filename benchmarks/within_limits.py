@@ -93,7 +93,8 @@ def draw(folder: Path, path: Path) -> None:
     output, applied = files.plant.outputs[0], files.plant.inputs[0]
     above.set(ylabel=f"{output.name.replace('_', ' ')} ({output.unit})")
     above.legend(frameon=False)
-    below.set(ylabel=f"asked for ({applied.unit})", xlabel="Time (s)")
+    until = 2 * (pooled([naive])["settling_time_worst_s"] or told.controlled.time_s[-1] / 2)
+    below.set(ylabel=f"asked for ({applied.unit})", xlabel="Time (s)", xlim=(0, until))
     fig.savefig(path, dpi=110)
 
 

@@ -7,6 +7,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
+from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, AT_REST, RESPONSES, Mismatch, stuck
 
@@ -69,6 +70,9 @@ def _length(case: Case) -> Iterator[str]:
     samples, response = [len(record) for record in case.data.training], case.model.linear.response_samples()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
+    elif (kept := kept_over(case)) > INTEGRATES:
+        told = f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over the longest record"
+        yield f"{told}, so no log shows where it rests: try the loop, and refine with that log."
     elif max(samples) < RESPONSES * response:
         yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: lengthen it."
 

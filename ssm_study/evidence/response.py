@@ -22,12 +22,18 @@ CLEAR, SMALL = 4.0, 0.1  # standard errors of a lag, and the share of the larges
 SMOOTH = 1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
+INTEGRATES = 0.9  # share of the slowest mode left over the longest record, above which it is taken for an integrator
 COARSE, FINE, ENOUGH = 3, 1000, 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
 def findings(case: Case) -> list[Finding]:
     """The doubt on coherence, the dead time, and the sampling time of a log."""
     return [*_coherence(case), *_dead_time(case), *_sampling(case)]
+
+
+def kept_over(case: Case) -> float:
+    """What the model's slowest mode leaves of itself over the longest training record: all of it for an integrator."""
+    return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
 def _coherence(case: Case) -> Iterator[Finding]:
@@ -71,7 +77,7 @@ def _sampling(case: Case) -> Iterator[Finding]:
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
     if case.data.metadata.get("source") == "recorded" and response <= COARSE:
         yield note(f"{told}: sample more often, or the controller cannot act within it.")
-    elif case.data.metadata.get("source") == "recorded" and response >= FINE:
+    elif case.data.metadata.get("source") == "recorded" and response >= FINE and kept_over(case) <= INTEGRATES:
         keep = response // ENOUGH
         yield note(f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}.")
 
