@@ -72,7 +72,11 @@ def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") ->
         about=describe(run),
         signals=_described(run, device),
         digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
-        rates=(f"Rates proved for the numbers below, in {real}: {sides}.", *_limited(run, design, device)),
+        rates=(
+            f"Rates proved for the numbers below, in {real}: {sides}.",
+            *_limited(run, design, device),
+            *_rounded_loop(run, device),
+        ),
     )
     return c_files(device, words, prefix)
 
@@ -165,6 +169,26 @@ def describe(run: Path) -> str:
     return f"Controller of run {run.resolve().parent.name}/{run.resolve().name}, {verdict}; see certificate.json."
 
 
+def _rounded_loop(run: Path, device: Device) -> tuple[str, ...]:
+    """What rounding does to the loop on the model, from rest one output scale off; nothing in double."""
+    if device.set_points is None or device.real == "double":
+        return ()
+    model, limits = _model(run), (end.astype(float) for end in (device.lower, device.upper))
+    exact = Device.of(load(run), "double", *limits)
+    rest, found = model.scale.output_equilibrium, []
+    for one in (device, exact):
+        x, y = exact.start(rest + model.scale.output_scale)[: model.order], []
+        state = one.start((rest + model.scale.output_scale).astype(one.lower.dtype))
+        for _ in range(LOOP_SAMPLES):
+            y.append(model.read(x, np.zeros(model.linear.b.shape[1])))
+            u, state = one.track(state, *(np.asarray(seen, dtype=one.lower.dtype) for seen in (y[-1], rest)))
+            x = model.advance(x, model.lift(u.astype(float)))
+        found.append(np.array(y))
+    apart = float((np.abs(found[0] - found[1]) / model.scale.output_scale).max())
+    return (f"Rounding to {device.real} moves the loop on the model by at most {apart:.1e} output scales.",)
+
+
+LOOP_SAMPLES = 200
 HALVINGS = 12  # of the rate, where the stored one does not survive rounding: to a 4000th of it
 
 
