@@ -21,21 +21,14 @@ LIMITED = "{} to {}: rate {} from everywhere, all of it from outputs {} to {}"
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
 
 
-def print_outcome(
-    record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None, drawn: str | None = None
-) -> None:
-    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`).
-
-    The figures show the run `drawn`; where that is another one of the study, a line says so.
-    """
+def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None) -> None:
+    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`)."""
     console = console or Console()
     if not console.is_terminal:
         console = Console(file=console.file, width=WIDTH, color_system=None, force_jupyter=False)
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
-    if figures and drawn not in (None, record.get("run")):
-        console.print(Text(f"The study's best run, which its figures show, is {drawn}:"), soft_wrap=True)
     for line in figure_lines(figures):
         console.print(Text(f"  {line}"), soft_wrap=True, highlight=False)  # a path is never broken
 

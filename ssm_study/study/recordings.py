@@ -153,8 +153,9 @@ def write_mismatch(path: Path, shown: Mismatch) -> None:
     arrays = {
         "sizes": np.array([[view.amplitude, view.gain, view.response] for view in views]),
         "spectra": np.stack([[v.by_frequency, v.linear.real, v.linear.imag, v.rest] for v in views]),
-        "known": np.array([shown.spread, left_at_rest, float(shown.loop is not None)]),
+        "known": np.array([shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]),
         "unexcited": np.array(shown.unexcited, dtype=float),
+        "stuck": np.array(shown.stuck, dtype=float),
     }
     save_file(arrays, path)
 
@@ -168,8 +169,10 @@ def read_mismatch(path: Path) -> Mismatch:
         views.append(
             View(amplitude=amplitude, gain=gain, by_frequency=size, linear=linear, rest=rest, response=response)
         )
-    spread, left_at_rest, looped = arrays["known"].tolist()
+    spread, left_at_rest, looped, farthest = arrays["known"].tolist()
     return Mismatch(
+        stuck=tuple(arrays["stuck"].tolist()),
+        farthest=farthest,
         views=tuple(views[:-1] if looped else views),
         loop=views[-1] if looped else None,
         spread=spread,

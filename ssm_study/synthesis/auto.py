@@ -5,9 +5,9 @@ Among guaranteed-cost designs on a grid of rates and weights that are predicted 
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
-`area` the response's on the model (`synthesis.area`), `spread` the standard error of ln g, from blocks of the record:
-the mismatch is not a number but a sample, and the fastest design that just passes is the one that any optimism of g
-lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
+`area` the response's on the model, its time to settle included (`synthesis.area`), `spread` the standard error of ln g,
+from blocks of the record: the mismatch is not a number but a sample, and the fastest design that just passes is the one
+that any optimism of g lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 ATTEMPTS = 20  # how many candidates are verified exactly before the search gives up: each costs two exact certificates
-LOOKED_AT = 200  # how many candidates, the fastest first, are compared with all that the records show
+LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
 LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is what Welch's estimate alone scatters by
 
@@ -224,7 +224,9 @@ class Auto:
             number = worst(model, candidates.gains(pairs[index]), balls, shown, shared)
             return expected_area(float(areas[index]), number, shown.spread), number
 
-        for index in np.argsort(areas, kind="stable")[:LOOKED_AT].tolist():
+        order = np.argsort(areas, kind="stable")
+        thinned = order[LOOKED_AT :: max(len(order) // LOOKED_AT, 1)]
+        for index in [*order[:LOOKED_AT].tolist(), *thinned.tolist()]:
             if scored and areas[index] >= min(scored)[0]:
                 break
             score, number = expected(index, coarse)
