@@ -46,7 +46,7 @@ def findings(case: Case) -> Iterator[Finding]:
 
 
 def own_mode(data: DataSet, lags: int) -> float:
-    """The largest modulus of a mode of the least-squares ARX model: without a reference in the log it is arbitrary."""
+    """The largest modulus of a mode of the ARX model; arbitrary without a reference in the log."""
     records = [(data.scale.scaled_input(one.u), data.scale.scaled_output(one.y)) for one in data.training]
     a, p = arx(records, lags, feedthrough=False)[0], len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)

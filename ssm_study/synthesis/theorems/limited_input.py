@@ -1,6 +1,6 @@
 """With limited inputs the same gain contracts from everywhere, no faster than the model by itself.
 
-Problem. `u = sat(K x)`, each input cut at its limits: what is certified from any start, whatever the limits are?
+Problem. `u = sat(K x)`, each input cut at its limits: what is certified from any start?
 
 Hypotheses. Those of `state_feedback`.
 
@@ -13,8 +13,7 @@ since `J D - alpha I / 2 = alpha (D - I / 2) + beta Delta D`; the inequality of 
 `[(1 - rate) P - sigma B B^T, A Y + alpha_s B X, 0; ...] > 0`, proves the rate, at most the model's own: with slope zero
 the input does nothing. The observer is told the applied input: its rate holds, and its error enters, as without limits.
 
-When not to use it. Near rest: where no limit acts, the full rate holds (`unlimited_start`). With integrators, which are
-held while a limit acts and then do not contract: nothing is proved of them from everywhere.
+When not to use it. Where no limit acts (`unlimited_start`), or with integrators, which a limit holds.
 
 Reference. [Z26] Theorem 1, eq. (11), with another ball; THEORY section 8.
 

@@ -9,8 +9,7 @@ satisfy
 
     diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_y^T C_y,  lambda_p I,  I ) - [A_xi B_p B_e]^T P [A_xi B_p B_e]  >  0
 
-then `||y - y'||_2 <= ||n - n'||_2 / s` for any two noises from the same start: noise of one unit (root mean square over
-a long time, scaled) moves the output by at most `1 / s`. Without a ball it is the peak of the frequency response.
+then `||y - y'||_2 <= ||n - n'||_2 / s` for any two noises from the same start; `1 / s` is the peak without a ball.
 
 When not to use it. As a forecast for white noise, which moves the output less: the bound is for the worst frequency.
 

@@ -9,12 +9,10 @@ i as scaled deviations from rest, and `v` a level with, for each input and each 
 
     l_i < 0 < h_i,    h_i^2 > v K_i P K_i^T,    l_i^2 > v K_i P K_i^T,    [v, x_j^T; x_j, P] > 0.
 
-Then from every start between these (their convex hull and its mirror image) no limit acts: `x^T P^{-1} x < v` there by
-the last condition, it falls in each sample as long as no limit acts, and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays
-below the limits by the others; so by induction none acts, and every rate that is proved of the pair holds.
+Then no limit acts from their convex hull and its mirror image: `x^T P^{-1} x < v` there, it falls as long as none acts,
+and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below the limits. So every rate that is proved of the pair holds.
 
-When not to use it. For an estimate that starts elsewhere: its error adds to the input. For a
-set point near a limit: the room counts from rest.
+When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set point near a limit.
 
 Reference. [Z26] Theorem 1, eq. (11); level sets: Boyd et al. 1994, section 5.2; THEORY section 8.
 
