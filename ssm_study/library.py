@@ -31,7 +31,6 @@ from ssm_study.engine.records import FAILED, read_record
 from ssm_study.engine.settings import plain
 from ssm_study.engine.task import store_of
 from ssm_study.export import targets
-from ssm_study.loop.certified_bound import WithinLimits, within_limits
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.models.identified import SSM, Simulator
@@ -42,6 +41,7 @@ from ssm_study.study import line
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated, write_json
 from ssm_study.synthesis import certificate
+from ssm_study.synthesis.deployed import WithinLimits, within_limits
 from ssm_study.systems import StateSpace
 from ssm_study.table.gather import gather
 
@@ -126,10 +126,10 @@ class Design:
         require(not Path(to).exists(), "to", to, "exists", "name a new folder")
         return Path(shutil.copytree(self.folder, to))
 
-    def within(self, lower: Values, upper: Values, informed: bool = True) -> WithinLimits:
-        """What is certified when the input is limited, in physical units; see `loop.certified_bound`."""
+    def within(self, lower: Values, upper: Values) -> WithinLimits:
+        """What is certified when the input is limited, in physical units; see `synthesis.deployed`."""
         ends = (np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper))
-        return within_limits(self.model, self.certificate, *ends, informed=informed)
+        return within_limits(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Header `path` and beside it the source and a replay, all named as the header, in "double" or "float".

@@ -1,5 +1,6 @@
 """The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a simulation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,6 +119,19 @@ class Scale:
 
 
 Trajectories = tuple[Trajectory, ...]
+Limit = float | Sequence[float] | None  # of every input, or one for each; None where it is not given
+Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
+
+
+def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
+    """The limits of each input as given, else the range of records; `BadRequest` for another number than inputs."""
+    seen, found = np.concatenate(inputs), []
+    for name, given, end in (("lower", lower, seen.min(axis=0)), ("upper", upper, seen.max(axis=0))):
+        told = end if given is None else np.asarray(given, dtype=float).reshape(-1)
+        fits, remedy = len(told) in (1, len(end)), "give one for all, or one for each"
+        require(fits, f"loop.input_{name}", given, f"there are {len(end)} inputs", remedy)
+        found.append(np.broadcast_to(told, end.shape).copy())
+    return found[0], found[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +154,19 @@ class DataSet:
     @property
     def step_s(self) -> float:
         return self.training[0].step_s
+
+    def undelayed(self, samples: int) -> "DataSet":
+        """Each output beside the input that many samples before it: the records of a fit without their dead time."""
+
+        shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
+        problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
+        require(samples < shortest, "model.dead_time", samples, problem, remedy)
+
+        def moved(records: Trajectories) -> Trajectories:
+            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
+
+        parts = {name: moved(getattr(self, name)) for name in ("training", "validation", "test")}
+        return replace(self, **parts)  # type: ignore[arg-type]  # records, as they were
 
 
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

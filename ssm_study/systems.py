@@ -43,6 +43,11 @@ class StateSpace(_Recurrence):
     def spectral_radius(self) -> float:
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
+    def held(self) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "p m"]]:
+        """`X = (I - A)^{-1} B` and `C X + D`: the states and outputs that constant inputs hold."""
+        to_state = np.linalg.solve(np.eye(self.order) - self.a, self.b)
+        return to_state, self.c @ to_state + self.d
+
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
@@ -55,8 +60,11 @@ class StateSpace(_Recurrence):
             x = x @ turn + forced[..., k, :]
         return states @ self.c.T + u @ self.d.T, x
 
-    def response_samples(self, most: int, remainder: float) -> int:
-        """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the system answers."""
+    def response_samples(self, most: int = 4000, remainder: float = 0.1) -> int:
+        """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the system answers.
+
+        By default the bulk of it, not the tail of a mode that no record filled.
+        """
         size = np.abs(self.simulate(np.eye(most, 1) * np.ones((1, self.b.shape[1])))[0]).sum(axis=1)
         left = 1 - np.cumsum(size) / max(float(size.sum()), np.finfo(float).tiny)
         return int(np.argmax(left <= remainder)) + 1

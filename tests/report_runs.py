@@ -92,9 +92,9 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool) -> Desig
     )
 
 
-def write_recordings(run: Path, *, plant_alone: bool = True) -> Path:
+def write_recordings(run: Path, *, plant_alone: bool = True, seed: int = 0) -> Path:
     """`validation.mcap`, `excitation.mcap` and `closed_loop.mcap` with ten made-up cases, as a study leaves them."""
-    rng, time_s = np.random.default_rng(0), np.arange(200) * 0.01
+    rng, time_s = np.random.default_rng(seed), np.arange(200) * 0.01
     u, y = np.sign(rng.standard_normal((200, 1))) * 5, rng.standard_normal((200, 1))
     volt, speed = (Channel(name="armature_voltage", unit="V"),), (Channel(name="load_speed", unit="rad/s"),)
 

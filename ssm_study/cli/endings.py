@@ -44,10 +44,13 @@ def conclude_run(config: DictConfig) -> bool:
 
 
 def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """What the file holds, if it is younger than every record, every coming and going of a run, and `files` exist."""
+    """What the file holds, if it is younger than every record, every coming and going of a run, and all `files`.
+
+    Figures that are younger show another run of the study.
+    """
     with suppress(OSError, ValueError):
-        changed = max(path.stat().st_mtime_ns for path in (study, *study.glob(f"*/{RECORD}")))
-        if told.stat().st_mtime_ns > changed and all(path.is_file() for path in files):
+        changed = max(path.stat().st_mtime_ns for path in (study, *study.glob(f"*/{RECORD}"), *files))
+        if told.stat().st_mtime_ns > changed:
             return list(json.loads(told.read_text(encoding="utf-8")))
     return []
 
@@ -56,18 +59,15 @@ def _outcome(study: Path, record: dict[str, Any], drawn: Sequence[str], figures:
     """Of a study gathered and drawn: how the run went, as a coloured terminal of that width shows it."""
     from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
-    from ssm_study.report.study_folder import StudyFolder
     from ssm_study.table.gather import gather
 
     gather(study)
     shown = figures if record.get("status") == OK else []
-    changed = max((path.stat().st_mtime for path in study.glob(f"*/{RECORD}")), default=0.0)
-    if shown and not all(path.is_file() and path.stat().st_mtime > changed for path in shown):
-        draw(drawn, study)
-    best = StudyFolder(folder=study).best if shown else None
+    if shown:
+        draw(drawn, study, run=record["run"])
     page = Console(file=io.StringIO(), width=width, force_terminal=True, color_system="standard", no_color=False)
     with page.capture() as said:
-        print_outcome(record, [path for path in shown if path.is_file()], page, best.path.name if best else None)
+        print_outcome(record, [path for path in shown if path.is_file()], page)
     return said.get().rstrip("\n")
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
 
-from ssm_study.engine.compose import Composer, Request, combinations
+from ssm_study.engine.compose import Command, Composer, combinations
 from ssm_study.engine.jobs import Job, jobs_of
 from ssm_study.engine.task import Task
 from ssm_study.study.allow_list import refuse_foreign_targets
@@ -35,13 +35,13 @@ def asks_only(arguments: list[str]) -> bool:
     return any(word.split("=")[0] in JUST_ASKING for word in arguments)
 
 
-def check_request(arguments: list[str], folder: Path, name: str) -> Request:
+def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     """The request, composed; refused are foreign targets, Hydra's own section included.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes first.
     Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
-    request = Request(arguments, folder, name)
+    request = Command(arguments, folder, name)
     refuse_foreign_targets(request.config)
     return request
 

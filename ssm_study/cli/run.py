@@ -19,7 +19,7 @@ from ssm_study.cli.endings import StudyCallback
 from ssm_study.cli.explained import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden
 from ssm_study.cli.request import asks_only, check_request, translate
-from ssm_study.engine.compose import Request
+from ssm_study.engine.compose import Command
 from ssm_study.refusal import require
 
 PYTHONS_WARNING = warnings.formatwarning
@@ -59,7 +59,7 @@ def run(overrides: list[str]) -> int:
     StudyCallback.conclude = StudyCallback.stop_watching = None  # of an earlier call in this process
     try:
         if any(word in ("--help", "-h") for word in overrides):
-            Request(overrides, configuration_folder(), "study").help()
+            Command(overrides, configuration_folder(), "study").help()
         elif asks_only(overrides):
             hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(_nothing)()
         else:

@@ -49,7 +49,7 @@ class Loader(ConfigLoaderImpl):
         return self.repository.get_group_options(group_name, results_filter)
 
 
-class Request(Hydra):
+class Command(Hydra):
     """What `hydra.main` does with the arguments of a command, over the configuration `name` in `folder`.
 
     `config` is composed when first asked for, and is what `do` then runs: it can be checked before Hydra makes the

@@ -14,7 +14,7 @@ from typing import Any
 
 from hydra.core.utils import JobReturn, JobStatus, configure_log
 from hydra.types import HydraContext
-from omegaconf import OmegaConf, open_dict, read_write
+from omegaconf import open_dict, read_write
 
 from ssm_study.engine.compose import Composer, adopt
 from ssm_study.engine.durable import locked_or_none
@@ -89,8 +89,7 @@ def run_in_this_process(job: Job, composer: Composer, task: Task[Any], hydra_con
     configure_log(config.hydra.job_logging, config.hydra.verbose)
     os.environ.update(config.hydra.job.env_set)
     hydra_context.callbacks.on_job_start(config=config, task_function=task.job)
-    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    ended = JobReturn(overrides=config.hydra.overrides.task, cfg=own)
+    ended = JobReturn(overrides=config.hydra.overrides.task, cfg=config)  # a copy without Hydra's section takes 10 ms
     try:
         ended.return_value, ended.status = task.job(job.settings), JobStatus.COMPLETED
     except Exception as error:  # whatever the task raises

@@ -136,6 +136,7 @@ class Processes(Launcher):
 def warm(task: Task[Any], jobs: list[Job]) -> None:
     """What every job would import and read for itself: also the code that the first one's keys depend on (0.2 s)."""
     task.warm()
+    task.provenance()
     with contextlib.suppress(Exception):  # the job itself says what is wrong with it
         task.stages(task.request(jobs[0].settings), KeyedStages(store_of(jobs[0].settings)))
 

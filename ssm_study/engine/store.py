@@ -41,8 +41,10 @@ class Store(Stages):
         path = kept.result.path.with_name(f"{kept.result.path.name}.{key[:16]}.json")
         found = unsealed(contents(path)) if path.is_file() else None
         if found is None or found["key"] != key:
+            worked = time.process_time()
             measured = kept.stage.measure(kept.value, *(one.value for one in before))
             found = {"key": key, "facts": {name: storable(name, value) for name, value in measured.items()}}
+            found["processor_seconds"] = time.process_time() - worked
             durable.write_json_atomically(path, sealed(found), durable=False)  # a damaged one is measured again
         facts: Facts = found["facts"]
         return facts

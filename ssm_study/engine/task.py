@@ -61,6 +61,10 @@ class Task(ABC, Generic[R]):
     def warm(self) -> None:
         """Import what every job of a sweep would import for itself; asked once, before the first is forked."""
 
+    def provenance(self) -> Facts:
+        """Commit, versions and machine; found once in a process."""
+        return provenance(self.libraries, Path(inspect.getfile(type(self))))
+
     def settings(self, config: DictConfig | Settings) -> Settings:
         """A configuration refused or resolved."""
         if not isinstance(config, Settings):
@@ -98,7 +102,7 @@ class Task(ABC, Generic[R]):
             parameters | ({INPUTS: content_of(inputs)} if inputs else {}),
             work,
             configuration=configuration_files(settings),
-            provenance=provenance(self.libraries, Path(inspect.getfile(type(self)))),
+            provenance=self.provenance(),
             retry_failed=bool(settings.retry_failed),
         )
 

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.evidence.finding import Case, Finding, doubt
+from ssm_study.models.spec import arx
 from ssm_study.signals import DataSet
 
 PAST, OUTPUTS = 20, 4  # samples of the input's own past, and of the output's
@@ -25,16 +26,32 @@ FORESEEN = 1e-4  # share of an input's power that its past must leave: what a mu
 FEWEST, SHORTEST = 300, 6  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
 SCATTER = 20  # over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
 ROUNDING = 1e-9
+LAGS, UNSTABLE, ALIKE = (3, 5, 8), 1.01, 0.02  # models that must agree on a mode outside the circle
 Rows = Float[np.ndarray, "_ _"]
 
 
 def findings(case: Case) -> Iterator[Finding]:
-    """One doubt at most."""
+    """One doubt at most, and whether what the loop held runs away without it."""
     samples = sum(len(record) for record in case.data.training)
     chance = SCATTER / samples
     if samples >= FEWEST and max(fed_back(case.data, 1) - EARLIER, fed_back(case.data, 0) - PRESENT) >= chance:
         told = f"What is new in the output explains {100 * fed_back(case.data, 0):.0f} % of what is new in the input"
         yield doubt(f"{told}, as in a closed-loop log: record with the loop open.")
+        modes = [own_mode(case.data, lags) for lags in LAGS]
+        if min(modes) > UNSTABLE and np.ptp(modes) < ALIKE:
+            told = (
+                f"The plant runs away by itself (a mode at {np.median(modes):.3g} a sample), and models here are stable"
+            )
+            yield Finding(level="cannot judge", sentence=f"{told}: log its loop with the set point as the input.")
+
+
+def own_mode(data: DataSet, lags: int) -> float:
+    """The largest modulus of a mode of the ARX model; arbitrary without a reference in the log."""
+    records = [(data.scale.scaled_input(one.u), data.scale.scaled_output(one.y)) for one in data.training]
+    a, p = arx(records, lags, feedthrough=False)[0], len(data.scale.output_scale)
+    companion = np.eye(lags * p, k=-p)
+    companion[:p] = np.concatenate(a, axis=1)
+    return float(np.abs(np.linalg.eigvals(companion)).max())
 
 
 def fed_back(data: DataSet, first: int) -> float:

@@ -7,9 +7,9 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
-from ssm_study.evidence.response import RESPONSES, response_samples
+from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.mismatch import ANGLES, AT_REST, Mismatch, left
+from ssm_study.synthesis.mismatch import ANGLES, AT_REST, RESPONSES, Mismatch, stuck
 
 BEYOND = 0.05  # share of samples that may lie beyond the range of training
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
@@ -67,9 +67,12 @@ def _limits(case: Case) -> Iterator[str]:
 
 
 def _length(case: Case) -> Iterator[str]:
-    samples, response = [len(record) for record in case.data.training], response_samples(case.model.linear)
+    samples, response = [len(record) for record in case.data.training], case.model.linear.response_samples()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
+    elif (kept := kept_over(case)) > INTEGRATES:
+        told = f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over the longest record"
+        yield f"{told}, so no log shows where it rests: try the loop, and refine with that log."
     elif max(samples) < RESPONSES * response:
         yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: lengthen it."
 
@@ -112,13 +115,16 @@ def _spectrum(case: Case) -> Iterator[str]:
 
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
-    stuck = max((left(y) for y in _afterwards(case)), default=0.0)
+    response = case.model.linear.response_samples()
+    off = max((*shown.stuck, *(stuck(*case.scaled(record), response) for record in case.data.test)))
     if not shown.rests:
         told = f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield doubt(f"The output does not come to rest by itself ({told}): no loop is predicted to settle it.")
-    elif stuck > AT_REST:
-        told = f"After the input has moved it, the output stays {stuck:.2g} scales off at rest input: friction or play"
-        yield doubt(f"{told}; a loop without integrators may stop as far off.")
+    elif off > AT_REST:
+        told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
+        yield doubt(
+            f"{told}: friction or play; a loop without integrators may stop as far off. Record more returns to rest."
+        )
     elif shown.left_at_rest is None:
         problem = "No record ends at rest input: whether the output rests by itself is unknown"
         yield note(f"{problem}; add such a record.")
@@ -129,12 +135,3 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
         hertz = min(shown.unexcited) / (2 * np.pi * case.data.step_s)
         bands = f"{len(shown.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"
         yield note(f"The input has no power in {bands}: the mismatch is poorly known there.")
-
-
-def _afterwards(case: Case) -> Iterator[Float[np.ndarray, "T p"]]:
-    """Outputs at rest input after it has moved, where that lasts `RESPONSES` of the model's own."""
-    least = RESPONSES * response_samples(case.model.linear)
-    for u, y in map(case.scaled, (*case.data.trials, *case.data.validation, *case.data.test)):
-        still = np.flatnonzero(u.any(axis=1))[-1:] + 1  # none where the input never moves
-        if len(still) and len(u) - still[0] >= max(least, 8):
-            yield y[still[0] :]

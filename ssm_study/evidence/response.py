@@ -13,17 +13,16 @@ from jaxtyping import Complex, Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS, lagged
-from ssm_study.systems import StateSpace
+from ssm_study.synthesis.mismatch import RESPONSES
 
-LONGEST, REMAINDER = 4000, 0.1  # samples; share of the response: its bulk, not the tail of a mode that no record filled
 AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
-RESPONSES = 2  # a record, and a piece of a coherence's average, should last this many times the model's own response
 USED = 0.1  # the controller's band: where the model answers with this share of its largest gain
 COHERENT, INCOHERENT = 0.3, 0.5  # coherence below which a frequency counts, and the share of the band that is a doubt
 CLEAR, SMALL = 4.0, 0.1  # standard errors of a lag, and the share of the largest lag below which it counts as none
 SMOOTH = 1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
+INTEGRATES = 0.9  # share of the slowest mode left over the longest record, above which it is taken for an integrator
 COARSE, FINE, ENOUGH = 3, 1000, 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
@@ -32,9 +31,9 @@ def findings(case: Case) -> list[Finding]:
     return [*_coherence(case), *_dead_time(case), *_sampling(case)]
 
 
-def response_samples(linear: StateSpace) -> int:
-    """The bulk of the model's response."""
-    return linear.response_samples(LONGEST, REMAINDER)
+def kept_over(case: Case) -> float:
+    """What the model's slowest mode leaves of itself over the longest training record: all of it for an integrator."""
+    return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
 def _coherence(case: Case) -> Iterator[Finding]:
@@ -42,7 +41,7 @@ def _coherence(case: Case) -> Iterator[Finding]:
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear
-    if not parts or segment < RESPONSES * response_samples(linear):  # what outlasts a piece counts as noise
+    if not parts or segment < RESPONSES * linear.response_samples():  # what outlasts a piece counts as noise
         return
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = np.abs(np.linalg.solve(np.exp(1j * angles)[:, None, None] * np.eye(len(linear.a)) - linear.a, linear.b))
@@ -74,11 +73,11 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
 
 def _sampling(case: Case) -> Iterator[Finding]:
     """Whether a log was sampled much too slowly or too fast for what its model answers."""
-    response = response_samples(case.model.linear)
+    response = case.model.linear.response_samples()
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
     if case.data.metadata.get("source") == "recorded" and response <= COARSE:
         yield note(f"{told}: sample more often, or the controller cannot act within it.")
-    elif case.data.metadata.get("source") == "recorded" and response >= FINE:
+    elif case.data.metadata.get("source") == "recorded" and response >= FINE and kept_over(case) <= INTEGRATES:
         keep = response // ENOUGH
         yield note(f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}.")
 
@@ -89,9 +88,8 @@ def _dead_time(case: Case) -> Iterator[Finding]:
         return
     told = f"The output answers {late} samples late"
     if late > order:
-        yield doubt(
-            f"{told}, more than model.order={order} can delay it: use model.order={late + 2} or a longer step_s."
-        )
+        remedy = f"use model=delayed model.dead_time={late}, or a longer step_s"
+        yield doubt(f"{told}, more than model.order={order} can delay it: {remedy}.")
     else:
         yield note(f"{told}, which takes as many of the {order} states.")
 

@@ -91,38 +91,22 @@ def _inner(device: Device, name: str) -> dict[str, str]:
     (n, r), real, (q, _) = neurons.into.shape, device.real, neurons.h.shape
     arguments = {"f": ("x", n), "g": ("lifted", neurons.g.shape[1]), "l_z": ("error", neurons.l_z.shape[1])}
     given = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
-    text = f"
-static inline void {name}_neurons({given}, {real} *w) {{
-    {real} z;
-"
-    text += f"    for (int i = 0; i < {r}; ++i) w[i] = {name}_bias[i];
-"
-    for matrix, (vector, size) in arguments.items():
-        text += f"    {name}_matvec({r}, {size}, {name}_{matrix}, {vector}, w);
-"
+    lines = [f"static inline void {name}_neurons({given}, {real} *w) {{", f"    {real} z;"]
+    lines += [f"    for (int i = 0; i < {r}; ++i) w[i] = {name}_bias[i];"]
+    lines += [f"    {name}_matvec({r}, {size}, {name}_{m}, {vector}, w);" for m, (vector, size) in arguments.items()]
     for i, kind in enumerate(neurons.kinds):
         c = NEURONS[kind].c
         if real == "float":  # tanhf and 1.0f
             c = re.sub(r"(\d\.\d)", r"\1f", re.sub(r"([a-z]\w+)\(", r"\1f(", c))
-        text += f"    z = w[{i}];
-    w[{i}] = {c} - {name}_phi_bias[{i}];
-"
-    read = f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};
-    {real} seen[{r}];
-"
-    read += f"    {name}_neurons(state->x, lifted, none, seen);
-    {name}_matvec({q}, {r}, {name}_h, seen, ybar);
-"
-    driven = f"    {real} w[{r}];
-    {name}_neurons(state->x, lifted, error, w);
-"
-    driven += f"    {name}_matvec({n}, {r}, {name}_into, w, next);
-"
-    include = "#include <math.h> /* link with -lm */
-
-"
-    return {"include": include, "neurons": text + "}
-", "read": read * neurons.h.any(), "driven": driven}
+        lines += [f"    z = w[{i}];", f"    w[{i}] = {c} - {name}_phi_bias[{i}];"]
+    read = [f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};", f"    {real} seen[{r}];"]
+    read += [f"    {name}_neurons(state->x, lifted, none, seen);"]
+    read += [f"    {name}_matvec({q}, {r}, {name}_h, seen, ybar);"]
+    driven = [f"    {real} w[{r}];", f"    {name}_neurons(state->x, lifted, error, w);"]
+    driven += [f"    {name}_matvec({n}, {r}, {name}_into, w, next);"]
+    parts = {"neurons": [*lines, "}"], "read": read if neurons.h.any() else [], "driven": driven}
+    text = {label: "".join(f"{line}\n" for line in part) for label, part in parts.items()}
+    return text | {"neurons": f"\n{text['neurons']}", "include": "#include <math.h> /* link with -lm */\n\n"}
 
 
 def _replay(device: Device, name: str) -> str:

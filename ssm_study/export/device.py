@@ -7,123 +7,17 @@ the estimate, and integrators rest while it acts: nothing winds up. `Device` is 
 law in NumPy, one rounding for one rounding of the C code compiled with `-ffp-contract=off`.
 """
 
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network, PortableMap, break_points
-from ssm_study.models.structured import Model, StructuredSSM, phi
-from ssm_study.refusal import BadRequest, one_of, require
-from ssm_study.signals import Scale
-from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.systems import StateSpace, StructuredSystem, System
-
-
-@dataclass(frozen=True, kw_only=True)
-class PortableNeurons:
-    """`phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output: `into` x+, and `h` the output.
-
-    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for integrators.
-    """
-
-    into: Float[np.ndarray, "n r"]
-    f: Float[np.ndarray, "r n"]
-    g: Float[np.ndarray, "r k"]
-    h: Float[np.ndarray, "q r"]
-    l_z: Float[np.ndarray, "r p"]
-    bias: Float[np.ndarray, "r"]
-    phi_bias: Float[np.ndarray, "r"]
-    kinds: tuple[str, ...]
-
-    def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
-        """In the order of the C code; without `error`, nothing is injected."""
-        z = _times(self.g, lifted, _times(self.f, x, self.bias))
-        return phi(self.kinds, z if error is None else _times(self.l_z, error, z)) - self.phi_bias
-
-
-@dataclass(frozen=True, kw_only=True)
-class PortableController:
-    """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u - u_eq)/s_u`.
-
-    `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the equilibrium: the estimate
-    of the model's scaled state and, with integral action, the integrators `z+ = z + w` below it (`E` is zero without).
-    `neurons` are those of a structured model, added to `x+` and to what `S_y` reads.
-    """
-
-    a: Float[np.ndarray, "n n"]
-    b: Float[np.ndarray, "n k"]
-    c: Float[np.ndarray, "q n"]
-    d: Float[np.ndarray, "q k"]
-    k: Float[np.ndarray, "m n"]
-    l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
-    e: Float[np.ndarray, "n p"]
-    s_in: PortableMap
-    s_out: PortableMap
-    scale: Scale
-    step_s: float
-    neurons: PortableNeurons | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        maps: dict[str, Any] = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
-        maps |= {"kinds": self.neurons.kinds} if self.neurons else {}
-        return {name: values.tolist() for name, values in self.arrays().items()} | maps | {"step_s": self.step_s}
-
-    def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Every constant but the maps' own, by name."""
-        inner = {name: part for name, part in vars(self.neurons or 0).items() if name != "kinds"}
-        return {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")} | vars(self.scale) | inner
-
-    def recurrence(self) -> System:
-        """`A, B, C, D` of the model alone, without the integrators, in float64."""
-        n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the integrators alone
-        parts = {"a": self.a[:n, :n], "b": self.b[:n], "c": self.c[:, :n], "d": self.d}
-        linear = {name: np.asarray(part, dtype=float) for name, part in parts.items()}
-        if not self.neurons:
-            return StateSpace(**linear)
-        inner = in_floats(self.neurons, np.float64)
-        return StructuredSystem(**linear, e=inner.into[:n], f=inner.f[:, :n], g=inner.g, h=inner.h)
-
-
-def portable(model: Model, design: Design) -> PortableController:
-    """Raises `BadRequest` when the design has no controller or observer, or was made for another model."""
-    for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
-        if isinstance(part, Infeasible):
-            raise BadRequest(f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run")
-    k, l = design.pair.k, design.pair.l  # noqa: E741 - the paper's letter
-    linear, n, p = model.linear, model.order, model.scale.outputs
-    fits = k.shape[1] in (n, n + p) and len(l) == n
-    require(fits, "certificate", k.shape, f"the model has order {n}", "export the run as stored")
-    added = k.shape[1] - n  # integrators
-    below = ((0, added), (0, 0))
-    return PortableController(
-        a=scipy.linalg.block_diag(linear.a, np.eye(added)),
-        b=np.pad(linear.b, below),
-        c=np.pad(linear.c, ((0, 0), (0, added))),
-        d=linear.d,
-        k=k,
-        l=np.pad(l, below),
-        e=np.vstack([np.zeros((n, p)), np.eye(p)[:added]]),
-        s_in=model.scaffold_in.portable(),
-        s_out=model.scaffold_out.portable(),
-        scale=model.scale,
-        step_s=model.step_s,
-        neurons=_neurons(model, design.pair.l_z, added),
-    )
-
-
-def _neurons(model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int) -> PortableNeurons | None:
-    if not isinstance(model, StructuredSSM) or not model.neurons:
-        return None
-    none = np.zeros((len(model.neurons), model.scale.outputs))
-    return PortableNeurons(
-        into=np.pad(model.e, ((0, added), (0, 0))), f=np.pad(model.f, ((0, 0), (0, added))), g=model.g, h=model.h,
-        l_z=none if l_z is None else l_z, bias=model.bias, phi_bias=phi(model.neurons, model.bias), kinds=model.neurons,
-    )  # fmt: skip
-
+from ssm_study.export.portable import PortableController, Vector, in_floats, times
+from ssm_study.refusal import one_of
+from ssm_study.systems import StateSpace
 
 Row = Float[np.ndarray, "_"]
 
@@ -187,8 +81,6 @@ def _scalar(portable: PortableMap) -> tuple[Row, Row, Row] | None:
 REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
 IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 
-Vector = Float[np.ndarray, "_"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
@@ -206,7 +98,8 @@ class Device:
     """A controller rounded to `real`, with input limits `lower, upper (m,)`, physical; infinite where there is none.
 
     `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, no constant input
-    reaches every output, or the rest points of neurons would have to be searched. Raises `BadRequest` for another `real`.
+    reaches every output, or the rest points of neurons would have to be searched. Raises `BadRequest` for
+    another `real`.
     """
 
     controller: PortableController
@@ -260,24 +153,24 @@ class Device:
         c, points = self.controller, self.set_points
         if points is None:
             return np.zeros(len(c.a), dtype=REALS[self.real])
-        return _times(points.at_rest, _times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))))
+        return times(points.at_rest, times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))))
 
     def track(self, x: Vector, y: Vector, r: Vector) -> tuple[Vector, Vector]:
         """The input for this sample, clamped, and the next state; without set points towards the equilibrium."""
         c, rest = self.controller, self.aim(r)
-        asked = c.scale.physical_input(_times(c.k, x - rest["x"], rest["v"]))
+        asked = c.scale.physical_input(times(c.k, x - rest["x"], rest["v"]))
         u = np.clip(asked, self.lower, self.upper)
         lifted = _mapped(c.s_in, c.scale.scaled_input(u))  # the observer is told what was applied
         measured = c.scale.scaled_output(y)
-        read = _times(c.d, lifted, _times(c.c, x))
+        read = times(c.d, lifted, times(c.c, x))
         if c.neurons and c.neurons.h.any():
-            read = _times(c.neurons.h, c.neurons(x, lifted), read)
+            read = times(c.neurons.h, c.neurons(x, lifted), read)
         error = _mapped(c.s_out, read) - measured
-        following = _times(c.l, error, _times(c.b, lifted, _times(c.a, x)))
+        following = times(c.l, error, times(c.b, lifted, times(c.a, x)))
         if c.neurons:
-            following = _times(c.neurons.into, c.neurons(x, lifted, error), following)
+            following = times(c.neurons.into, c.neurons(x, lifted, error), following)
         if np.array_equal(u, asked):  # integrators rest while a limit acts
-            following = _times(c.e, measured - rest["w"], following)
+            following = times(c.e, measured - rest["w"], following)
         return u, following
 
     def aim(self, r: Vector) -> dict[str, Vector]:
@@ -285,11 +178,11 @@ class Device:
         c, points, real = self.controller, self.set_points, REALS[self.real]
         if points is None:
             return {"x": np.zeros(len(c.a), real), "v": np.zeros(len(c.k), real), "w": np.zeros(c.l.shape[1], real)}
-        wanted = _times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
+        wanted = times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
         u = np.clip(c.scale.physical_input(_undone(points.inward, wanted)), self.lower, self.upper)
         v = c.scale.scaled_input(u)
         lifted = _mapped(c.s_in, v)
-        return {"x": _times(points.at_rest, lifted), "v": v, "w": _mapped(c.s_out, _times(points.seen, lifted))}
+        return {"x": times(points.at_rest, lifted), "v": v, "w": _mapped(c.s_out, times(points.seen, lifted))}
 
     def replay(self, y: Float[np.ndarray, "T p"], r: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T m"]:
         """What the device applies to these measurements and set points, started at the first measurement."""
@@ -301,40 +194,21 @@ class Device:
         return np.stack(applied)
 
 
-def _times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -> Vector:
-    """`start + a x`, summed from the first column on: the order of the C code, which `@` does not promise."""
-    y = np.zeros(len(a), dtype=a.dtype) if start is None else start
-    for j, value in enumerate(x):
-        y = y + a[:, j] * value  # two roundings, as in C without contraction
-    return y
-
-
 def _mapped(portable: PortableMap, v: Vector) -> Vector:
-    out, d = _times(portable.linear, v), v
+    out, d = times(portable.linear, v), v
     if portable.network is None:
         return out
     for w, b, low, high in portable.network.hidden():
-        z = _times(w, d, b)
+        z = times(w, d, b)
         d = np.where(z >= 0, high * z, low * z) - np.where(b >= 0, high, low) * b
-    return _times(portable.network.weights[-1], d, out)
+    return times(portable.network.weights[-1], d, out)
 
 
 def _undone(inverse: Inverse, w: Vector) -> Vector:
     if inverse.matrix is not None:
-        return _times(inverse.matrix, w)
+        return times(inverse.matrix, w)
     found = []
     for (points, slopes, offsets), value in zip(inverse.channels, w, strict=True):
         j = int((points <= value).sum())  # the piece
         found.append(slopes[j] * value + offsets[j])
     return np.array(found, dtype=w.dtype)
-
-
-def in_floats(value: Any, kind: Any) -> Any:
-    """The same with every array in it, at any depth, rounded to `kind`, or widened to it."""
-    if isinstance(value, np.ndarray):
-        return value.astype(kind)
-    if isinstance(value, tuple):
-        return tuple(in_floats(part, kind) for part in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{part.name: in_floats(getattr(value, part.name), kind) for part in fields(value)})
-    return value

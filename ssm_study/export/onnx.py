@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import PortableMap
-from ssm_study.export.device import PortableController, PortableNeurons
+from ssm_study.export.portable import PortableController, PortableNeurons
 
 OPSET, IR_VERSION = 17, 8  # old enough for runtimes in the field
 
@@ -46,7 +46,8 @@ class _Graph:
 
     def neurons(self, inner: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
         """`phi(F x + G v + L_z e + b) - phi(b)`, the kinds side by side, each masked to its own neurons."""
-        seen = [self.times(x, inner.f), self.times(lifted, inner.g)] + [self.times(error, inner.l_z)] * bool(error)
+        seen = [self.times(x, inner.f), self.times(lifted, inner.g)]
+        seen += [self.times(error, inner.l_z)] if error else []
         z, parts = self.apply("Sum", *seen, inner.bias), []
         for kind in sorted(set(inner.kinds)):
             own = np.array([each == kind for each in inner.kinds], dtype=float)

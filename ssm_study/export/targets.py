@@ -17,16 +17,19 @@ from omegaconf import OmegaConf
 from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.mcap import read_mcap
+from ssm_study.engine.settings import resolved
 from ssm_study.export.c import Words, c_files
-from ssm_study.export.device import Device, PortableController, in_floats, portable
+from ssm_study.export.device import Device
 from ssm_study.export.onnx import onnx_model
-from ssm_study.loop.certified_bound import within_limits
+from ssm_study.export.portable import PortableController, in_floats, portable
+from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.models.structured import Model, model_from_json
 from ssm_study.refusal import BadRequest, require
-from ssm_study.signals import Channel
+from ssm_study.signals import Channel, input_limits
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.deployed import within_limits
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.theorem import Known, Theorem
 from ssm_study.synthesis.theorems.integral_action import augmented, controlled_system
@@ -70,7 +73,11 @@ def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") ->
         about=describe(run),
         signals=_described(run, device),
         digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
-        rates=(f"Rates proved for the numbers below, in {real}: {sides}.", *_limited(run, design, device)),
+        rates=(
+            f"Rates proved for the numbers below, in {real}: {sides}.",
+            *_limited(run, design, device),
+            *_rounded_loop(run, device),
+        ),
     )
     return c_files(device, words, prefix)
 
@@ -85,8 +92,7 @@ def limits(run: Path) -> tuple[Range, Range]:
         return np.array([-np.inf]), np.array([np.inf])
     asked = OmegaConf.load(file) if file.is_file() else OmegaConf.create()
     given = [OmegaConf.select(asked, f"loop.input_{end}") for end in ("lower", "upper")]
-    lower, upper = (np.full_like(most, most if end is None else end) for end, most in zip(given, seen[1:], strict=True))
-    return lower, upper
+    return input_limits(resolved(given[0]), resolved(given[1]), [np.stack(seen[1:])])
 
 
 def _seen(run: Path, name: str, topic: str) -> tuple[tuple[Channel, ...], Range, Range] | None:
@@ -115,15 +121,18 @@ def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
     lower, upper = (np.asarray(limit, dtype=float) for limit in (device.lower, device.upper))
     if device.set_points is None or max(-lower.min(), upper.max()) >= UNLIMITED:
         return ()
+    model = _model(run)
+    if not isinstance(model, SSM):
+        return ("Nothing is proved of the limits: the theorem knows no neurons.",)
     try:
-        found = within_limits(_model(run), design, lower, upper, informed=True)
+        found = within_limits(model, design, lower, upper)
     except BadRequest as refusal:
         return (str(refusal),)
     ends = " and ".join(f"{low:.6g} to {high:.6g}" for low, high in zip(found.lower, found.upper, strict=True))
     beyond = "Beyond that range nothing is proved from everywhere."
     if found.everywhere:
-        exact = "where the estimate is exact; the observer's error and integrators that a limit holds are not covered"
-        beyond = f"From everywhere the saturated loop contracts at rate {found.everywhere.rate:.3g} {exact}."
+        beyond = f"From everywhere the state feedback, cut at the limits, contracts at rate {found.everywhere.rate:.3g}"
+        beyond += ", and the estimate as fast as without them."
     inside = f"Within the limits the full rates hold from rest at outputs from {ends}, at the set point of rest."
     return inside, beyond
 
@@ -146,7 +155,9 @@ def load(run: Path) -> PortableController:
 
 def _model(run: Path) -> Model:
     model = model_from_json(json.loads((run / "model.json").read_text()))
-    require(isinstance(model, Model), "model", type(model).__name__, "has no certificate", "use model=ssm or structured")
+    require(
+        isinstance(model, Model), "model", type(model).__name__, "has no certificate", "use model=ssm or structured"
+    )
     return model  # type: ignore[return-value]  # just asked
 
 
@@ -162,6 +173,26 @@ def describe(run: Path) -> str:
     return f"Controller of run {run.resolve().parent.name}/{run.resolve().name}, {verdict}; see certificate.json."
 
 
+def _rounded_loop(run: Path, device: Device) -> tuple[str, ...]:
+    """What rounding does to the loop on the model, from rest one output scale off; nothing in double."""
+    if device.set_points is None or device.real == "double":
+        return ()
+    model, limits = _model(run), (end.astype(float) for end in (device.lower, device.upper))
+    exact = Device.of(load(run), "double", *limits)
+    rest, found = model.scale.output_equilibrium, []
+    for one in (device, exact):
+        x, y = exact.start(rest + model.scale.output_scale)[: model.order], []
+        state = one.start((rest + model.scale.output_scale).astype(one.lower.dtype))
+        for _ in range(LOOP_SAMPLES):
+            y.append(model.read(x, np.zeros(model.linear.b.shape[1])))
+            u, state = one.track(state, *(np.asarray(seen, dtype=one.lower.dtype) for seen in (y[-1], rest)))
+            x = model.advance(x, model.lift(u.astype(float)))
+        found.append(np.array(y))
+    apart = float((np.abs(found[0] - found[1]) / model.scale.output_scale).max())
+    return (f"Rounding to {device.real} moves the loop on the model by at most {apart:.1e} output scales.",)
+
+
+LOOP_SAMPLES = 200
 HALVINGS = 12  # of the rate, where the stored one does not survive rounding: to a 4000th of it
 
 

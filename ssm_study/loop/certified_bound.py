@@ -1,4 +1,4 @@
-"""The certified bound of the output feedback, sample by sample, and what it says when the input is limited.
+"""The certified bound of the output feedback, sample by sample.
 
 With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] = ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <= r_c d[k] + c e[k]`
 and Theorem 2 `e[k+1] <= r_o e[k]`, so
@@ -9,42 +9,23 @@ and Theorem 2 `e[k+1] <= r_o e[k]`, so
 `nu ||K (xh - x)||`. With neurons it also acts through them, see `input_gain`. Source: [Z26] Lemma 1 and Theorem 3,
 with the constant made explicit.
 
-**Inside.** While `|k_i xh| <= l_i` no limit acts, so all this holds, and
-
-    |k_i xh| <= kappa_i d + eta_i e,      kappa_i = sqrt(k_i P k_i'),  eta_i = sqrt(k_xi Q^{-1} k_xi').
-
-If the right-hand side, along the bound from `(d_0, e_0)`, stays at or below `l_i` for every sample, then by induction
-no limit ever acts and the full rates hold. It is linear in the start, so the largest set of starts is a scaled one.
-
-**Everywhere.** A limit is a map of slopes in [0, 1], so `S_u(sat(.))` has slopes between 0 and `nu`: the ball
-`alpha = beta = nu/2`, for which Theorem 1 at the given K proves a rate or not. No gain makes it exceed the open loop's:
-with slope zero the input does nothing. The observer is told what was applied, so its rate holds with limits as without.
-Source: [Z26] Theorems 1 to 3; THEORY section 8.
+With limited inputs: `theorems/limited_input.py`, whose certificate takes the state feedback's place here, and
+`theorems/unlimited_start.py`. Source: [Z26] Theorems 1 to 3; THEORY section 8.
 """
 
-import time
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.loop.trajectory import held
-from ssm_study.models.identified import SSM
-from ssm_study.refusal import require
-from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.certificate import Observer, StateFeedback
 from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
 
 ROUNDING = 1e-9  # relative: what float64 may add to a distance over a thousand steps
 RESOLUTION = 1e-12  # of the bound's own start: below it both sides are rounding
 MOST_NEURONS = 10  # up to so many the corners of their slopes are tried, a thousand small norms
 FORGOTTEN = 1e-6  # of the estimate's first error: its decay is measured until there, far above rounding
-PEAK_PASSED = 1e-9  # of the start: a bound that has shrunk to it stays below its peak
-LEAST_RATE = 1e-6  # below it nothing is said to contract
-HALVINGS = 12
-SLACK = 1e-6  # E as a share of the mean of `B B'/r^2`: what rounding must not eat
 States = Float[np.ndarray, "N T n"]
 Estimates = Float[np.ndarray, "N T s"]  # integrators are the columns beyond n
 
@@ -138,84 +119,3 @@ def excess(x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedba
     beyond = _in_metric(x_hat, feedback) - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
     moving = bound[:, 0] > 0
     return float(np.maximum(beyond[moving] / bound[moving, :1], 0.0).max()) if moving.any() else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class WithinLimits:
-    """`lower, upper (p,)`: plants at rest at outputs between them start inside the set, physical units.
-
-    `everywhere` is the certificate of the saturated state feedback from any start, None where Theorem 1 proves none.
-    """
-
-    lower: Float[np.ndarray, "p"]
-    upper: Float[np.ndarray, "p"]
-    everywhere: StateFeedbackOfBall | None
-
-
-def within_limits(
-    model: SSM, design: Design, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"], *, informed: bool
-) -> WithinLimits:
-    """Both statements for input limits in physical units; `informed`: the estimate starts at rest at the measurement.
-
-    Otherwise it starts at the equilibrium. Raises `BadRequest` where the equilibrium's input is not inside the limits,
-    for an infeasible design, or for several outputs behind a nonlinear S_y.
-    """
-    (feedback, observer), scale, outward = design.parts(), model.scale, model.scaffold_out
-    room = np.minimum(upper - scale.input_equilibrium, scale.input_equilibrium - lower)
-    limits, problem = (lower.tolist(), upper.tolist()), "do not enclose the input at rest"
-    require(bool((room > 0).all()), "input limits", limits, problem, "widen them or choose another operating point")
-    single, told = outward.inputs == 1 or outward.kind == "linear", "the range of several outputs needs a linear map"
-    require(single, "model.scaffold_out", outward.kind, told, "use scaffold@model.scaffold_out=linear")
-    share = float((room / scale.input_scale / _peaks(model, feedback, observer, informed)).min()) / (1 + ROUNDING)
-    ends = outward(share * np.array([[-1.0], [1.0]]) * np.ones(outward.inputs))
-    low, high = np.sort(scale.physical_output(ends), axis=0)
-    saturated = everywhere(feedback) if isinstance(feedback, StateFeedbackOfBall) else None
-    return WithinLimits(lower=low, upper=high, everywhere=saturated)
-
-
-def _peaks(model: SSM, feedback: StateFeedback, observer: Observer, informed: bool) -> Float[np.ndarray, "m"]:
-    """The largest `kappa_i d + eta_i e` along the bound, over rest states whose `ybar` lies in the unit box."""
-    n, (rest, gain) = model.order, held(model.linear)
-    to_state = rest @ np.linalg.pinv(gain)  # from ybar at rest to the state that holds it
-    corners = np.array(list(product((-1.0, 1.0), repeat=to_state.shape[1]))) @ to_state.T
-    d0 = np.linalg.norm(rooted(feedback.p, np.pad(corners, ((0, 0), (0, len(feedback.p) - n))).T), axis=0)
-    e0 = 0.0 * d0 if informed else np.linalg.norm(corners @ np.linalg.cholesky(observer.q), axis=1)
-    samples = 2 + int(np.ceil(np.log(PEAK_PASSED) / np.log(max(feedback.contraction, observer.contraction))))
-    d = certified_bound(np.array([d0.max()]), np.array([e0.max()]), samples, feedback, observer)[0]
-    e = e0.max() * observer.contraction ** np.arange(samples)
-    kappa = np.sqrt(np.einsum("ij,jk,ik->i", feedback.k, feedback.p, feedback.k))  # |k_i x| <= kappa_i ||x||_M
-    eta = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(observer.q), feedback.k[:, :n].T), axis=0)
-    return (kappa[:, None] * d + eta[:, None] * e).max(axis=1)
-
-
-def everywhere(feedback: StateFeedbackOfBall) -> StateFeedbackOfBall | None:
-    """Theorem 1 for the given K and the ball `alpha = beta = nu/2`, near its largest rate; None where it proves none.
-
-    The distance factor is bisected between the open loop's (with slope zero the input does nothing) and one; exact
-    arithmetic decides each.
-    """
-    half = (abs(feedback.alpha) + feedback.beta) / 2  # slopes in [0, nu]
-    ball = {"alpha": float(np.copysign(half, feedback.alpha)), "beta": half}
-    low, high = min(float(np.abs(np.linalg.eigvals(feedback.a)).max()), 1.0), float(np.sqrt(1 - LEAST_RATE))
-    best = _at(feedback, ball, high)
-    for _ in range(HALVINGS if best else 0):
-        middle = (low + high) / 2
-        found = _at(feedback, ball, middle)
-        low, high, best = (low, middle, found) if found else (middle, high, best)
-    return best
-
-
-def _at(feedback: StateFeedbackOfBall, ball: dict[str, float], r: float) -> StateFeedbackOfBall | None:
-    """`P = F (P^{-1} - beta^2 K'K)^{-1} F' + B B'/r^2 + E`, `F = (A + alpha B K)/r`: a discrete Riccati equation."""
-    started, (n, m) = time.perf_counter(), feedback.b.shape
-    f, driven = (feedback.a + ball["alpha"] * feedback.b @ feedback.k) / r, feedback.b @ feedback.b.T / r**2
-    slack = SLACK * np.trace(driven) / n * np.eye(n)
-    try:
-        p = scipy.linalg.solve_discrete_are(f.T, feedback.k.T, driven + slack, -np.eye(m) / ball["beta"] ** 2)
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    p = (p + p.T) / 2
-    numbers = {"a": feedback.a, "b": feedback.b, "k": feedback.k, "p": p, "y": p, "sigma": 1.0, "rate": 1 - r**2}
-    known = {"method": "limited input", "rate_limit": feedback.rate_limit}
-    proved: StateFeedbackOfBall = type(feedback).proved(numbers | ball, started=started, status="bisected", **known)
-    return proved if proved.certified else None

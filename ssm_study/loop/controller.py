@@ -43,8 +43,8 @@ class Controller(ABC):
         """What is followed at each sample; by default the reference itself."""
         return reference
 
-    def demanded(self, targets: Plan) -> Float[np.ndarray, "K m"]:
-        """The inputs that following the targets takes, by the law's own reckoning; none if it reckons nothing."""
+    def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
+        """The inputs that hold the reference's extremes, by the law's own reckoning; none if it reckons nothing."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
@@ -143,9 +143,9 @@ class ObserverFeedback(EstimateFeedback):
             plan = feasible_trajectory(self.model, reference)
         return np.concatenate([plan, self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))], axis=1)
 
-    def demanded(self, targets: Plan) -> Float[np.ndarray, "K m"]:
-        n, m = self.model.order, self.model.scale.inputs
-        return self.model.scale.physical_input(targets[:, n : n + m])
+    def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
+        ends = np.stack([reference.min(axis=0), reference.max(axis=0)])
+        return self.model.scale.physical_input(set_points(self.model, ends)[:, self.model.order :])
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         n, m = self.model.order, self.model.scale.inputs

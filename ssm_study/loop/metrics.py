@@ -8,7 +8,7 @@ import numpy as np
 from ssm_study.columns import Column
 from ssm_study.loop.certified_bound import decay_rate, excess, violations
 from ssm_study.loop.regulation import LoopRuns
-from ssm_study.loop.rollout import STAYED, empirical_rate, motions, overshoots, settling_times_s
+from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
 from ssm_study.synthesis.certificate import Design
 
 Columns = dict[str, float | int | str | None]
@@ -31,6 +31,7 @@ COLUMNS = (
     Column("final_error_worst", "Float64", "low", word="Worst remaining error", unit="output unit"),
     Column("left_bound_count", "Int64", "low", word="Starts stopped at the bound"),
     Column("left_bound_first_s", "Float64", word="First stop at the bound", unit="s"),
+    Column("noise_gain_measured", "Float64", "low", word="Sensor noise on the output, measured", unit="share"),
     Column("empirical_rate", "Float64", "high", word="Measured contraction, r", unit="1/sample"),
     Column("certified_bound_violations", "Int64", "low", word="Violations of the certified bound"),
     Column("estimate_decay_rate", "Float64", "high", word="Measured decay of the estimate's error", unit="1/sample"),
@@ -46,9 +47,24 @@ def behaviour(loop: LoopRuns) -> Columns:
     do. `overshoot_worst`: as a share of the initial distance. `input_peak_v`: largest `|u - u_eq|`. `control_energy`:
     mean over cases of `sum |u - u_eq|^2 step_s`; `integral_squared_error`: likewise of `y - r`. `final_error_worst`:
     largest `|mean of y - r|` over the last tenth of the horizon (noise averages out). `judged_noise_free`: the noise
-    alone crosses the band, so settling is judged without it. `empirical_rate`: None when several plants are pooled.
+    alone crosses the band, so settling is judged without it.
+    `empirical_rate`: None when several plants are pooled. `noise_gain_measured`: see `noise_gain`.
     """
-    return pooled([loop]) | {"empirical_rate": empirical_rate(loop.controlled, loop.settling_band)}
+    rate = empirical_rate(loop.controlled, loop.settling_band)
+    return pooled([loop]) | {"empirical_rate": rate, "noise_gain_measured": noise_gain(loop.controlled)}
+
+
+def noise_gain(run: Rollouts) -> float | None:
+    """`std(y) / std(n)` over the second half of the horizon, cases that stayed, the worst output; None without noise.
+
+    What the sensor's noise n leaves of the true output at rest; `noise_gain` of the design bounds it for the model.
+    """
+    half = run.y.shape[1] // 2
+    if not run.stayed.any() or np.array_equal(run.y, run.measured):
+        return None
+    y, seen = (signal[run.stayed, half:] for signal in (run.y, run.measured))
+    noise = np.maximum((seen - y).std(axis=(0, 1)), np.finfo(float).tiny)
+    return float((np.sqrt(y.var(axis=1).mean(axis=0)) / noise).max())
 
 
 def pooled(loops: list[LoopRuns]) -> Columns:

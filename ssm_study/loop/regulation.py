@@ -1,5 +1,6 @@
 """The experiment: initial conditions, noise, reference and disturbance, on the plant, without control, on the model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,13 +9,13 @@ from jaxtyping import Float
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
 from ssm_study.loop.peers.peer import ComparisonTable
 from ssm_study.loop.reference import Reference, Rest
-from ssm_study.loop.rollout import UNLIMITED, Rollouts, close_loop, settling_times_s
+from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, close_loop, settling_times_s
 from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
 from ssm_study.refusal import BadRequest, at_least, positive, require
-from ssm_study.signals import Channel
+from ssm_study.signals import Channel, input_limits
 from ssm_study.synthesis.area import at_rest
 from ssm_study.synthesis.certificate import Design
 
@@ -133,8 +134,8 @@ class Loop:
     `horizon_s` None is taken from the model's own response (`fitted`). Measured outputs carry Gaussian noise, variance
     `measurement_noise_variance` (unit of the output, squared; None is the plant's own) times `noise_factor`. A case
     whose output strays more than `bound_in_initial_ranges` times the initial range from the equilibrium, beyond what
-    the reference asks, is stopped and counts as unstable. Input limits (unit of the input) are known to the controller.
-    `comparison` is a table the run leaves beside its record, `comparison.csv`.
+    the reference asks, is stopped and counts as unstable. Input limits (unit of the input; one for all, or a list) are
+    known to the controller. `comparison` is a table the run leaves beside its record, `comparison.csv`.
     """
 
     initial_conditions: int = 10
@@ -142,8 +143,8 @@ class Loop:
     measurement_noise_variance: float | None = None
     noise_factor: float = 1.0
     bound_in_initial_ranges: float = 20.0
-    input_lower: float | None = None
-    input_upper: float | None = None
+    input_lower: float | list[float] | None = None
+    input_upper: float | list[float] | None = None
     reference: Reference = field(default_factory=Rest)
     disturbance: Disturbance = field(default_factory=NoDisturbance)
     comparison: ComparisonTable | None = None
@@ -156,12 +157,19 @@ class Loop:
         at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
         require(far > 1, "loop.bound_in_initial_ranges", far, "cases would start outside the bound", "use more than 1")
         (low, high), names = self.limits, "loop.input_lower, loop.input_upper"
-        require(low < high, names, (low, high), "lower must be below upper", "swap them")
+        require(bool(np.all(low < high)), names, (low, high), "lower must be below upper", "swap them")
 
     @property
-    def limits(self) -> tuple[float, float]:
-        low, high = self.input_lower, self.input_upper
-        return (UNLIMITED[0] if low is None else low), (UNLIMITED[1] if high is None else high)
+    def limits(self) -> Limits:
+        """For each input, or one for all."""
+        ends = zip((self.input_lower, self.input_upper), UNLIMITED, strict=True)
+        low, high = (np.asarray(none if end is None else end, dtype=float) for end, none in ends)
+        return low, high
+
+    def within(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
+        """This experiment, limited as given, else to the range of these recorded inputs."""
+        low, high = input_limits(self.input_lower, self.input_upper, inputs)
+        return replace(self, input_lower=low.tolist(), input_upper=high.tolist())
 
     def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
         """The certified design on the plant, beside the plant left alone and the noise-free model."""

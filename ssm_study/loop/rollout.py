@@ -17,6 +17,8 @@ LARGEST_SIGNAL = 1e6
 bound: the plant may saturate while the estimate grows without end."""
 STAYED = -1  # `left_at_sample` of a case that never left the bound
 UNLIMITED = (-np.inf, np.inf)
+Limit = float | Float[np.ndarray, "*m"]
+Limits = tuple[Limit, Limit]
 DWELL = 0.1
 """The share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest."""
 STEADY = 0.9
@@ -60,7 +62,7 @@ def close_loop(
     noise: Float[np.ndarray, "N T p"],
     disturbance: Float[np.ndarray, "N T q"],
     bound: Float[np.ndarray, "p"],
-    limits: tuple[float, float] = UNLIMITED,
+    limits: Limits = UNLIMITED,
 ) -> Rollouts:
     """`u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`, all cases at once.
 
@@ -70,7 +72,8 @@ def close_loop(
     _matched(plant, controller)
     (cases, samples, p), memory, x = noise.shape, controller.start(len(noise)), x0
     targets, rest, amplitude = controller.targets(reference), plant.equilibrium(), np.array(plant.input_amplitude)
-    _reachable(controller.demanded(targets), limits)
+    if any(np.isfinite(end).any() for end in limits):
+        _reachable(controller.demanded(reference), limits)
     widths = {"u": len(plant.inputs), "y": p, "measured": p, "states": x0.shape[1]}
     widths["estimate"] = controller.estimate(memory).shape[1]
     log = {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
@@ -103,11 +106,11 @@ def _matched(plant: Plant, controller: Controller) -> None:
     require(alike, "controller.step_s", controller.step_s, problem, remedy)
 
 
-def _reachable(demanded: Float[np.ndarray, "K m"], limits: tuple[float, float]) -> None:
+def _reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
     excess = float(np.abs(demanded - np.clip(demanded, *limits)).max(initial=0.0))
-    needed = f"needs inputs in [{demanded.min(initial=0.0):.4g}, {demanded.max(initial=0.0):.4g}]"
+    needed = f"is held by inputs in [{demanded.min(initial=0.0):.4g}, {demanded.max(initial=0.0):.4g}]"
     problem = f"beyond the limits loop.input_lower, loop.input_upper by {excess:.4g}"
-    require(excess == 0.0, "loop.reference", needed, problem, "choose a smaller or slower reference")
+    require(excess == 0.0, "loop.reference", needed, problem, "choose a smaller reference")
 
 
 def last_step(reference: Float[np.ndarray, "T p"]) -> int:
@@ -183,9 +186,7 @@ def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
     return float(1.0 - np.median((end / distance[:, 0]) ** (2.0 / np.maximum(at, 1))))
 
 
-def replay_error(
-    controller: Controller, run: Rollouts, lower: float | None = None, upper: float | None = None
-) -> float:
+def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:
     """Largest `|u - u_again| / max |u|` over cases that stayed: `u_again` from the recorded measurements alone.
 
     `u_again` is cut at the limits that the controller knew of; an integrator replays its own hold at a limit.
@@ -193,10 +194,9 @@ def replay_error(
     """
     stayed, targets = run.stayed, controller.targets(run.reference)
     memory, worst = controller.start(int(stayed.sum())), 0.0
-    low, high = -np.inf if lower is None else lower, np.inf if upper is None else upper
     for k in range(run.u.shape[1]):
         applied, measured = run.u[stayed, k], run.measured[stayed, k]
-        again = np.clip(controller.input(memory, measured, targets[k]), low, high)
+        again = np.clip(controller.input(memory, measured, targets[k]), *limits)
         worst = float(np.abs(again - applied).max(initial=worst))
         memory = controller.advance(memory, applied, measured, targets[k])
     return worst / max(float(np.abs(run.u).max()), np.finfo(float).tiny)

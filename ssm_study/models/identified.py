@@ -122,6 +122,16 @@ class SSM(Wired):
         """The same scaffoldings around another linear part (balanced, truncated)."""
         return replace(self, linear=linear)
 
+    def delayed(self, samples: int) -> "SSM":
+        """`x+ = A x + B ub[k - samples]`: what is under way are states of the recurrence."""
+        (a, b, c, d), k = (vars(self.linear)[name] for name in "abcd"), self.linear.b.shape[1]
+        n, late = len(a), samples * k
+        shift = np.eye(n + late, k=-k) * (np.arange(n + late)[:, None] >= n + k)
+        shift[:n, :n], shift[:n, n + late - k :] = a, b
+        into = np.eye(n + late, k, -n)
+        read = np.hstack([c, np.zeros((len(c), late - k)), d])
+        return self.with_linear(StateSpace(a=shift, b=into, c=read, d=0 * d))
+
     def absorbed(self) -> "SSM":
         """The same input-output map, a matrix M moved from each scaffolding into the linear part where that helps.
 

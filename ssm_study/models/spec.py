@@ -168,7 +168,7 @@ class SSMSpec(ModelSpec):
 
     `start`: "data" takes the modes of a least-squares fit, "ring" draws them with radii in `ring_radius` and angles
     (rad per sample) in `ring_frequency`, `real_modes` of them real (only then used). `slope_*` bound the scaffolding's
-    own sector in scaled units; its gain lies in B and C.
+    own sector in scaled units; its gain lies in B and C. `dead_time` in samples: its states come on top of the order.
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -184,8 +184,10 @@ class SSMSpec(ModelSpec):
     real_modes: int = 2
     ring_radius: Sequence[float] = (0.5, 0.98)
     ring_frequency: Sequence[float] = (0.05, 1.5)
+    dead_time: int = 0
 
     def __post_init__(self) -> None:
+        whole(0, "dead_time", self.dead_time, "use 0 for none")
         whole(1, "order", self.order, "a model has at least one state, use 8 or so")
         whole(1, "hidden_width", self.hidden_width, "use 32 or so")
         check_slopes(self.slope_lower, self.slope_upper)

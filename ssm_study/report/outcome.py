@@ -1,7 +1,7 @@
 """What a run came to, on one screen: the claim, the numbers that bear it, and where the figures lie."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +16,19 @@ from ssm_study.table.rank import standing
 
 WIDTH = 80
 MISSING = "–"
+LIMITS = ("limit_lower", "limit_upper", "limited_rate", "unlimited_from", "unlimited_to")
+LIMITED = "{} to {}: rate {} from everywhere, all of it from outputs {} to {}"
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
 
 
-def print_outcome(
-    record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None, drawn: str | None = None
-) -> None:
-    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`).
-
-    The figures show the run `drawn`; where that is another one of the study, a line says so.
-    """
+def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None) -> None:
+    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`)."""
     console = console or Console()
     if not console.is_terminal:
         console = Console(file=console.file, width=WIDTH, color_system=None, force_jupyter=False)
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
-    if figures and drawn not in (None, record.get("run")):
-        console.print(Text(f"The study's best run, which its figures show, is {drawn}:"), soft_wrap=True)
     for line in figure_lines(figures):
         console.print(Text(f"  {line}"), soft_wrap=True, highlight=False)  # a path is never broken
 
@@ -77,8 +72,8 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for name in sorted(key for key in record if key.startswith("score_test_")):
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
         yield name, f"Benchmark score, record {name.removeprefix('score_test_')}", number(name, ".4g", unit)
-    interval = f"[{number('input_slope_lower')}, {number('input_slope_upper')}]"
-    yield "input_slope_lower", "Slopes of S_u", f"{interval} ({number('bound_method')})"
+    slopes = f"[{number('input_slope_lower')}, {number('input_slope_upper')}] ({number('bound_method')})"
+    yield "input_slope_lower", "Slopes of S_u", slopes
     for side in ("controller", "observer"):
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
         shown = f"{number(f'rate_{side}')} {chosen}, at most {number(f'{side}_rate_limit')}: {_certified(record, side)}"
@@ -87,8 +82,7 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     alone = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
     told = "" if record.get("neurons") else f"; model alone {alone:.3g}"  # with neurons A says it not
     yield "controller_certified_rate", "Rate proved of the gains", f"{rates}{told}"
-    seen = f"the records show {number('mismatch_seen')}"
-    yield "certified_tolerance", "Mismatch tolerated", f"{number('certified_tolerance')} is proved, {seen}"
+    yield from _proved(number)
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
     where = "simulated plant" if _on_plant(record) else record["loop_on"]
@@ -98,6 +92,15 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     ratio = f" (ratio {time_s / alone_s:.2f})" if time_s is not None and alone_s else ""
     shown = f"{number('settling_time_mean_s', '.3f', ' s')}, uncontrolled {alone_s or 0:.3f} s{ratio}"
     yield "settling_time_open_loop_s", "Mean settling time", shown
+
+
+def _proved(number: Callable[[str], str]) -> Iterator[tuple[str, str, str]]:
+    """What is proved beside the rates: with limited inputs, of a wrong model, of noise."""
+    yield LIMITS[0], "Within input limits", LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
+    seen = f"the records show {number('mismatch_seen')}"
+    yield "certified_tolerance", "Mismatch tolerated", f"{number('certified_tolerance')} is proved, {seen}"
+    measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
+    yield "noise_gain", "Sensor noise", f"moves the output by at most {number('noise_gain')} of it{measured}"
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:

@@ -148,11 +148,13 @@ class RunFolder:
 class StudyFolder:
     """A study folder: `runs.parquet` as `table`, and its run folders by name; `others` are shown beside it.
 
-    A run of another study is named by its path from `folder`. Raises `BadRequest` where a table is missing.
+    A run of another study is named by its path from `folder`; `shown` names a run to take for the best. Raises
+    `BadRequest` where a table is missing.
     """
 
     folder: Path
     others: tuple[Path, ...] = ()
+    shown: str | None = None
 
     @property
     def name(self) -> str:
@@ -179,7 +181,7 @@ class StudyFolder:
     @cached_property
     def best(self) -> RunFolder | None:
         """The best run that left a model (see `best_first`), or None."""
-        names = [name for name in text(best_first(self.table), "run") if name]
+        names = [self.shown] if self.shown else [name for name in text(best_first(self.table), "run") if name]
         return next((self.run(name) for name in names if (self.folder / name / "model.json").is_file()), None)
 
     def of_best(self, *parts: str, otherwise: str) -> list[Any]:

@@ -1,6 +1,6 @@
 """What the files of a run and its configuration give, section by section: columns derived again and findings.
 
-Each section is a function of the run that yields `Finding`s (a claim of a file that holds or does not), `Derived`
+Each section is a function of the run that yields `Checked`s (a claim of a file that holds or does not), `Derived`
 (columns of the record, to be compared) or `NotChecked` (what this run cannot be asked, with the reason).
 """
 
@@ -27,17 +27,19 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import DataSet, Trajectory, input_limits
 from ssm_study.study import trials
 from ssm_study.study.line import parameters
-from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_cases, read_experiment, signal
+from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME
 from ssm_study.training.metrics import mean_fit
 
@@ -46,7 +48,7 @@ NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class Checked:
     """One claim, whether it holds, and what was found."""
 
     claim: str
@@ -71,7 +73,7 @@ class NotChecked:
     reasons: Mapping[str, str]
 
 
-Claims = Iterator[Finding | Derived | NotChecked]
+Claims = Iterator[Checked | Derived | NotChecked]
 
 
 def files(run: RunFiles) -> Claims:
@@ -80,9 +82,9 @@ def files(run: RunFiles) -> Claims:
     sums = manifest["files"] if manifest else {}
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
-    yield Finding(claim="files", holds=not damaged, found=changed if damaged else "as they were written")
+    yield Checked(claim="files", holds=not damaged, found=changed if damaged else "as they were written")
     if not (run.path / CONFIGURATION).is_file():
-        yield Finding(claim=CONFIGURATION, holds=False, found="is absent")
+        yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     needed |= {"certificate.json", "evidence.json"} if run.claims_certificate else set()
@@ -96,7 +98,7 @@ def files(run: RunFiles) -> Claims:
         "is not sealed": there - sums.keys(),
         "no stage of such a run writes it": sums.keys() - made,
     }.items():
-        yield from (Finding(claim=name, holds=False, found=found) for name in sorted(names))
+        yield from (Checked(claim=name, holds=False, found=found) for name in sorted(names))
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     yield NotChecked(dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"})
     if run.specification.loop.comparison is not None:
@@ -113,7 +115,7 @@ def requested(run: RunFiles) -> Claims:
     yield Derived({name: value for name, value in asked.items() if name not in designed})
     for name in sorted(designed & {name for name, rate in asked.items() if rate is not None}):
         same = run.record.get(name) == asked[name]
-        yield Finding(claim=f"synthesis.{name}", holds=same, found=f"{asked[name]} was requested")
+        yield Checked(claim=f"synthesis.{name}", holds=same, found=f"{asked[name]} was requested")
 
 
 def status(run: RunFiles) -> Claims:
@@ -156,14 +158,12 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     if run.claims_certificate:
         judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))
         found = f"records and model give {judged['evidence']}"
-        yield Finding(claim="evidence.json", holds=stated == judged, found=found)
+        yield Checked(claim="evidence.json", holds=stated == judged, found=found)
         yield Derived(judged)
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
-    cases = read_cases(run.path / "excitation.mcap")[0].values()
-    kept_inputs = [signal(case, "input", run.path / "excitation.mcap").values for case in cases]
-    inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(kept_inputs, records.training, strict=True))}
+    inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(run.inputs, records.training, strict=True))}
     yield agreement("excitation.mcap", inputs, ITERATED, "the configuration gives it")
 
 
@@ -187,7 +187,7 @@ def model(run: RunFiles) -> Claims:
 
 def certificate(run: RunFiles) -> Claims:
     """Both theorems in exact rational arithmetic on the stored matrices, and the columns that follow from them."""
-    design, system = run.design, run.model.system
+    design, system, spec = run.design, run.model.system, run.specification.loop
     balls, feedback = certified_balls(run.model), run.design.state_feedback
     controlled = controlled_system(run.model, feedback.k) if isinstance(feedback, StateFeedback) else system
     broken = broken_claims(run.certificate, system, balls, controlled)
@@ -198,9 +198,14 @@ def certificate(run: RunFiles) -> Claims:
         why = part.reason if isinstance(part, Infeasible) else part.solver_status
         found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
-        yield Finding(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
+        yield Checked(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
+    told = {label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)}
+    ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.inputs))).T
+    pairs = {label: (part.limits, ends) for label, part in told.items()}
+    yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
     kept = run.simulated.validation
-    facts = design_facts(design, run.model, balls, kept.records, kept.start_up_samples, run.trials)
+    shown = mismatch(run.model, kept.records, kept.start_up_samples, run.trials)
+    facts = design_facts(design, run.model, balls, shown)
     yield Derived(withheld(facts, run.record.get("evidence")))
 
 
@@ -232,10 +237,10 @@ def loop(run: RunFiles) -> Claims:
     spec, design, plant = run.specification, run.design, run.plant
     kept, loop_on = read_experiment(run.path)
     controller = ObserverFeedback.of(run.model, design)
-    apart = replay_error(controller, kept.controlled, spec.loop.input_lower, spec.loop.input_upper)
+    apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
-    yield Finding(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    again = spec.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
+    yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
+    again = run.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
     pairs = of_rollouts(kept.controlled, again.controlled) | {
         "settling_band": (kept.settling_band, again.settling_band),
         "input_equilibrium": (kept.input_equilibrium, again.input_equilibrium),
@@ -247,7 +252,7 @@ def loop(run: RunFiles) -> Claims:
         if stored is not None or made is not None:
             yield agreement(name, of_rollouts(stored, made), ITERATED, "stored model and gains give it")
     same = loop_on == ("plant" if spec.plant else "identified model")
-    yield Finding(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
+    yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
 
 
@@ -259,13 +264,13 @@ def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple
     return {name: (getattr(kept, name), getattr(made, name)) for name in names}
 
 
-def agreement(claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str) -> Finding:
+def agreement(claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str) -> Checked:
     """Whether each stored value is the one made again, to `tolerance` of its largest entry."""
     apart = {name: distance(*pair) for name, pair in pairs.items()}
     worst = max(apart, key=lambda name: apart[name])
     wrong = [name for name in apart if not apart[name] <= tolerance]  # so written that NaN is wrong
     found = f"{said} to {apart[worst]:.1e}" if not wrong else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
-    return Finding(claim=claim, holds=not wrong, found=found)
+    return Checked(claim=claim, holds=not wrong, found=found)
 
 
 def distance(stored: Any, made: Any) -> float:

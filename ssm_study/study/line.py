@@ -78,11 +78,16 @@ class Study(Task["Specification"]):
         self, request: "Specification", stages: Stages, data: Kept["DataSet"], bounded: Kept["Simulated"]
     ) -> tuple[Kept["Design"], Kept[Any]]:
         """Controller and observer by what these records show, and the loop that they close."""
-        from ssm_study.study.stages import EVIDENCE, LOOP, SYNTHESIS
+        from ssm_study.study.stages import EVIDENCE, LOOP, MISMATCH, SYNTHESIS
 
         plant = ("plant",) if request.plant else ()
-        judged = stages.take(EVIDENCE, {}, {}, data, bounded)
-        design = stages.take(SYNTHESIS, *request.select("synthesis"), data, bounded, judged)
+        shown = stages.take(MISMATCH, {}, {}, data, bounded)
+        judged = stages.take(EVIDENCE, {}, {}, data, bounded, shown)
+        settings, parts = request.select("synthesis")
+        limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
+        limits["applied"] = request.plant is None or any(end is not None for end in limits.values())
+        settings, parts = settings | {"limits": limits}, parts | {"limits": limits}
+        design = stages.take(SYNTHESIS, settings, parts, data, bounded, shown, judged)
         return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)
 
     def identified(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from safetensors.numpy import load_file, save_file
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.loop.regulation import LoopRuns
@@ -17,6 +18,7 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
+from ssm_study.synthesis.mismatch import Mismatch, View
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
@@ -142,6 +144,41 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
         noise_free=read_rollouts(noise_free)[0] if noise_free.is_file() else None,
     )
     return closed, about["loop_on"]
+
+
+def write_mismatch(path: Path, shown: Mismatch) -> None:
+    """Every view bit for bit, as real numbers without gaps: SafeTensors knows no others."""
+    views = shown.everywhere
+    left_at_rest = np.nan if shown.left_at_rest is None else shown.left_at_rest
+    arrays = {
+        "sizes": np.array([[view.amplitude, view.gain, view.response] for view in views]),
+        "spectra": np.stack([[v.by_frequency, v.linear.real, v.linear.imag, v.rest] for v in views]),
+        "known": np.array([shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]),
+        "unexcited": np.array(shown.unexcited, dtype=float),
+        "stuck": np.array(shown.stuck, dtype=float),
+    }
+    save_file(arrays, path)
+
+
+def read_mismatch(path: Path) -> Mismatch:
+    """What `write_mismatch` wrote."""
+    arrays, views = load_file(path), list[View]()
+    for sizes, (size, real, imaginary, rest) in zip(arrays["sizes"].tolist(), arrays["spectra"], strict=True):
+        linear = np.stack([real, imaginary], axis=-1).view(complex)[:, 0]  # `real + 1j * imaginary` spoils infinities
+        amplitude, gain, response = sizes
+        views.append(
+            View(amplitude=amplitude, gain=gain, by_frequency=size, linear=linear, rest=rest, response=response)
+        )
+    spread, left_at_rest, looped, farthest = arrays["known"].tolist()
+    return Mismatch(
+        stuck=tuple(arrays["stuck"].tolist()),
+        farthest=farthest,
+        views=tuple(views[:-1] if looped else views),
+        loop=views[-1] if looped else None,
+        spread=spread,
+        left_at_rest=None if np.isnan(left_at_rest) else left_at_rest,
+        unexcited=tuple(arrays["unexcited"].tolist()),
+    )
 
 
 def read_cases(path: Path) -> tuple[dict[str, Case], dict[str, str]]:

@@ -6,16 +6,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.engine.durable import contents
 from ssm_study.evidence.judgement import Judgement, judge
-from ssm_study.loop.regulation import IdentifiedPlant
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, Trajectories
 from ssm_study.study.allow_list import refuse_foreign_targets
-from ssm_study.study.recordings import read_trials
+from ssm_study.study.recordings import read_cases, read_trials, signal
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated
 from ssm_study.study.trials import repeated
@@ -84,6 +86,18 @@ class RunFiles:
     @cached_property
     def design(self) -> Design:
         return Design.from_json(self.certificate)
+
+    @cached_property
+    def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
+        """What the training records applied, as `excitation.mcap` has it."""
+        file = self.path / "excitation.mcap"
+        return [signal(case, "input", file).values for case in read_cases(file)[0].values()]
+
+    @property
+    def loop(self) -> Loop:
+        """The experiment; without a plant within the limits of the log."""
+        loop = self.specification.loop
+        return loop if self.specification.plant else loop.within(self.inputs)
 
     @property
     def plant(self) -> Plant:

@@ -28,11 +28,11 @@ from ssm_study.loop.regulation import Loop, LoopRuns
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.models.structured import StructuredSSM, model_from_json
 from ssm_study.plants.plant import Plant
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.mismatch import Mismatch, mismatch
 from ssm_study.training.metrics import mean_fit, training_facts
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ def compute_dataset(folder: Path, *, data: Any, seed: int, plant: Plant | None =
     records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
     write_dataset(folder, records)
     recordings.write_records(folder / "excitation.mcap", records, records.training, outputs=False)
+    if records.trials:
+        recordings.write_records(folder / recordings.TRIALS, records, records.trials, outputs=True)
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
@@ -82,8 +84,10 @@ def compute_model(
     folder: Path, data: DataSet, *, model: "ModelSpec", training: "Training", seed: int, progress: bool
 ) -> None:
     """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has no infinity."""
-    identified = training.identify(model, data, seed, folder, progress)
-    write_json(folder / "model.json", identified.model.to_json())
+    late = getattr(model, "dead_time", 0)  # of one layer; fitted without it
+    identified = training.identify(model, data.undelayed(late) if late else data, seed, folder, progress)
+    made: Any = identified.model
+    write_json(folder / "model.json", (made.delayed(late) if late else made).to_json())
     write_json(folder / "training.json", {"seconds": identified.seconds, "ended": identified.ended})
     write_json(folder / "training_curve.json", with_gaps(identified.curve))
     if identified.choice:
@@ -125,7 +129,7 @@ class Simulated:
 
 
 def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None) -> None:
-    """The model and its free runs beside the validation and test records, and the trials.
+    """The model and its free runs beside the validation and test records.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is claimed of it.
     """
@@ -134,8 +138,6 @@ def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reductio
     for name, records in (("validation", data.validation), ("test", data.test)):
         made = Simulation.of(model, records, data.start_up_samples)
         recordings.write_simulation(folder / f"{name}.mcap", made, data)
-    if data.trials:
-        recordings.write_records(folder / recordings.TRIALS, data, data.trials, outputs=True)
 
 
 def measure_score(simulated: Simulated, data: DataSet, _: Trained) -> Facts:
@@ -151,9 +153,20 @@ def measure_bounds(simulated: Simulated, data: DataSet, trained: Trained) -> Fac
     return measure_score(simulated, data, trained) | before | bound_facts(simulated.model)
 
 
-def compute_evidence(folder: Path, data: DataSet, bounded: Simulated) -> None:
-    """What data and model allow to be said of the plant, before anything is."""
+def compute_mismatch(folder: Path, data: DataSet, bounded: Simulated) -> Mismatch:
+    """How far the plant is from the model, as the records show it: once for all designs on this model."""
     shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
+    recordings.write_mismatch(folder / "mismatch.safetensors", shown)
+    return shown
+
+
+def read_mismatch(folder: Path) -> Mismatch:
+    """The views at each amplitude, as they were computed."""
+    return recordings.read_mismatch(folder / "mismatch.safetensors")
+
+
+def compute_evidence(folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch) -> None:
+    """What data and model allow to be said of the plant, before anything is."""
     judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 
@@ -169,20 +182,29 @@ def measure_evidence(judged: Judgement, *_: Any) -> Facts:
 
 
 def compute_synthesis(
-    folder: Path, data: DataSet, bounded: Simulated, judged: Judgement, *, synthesis: "Synthesis"
+    folder: Path,
+    data: DataSet,
+    bounded: Simulated,
+    shown: Mismatch,
+    judged: Judgement,
+    *,
+    synthesis: "Synthesis",
+    limits: dict[str, Any],
 ) -> None:
     """Controller and observer, decided in exact arithmetic; chosen from the model and the records alone.
 
-    Where the evidence allows no judgement, `auto` takes the largest margin.
+    Without evidence `auto` takes the largest margin; within `limits` that are `applied` (given, or a log's) it scores.
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import as_deployed
 
-    cautious = judged.level == CANNOT_JUDGE and isinstance(synthesis, Auto)
-    chosen_by = synthesis.cautious() if cautious else synthesis  # type: ignore[attr-defined]  # an Auto
+    chosen_by: Synthesis | Auto = synthesis
     model, balls = bounded.model, certified_balls(bounded.model)
-    records = data.validation, data.start_up_samples, data.trials
-    design = as_deployed(chosen_by.design(model, balls, *records), model, balls, mismatch(model, *records))
+    ends = input_limits(limits["input_lower"], limits["input_upper"], [record.u for record in data.training])
+    if isinstance(synthesis, Auto):
+        judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
+        chosen_by = judgeable.within(*map(model.scale.scaled_input, ends)) if limits["applied"] else judgeable
+    design = as_deployed(chosen_by.design(model, balls, data.validation, shown), model, balls, shown, ends)
     design.save(folder / "certificate.json")
 
 
@@ -191,10 +213,10 @@ def read_design(folder: Path) -> Design:
     return Design.load(folder / "certificate.json")
 
 
-def measure_synthesis(design: Design, data: DataSet, bounded: Simulated, judged: Judgement) -> Facts:
+def measure_synthesis(design: Design, _: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement) -> Facts:
     """The columns of the design and of its prediction."""
     model, balls = bounded.model, certified_balls(bounded.model)
-    facts = design_facts(design, model, balls, data.validation, data.start_up_samples, data.trials)
+    facts = design_facts(design, model, balls, shown)
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 
@@ -202,14 +224,7 @@ Experiment = tuple[LoopRuns, str]  # and what it was done on
 
 
 def compute_loop(
-    folder: Path,
-    data: DataSet,
-    bounded: Simulated,
-    design: Design,
-    *,
-    loop: Loop,
-    loop_seed: int,
-    plant: Plant | None = None,
+    folder: Path, data: DataSet, bounded: Simulated, design: Design, *, loop: Loop, loop_seed: int, plant: Any = None
 ) -> Experiment | None:
     """The certified pair on the true plant, or on the identified model where there is no plant; none without a pair.
 
@@ -222,7 +237,7 @@ def compute_loop(
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on, loop_on = (twin, "identified model") if plant is None else (plant, "plant")
-    fitted = loop.fitted(model)
+    fitted = (loop.within([record.u for record in data.training]) if plant is None else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
     if fitted.comparison is not None:
@@ -272,13 +287,14 @@ def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
 
 
 CURVES = ("training_curve.json", "choice.json")
-SIMULATED = ("model.json", "validation.mcap", "test.mcap", recordings.TRIALS)
+SIMULATED = ("model.json", "validation.mcap", "test.mcap")
 LOOPS = ("closed_loop.mcap", "closed_loop_model.mcap", recordings.NOISE_FREE, "comparison.csv")
-DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap",))
+DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap", recordings.TRIALS))
 MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
 SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
 BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
+MISMATCH = Stage("mismatch", compute_mismatch, read_mismatch)
 EVIDENCE = Stage("evidence", compute_evidence, read_judgement, measure_evidence, ("evidence.json",))
 SYNTHESIS = Stage("synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",))
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
-STAGES = (DATASET, MODEL, SCORE, BOUNDS, EVIDENCE, SYNTHESIS, LOOP)
+STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, LOOP)

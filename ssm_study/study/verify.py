@@ -14,7 +14,7 @@ from typing import Any
 from ssm_study.columns import Column
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
-from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Derived, Finding, NotChecked, one_line
+from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked, one_line
 from ssm_study.study.run_files import RunFiles
 from ssm_study.table.columns import declared
 
@@ -23,10 +23,10 @@ from ssm_study.table.columns import declared
 class Verification:
     """What became of every claim; iterating gives the findings."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
 
-    def __iter__(self) -> Iterator[Finding]:
+    def __iter__(self) -> Iterator[Checked]:
         return iter(self.findings)
 
     def __len__(self) -> int:
@@ -70,7 +70,7 @@ def verify(run: Path) -> Verification:
     state = record.get("status")
     require(state != FAILED, "run", run, "the run failed and claims nothing", f"see {run / 'traceback.txt'}")
     if state == CORRUPT:
-        damaged = Finding(claim=RECORD, holds=False, found="is not as it was written")
+        damaged = Checked(claim=RECORD, holds=False, found="is not as it was written")
         return Verification(findings=(damaged,), unchecked={})
     remedy = "give a run that is ok or infeasible"
     require(state in (OK, INFEASIBLE), "run", run, f"its status is {state}, so it claims nothing yet", remedy)
@@ -78,11 +78,11 @@ def verify(run: Path) -> Verification:
 
 
 def _judged(run: RunFiles) -> Verification:
-    findings: list[Finding] = []
+    findings: list[Checked] = []
     derived: dict[str, Any] = {}
     unchecked: dict[str, str] = {}
     for found in _found(run):
-        if isinstance(found, Finding):
+        if isinstance(found, Checked):
             findings.append(found)
         elif isinstance(found, Derived):
             derived |= found.columns
@@ -90,14 +90,14 @@ def _judged(run: RunFiles) -> Verification:
             unchecked |= found.reasons
     for name in dict.fromkeys((*derived, *run.record)):  # also what the record lacks although its files give it
         judged = judge(name, run.record, derived, unchecked)
-        if isinstance(judged, Finding):
+        if isinstance(judged, Checked):
             findings.append(judged)
         elif judged:
             unchecked[name] = judged
     return Verification(findings=tuple(findings), unchecked=unchecked)
 
 
-def _found(run: RunFiles) -> Iterator[Finding | Derived | NotChecked]:
+def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
     """What the sections give; whatever a damaged file makes a reader raise is a claim that does not hold."""
     try:
         sections = SECTIONS if run.claims_certificate else OF_A_BASELINE
@@ -107,12 +107,12 @@ def _found(run: RunFiles) -> Iterator[Finding | Derived | NotChecked]:
         try:
             yield from section(run)
         except Exception as error:
-            yield Finding(claim=section.__name__, holds=False, found=f"cannot be derived: {one_line(error)}")
+            yield Checked(claim=section.__name__, holds=False, found=f"cannot be derived: {one_line(error)}")
 
 
 def judge(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
-) -> Finding | str:
+) -> Checked | str:
     """The finding on a column of the record, or why it is not checked; empty where the record claims nothing."""
     column = declared(name)
     if name in derived:
@@ -122,15 +122,15 @@ def judge(
     if reason := unchecked.get(name) or (column.unchecked if column else ""):
         return reason
     problem = "nothing in the run's files gives it" if column else "no such column is declared"
-    return Finding(claim=name, holds=False, found=f"stored {_short(record[name])}, yet {problem}")
+    return Checked(claim=name, holds=False, found=f"stored {_short(record[name])}, yet {problem}")
 
 
-def compared(name: str, stored: Any, value: Any) -> Finding:
+def compared(name: str, stored: Any, value: Any) -> Checked:
     """The stored column beside the derived one."""
     column = declared(name) or Column(name, "Float64")
     value = storable(name, value)  # as a record holds it: an infinite margin is the text `inf`
     holds = _agrees(stored, value, column)
-    return Finding(claim=name, holds=holds, found=f"{value}" if holds else f"derived {value}, stored {_short(stored)}")
+    return Checked(claim=name, holds=holds, found=f"{value}" if holds else f"derived {value}, stored {_short(stored)}")
 
 
 def _agrees(stored: Any, value: Any, column: Column) -> bool:

@@ -1,4 +1,4 @@
-"""How fast a design is on the model itself: the area under its response, for hundreds of designs at once.
+"""How fast a design is on the model itself: area under its response and time to settle, for hundreds at once.
 
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in docs/theory.md.
 """
@@ -8,13 +8,14 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.signals import Trajectories
+from ssm_study.signals import Ends, Trajectories
 from ssm_study.systems import Pair, StateSpace
 
 CASES = 12  # states the model is released from, evenly spaced along the validation record
 LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
 TIME_CONSTANTS = 4.0  # horizon, in time constants of the model's slowest mode
 SAMPLES = (50, 150)  # shortest and longest horizon: a mode slower than that is not what a loop is judged by
+SETTLED = 0.05  # output scales within which a response has settled
 FAINT = 0.1  # states whose uncontrolled response is below this share of the largest are not counted: they rest already
 # Scaled signals are cut here, so that a design that diverges on the model gets a huge area and not an overflow.
 LARGEST = 1e6
@@ -46,7 +47,7 @@ def release(
 
 def _loads(model: Model, linear: StateSpace) -> Float[np.ndarray, "L k"]:
     """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale; idle ones left out."""
-    held = np.linalg.solve(np.eye(model.order) - linear.a, linear.b).T  # states that a unit of each channel holds
+    held = linear.held()[0].T  # states that a unit of each channel holds
     reach = np.linalg.norm(model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1)
     counts = reach > 1e-6 * reach.max()
     return np.concatenate([level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS])
@@ -59,13 +60,17 @@ def at_rest(model: Model) -> StateSpace:
     return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
 
 
-def relative_areas(model: Model, gains: Pair, validation: Trajectories) -> Float[np.ndarray, "P"]:
-    """`sum_k ||y[k]|| / sum_k ||y_uncontrolled[k]||`, mean over the released states, of each of the pairs of gains.
+def relative_areas(
+    model: Model, gains: Pair, validation: Trajectories, limits: Ends | None = None
+) -> Float[np.ndarray, "P"]:
+    """`J / J_uncontrolled`, mean over the released states, of each of the pairs of gains.
 
-    Observers start from zero. Gains of width `s = n + p` act on integrators too, and are also judged by how soon they
-    remove constant loads. No noise, scaled units. Below one is faster than no control.
+    `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the area hardly sees a
+    faint tail, on which the time to settle turns; the time does not see what lies beyond the horizon. Observers start
+    from zero. Gains of width `s = n + p` act on integrators too, and are also judged by how soon they remove constant
+    loads. No noise, scaled units, inputs within `limits`, where integrators are held. Below one is faster than none.
     """
-    start = release(model, validation, loaded=gains.k.shape[-1] > model.order)
+    start = *release(model, validation, loaded=gains.k.shape[-1] > model.order), limits or (-LARGEST, LARGEST)
     alone = _areas(model, Pair(k=0 * gains.k[:1], l=0 * gains.l[:1]), *start)[0]
     counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
     split = [[None] * parts if g is None else np.array_split(g, parts) for g in (gains.k, gains.l, gains.l_z)]
@@ -74,21 +79,29 @@ def relative_areas(model: Model, gains: Pair, validation: Trajectories) -> Float
 
 
 def _areas(
-    model: Model, gains: Pair, x0: Float[np.ndarray, "N n"], load: Float[np.ndarray, "N k"], horizon: int
+    model: Model,
+    gains: Pair,
+    x0: Float[np.ndarray, "N n"],
+    load: Float[np.ndarray, "N k"],
+    horizon: int,
+    limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
     n, k, l_ = model.order, gains.k.transpose(0, 2, 1), gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
     x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
-    x_hat, area = np.zeros_like(x), np.zeros(x.shape[:2])
+    x_hat, area, settled = np.zeros_like(x), np.zeros(x.shape[:2]), np.zeros(x.shape[:2])
     z = np.zeros((*x.shape[:2], k.shape[1] - n))
-    for _ in range(horizon):
-        u = x_hat @ k[:, :n] + z @ k[:, n:]
-        lifted = model.scaffold_in(np.clip(u, -LARGEST, LARGEST))
+    for sample in range(horizon):
+        asked = x_hat @ k[:, :n] + z @ k[:, n:]
+        u = np.clip(asked, *limits)
+        lifted = model.scaffold_in(u)
         y = model.read_scaled(x, lifted + load)
         innovation = model.read_scaled(x_hat, lifted) - y
-        area += np.linalg.norm(y, axis=2)
-        z = np.clip(z + y[..., : z.shape[2]], -LARGEST, LARGEST)
+        size = np.linalg.norm(y, axis=2)
+        area, settled = area + size, np.where(size > SETTLED, sample + 1.0, settled)
+        free = (u == asked).all(axis=2, keepdims=True)
+        z = np.clip(z + np.where(free, y[..., : z.shape[2]], 0.0), -LARGEST, LARGEST)
         x = model.advance(x, lifted + load)
         injected = () if l_z is None else (innovation @ l_z,)
         x_hat = np.clip(model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST)
-    return area
+    return area + settled

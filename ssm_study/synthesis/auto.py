@@ -5,9 +5,9 @@ Among guaranteed-cost designs on a grid of rates and weights that are predicted 
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
-`area` the response's on the model (`synthesis.area`), `spread` the standard error of ln g, from blocks of the record:
-the mismatch is not a number but a sample, and the fastest design that just passes is the one that any optimism of g
-lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
+`area` the response's on the model, its time to settle included (`synthesis.area`), `spread` the standard error of ln g,
+from blocks of the record: the mismatch is not a number but a sample, and the fastest design that just passes is the one
+that any optimism of g lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectories
+from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.design import Synthesis, contraction_rate
@@ -36,7 +36,7 @@ from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 ATTEMPTS = 20  # how many candidates are verified exactly before the search gives up: each costs two exact certificates
-LOOKED_AT = 200  # how many candidates, the fastest first, are compared with all that the records show
+LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
 LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is what Welch's estimate alone scatters by
 
@@ -76,6 +76,7 @@ class Auto:
     limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. `rate` stands
     for each side that is left at "auto"; a number is kept. When no candidate passes, the one with the largest margin is
     returned and `solver_status` says so. `integral_weights` (of integrators of the tracking error) are one more axis.
+    `limits` of the input, scaled, are set by the run (`within`).
     """
 
     rate: float | str = "auto"
@@ -90,6 +91,7 @@ class Auto:
     integral_weights: Sequence[float] = ()
     state_weight: float = 1e-6
     state_noise: float = 1e-4
+    limits: Ends | None = None
 
     method: ClassVar[str] = "auto"
 
@@ -109,14 +111,17 @@ class Auto:
             require(above, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
 
     def design(
-        self, model: Model, balls: Balls, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()
+        self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
     ) -> Design:
-        """The chosen controller and observer, exactly verified; infeasible as the Riccati route reports it."""
+        """The chosen controller and observer, exactly verified; infeasible as the Riccati route reports it.
+
+        The mismatch `shown` is that of the validation records unless given.
+        """
         candidates = self.candidates(model, balls)
         if candidates is None:
             return self._reported(self._slowest(model, balls), "nothing on the grid is feasible")
         left_out = f" ({candidates.unsolved} of the grid have no solution)" if candidates.unsolved else ""
-        shown = mismatch(model, validation, start_up_samples, trials)
+        shown = shown or mismatch(model, validation)
         weights, ks, ls = shown.at(GRID_ANGLES), candidates.ks, candidates.ls
         peaks = peaks_on_grid(model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs)
         for pair in self._in_order(model, candidates, balls, peaks, validation, shown):
@@ -129,6 +134,10 @@ class Auto:
         if np.isinf(self.margin):
             status = "the evidence allows no judgement of the plant; largest margin taken"
         return self._reported(design, status + left_out)
+
+    def within(self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]) -> "Auto":
+        """The same, responses scored with the input cut at these scaled deviations, where they leave room at rest."""
+        return replace(self, limits=(lower, upper)) if (lower < 0).all() and (upper > 0).all() else self
 
     def cautious(self) -> "Auto":
         """The same grids, from which the largest margin is taken."""
@@ -207,7 +216,7 @@ class Auto:
         pairs = pairs[controller_radius(model.system, gains, balls) < 1]
         if not len(pairs) or not shown.rests:
             return []
-        areas = relative_areas(model, candidates.gains(pairs), validation)
+        areas = relative_areas(model, candidates.gains(pairs), validation, self.limits)
         coarse, fine = Responses(angles=FINE_ANGLES[::2]), Responses(angles=FINE_ANGLES)
         scored: list[tuple[float, int]] = []
 
@@ -215,7 +224,9 @@ class Auto:
             number = worst(model, candidates.gains(pairs[index]), balls, shown, shared)
             return expected_area(float(areas[index]), number, shown.spread), number
 
-        for index in np.argsort(areas, kind="stable")[:LOOKED_AT].tolist():
+        order = np.argsort(areas, kind="stable")
+        thinned = order[LOOKED_AT :: max(len(order) // LOOKED_AT, 1)]
+        for index in [*order[:LOOKED_AT].tolist(), *thinned.tolist()]:
             if scored and areas[index] >= min(scored)[0]:
                 break
             score, number = expected(index, coarse)

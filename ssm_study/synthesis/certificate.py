@@ -187,8 +187,10 @@ class Infeasible:
 
 SIDES = ("state_feedback", "observer")
 # Parts of the file that are another part's theorem once more: the same gain at the largest rate that is proved for it,
-# and the tolerance under a weight that follows what the records show.
+# the tolerance under a weight that follows what the records show, and the gain with limited inputs.
 BESIDE = {f"{side}_deployed": side for side in SIDES} | {"tolerance_by_frequency": "tolerance"}
+OF_LIMITS = {"state_feedback_limited": "limited_input", "state_feedback_unlimited": "unlimited_start"}  # by theorem
+BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,7 +282,8 @@ def _read(label: str, content: dict[str, Any]) -> Any:
     values = {name: value for name, value in content.items() if name not in ("digest", "certified_rate")}
     part = BESIDE.get(label, label)
     theorem = theorem_named(str(values.setdefault("theorem", part)))
-    require(theorem.part == part, f"certificate.{label}.theorem", theorem.name(), "is of another part", AGAIN)
+    fits = theorem.part == part and OF_LIMITS.get(label, theorem.name()) == theorem.name()
+    require(fits, f"certificate.{label}.theorem", theorem.name(), "is of another part", AGAIN)
     feasible = values.pop("feasible", True)
     kind: Any = theorem if feasible else Infeasible
     values.pop("theorem" if feasible else "certified", None)

@@ -1,34 +1,48 @@
-"""What is proved of a pair of gains once it is chosen: the largest rates, and the mismatch that the loop tolerates.
+"""What is proved of a pair of gains once it is chosen: the largest rates, the mismatch tolerated, limited inputs.
 
-Both theorems are about the very gains that are deployed: `theorems/deployed_rate.py`, `theorems/tolerance.py`;
-THEORY section 8.
+All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`, `limited_input.py`,
+`unlimited_start.py`; THEORY section 8.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.refusal import require
+from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.problem import NoSolution, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem
 from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.synthesis.theorems.limited_input import LimitedFeedback, from_everywhere
+from ssm_study.synthesis.theorems.noise_gain import NoiseGain
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.theorems.tolerance import largest_tolerance
+from ssm_study.synthesis.theorems.unlimited_start import unlimited
 from ssm_study.systems import Balls
+
+Inputs = Float[np.ndarray, "m"]
+Outputs = Float[np.ndarray, "p"]
+EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 
 # Weights of first order that are tried: gain at the highest frequency over that at rest, and the corner (rad/sample).
 RATIOS = np.geomspace(1e-3, 1e3, 61)
 CORNERS = np.geomspace(1e-3, 3.0, 40)
 
 
-def as_deployed(design: Design, model: Model, balls: Balls, shown: Mismatch) -> Design:
-    """The design with what is proved of its very gains beside it: rates and tolerances, each exactly verified."""
+def as_deployed(
+    design: Design, model: Model, balls: Balls, shown: Mismatch, limits: tuple[Inputs, Inputs] | None = None
+) -> Design:
+    """The design with what is proved of its very gains beside it: rates, tolerances and what input `limits` (physical)
+    leave, each exactly verified."""
     beside: dict[str, Theorem] = {}
     for side, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         again = None if isinstance(part, Infeasible) or not part.certified else within_reach(part.at_largest_rate)
@@ -43,8 +57,55 @@ def as_deployed(design: Design, model: Model, balls: Balls, shown: Mismatch) -> 
             gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
             weights["tolerance_by_frequency"] = covering_weight(ANGLES, gains, channels=len(feedback.k))
         found = {name: within_reach(partial(largest_tolerance, known, weight)) for name, weight in weights.items()}
+        if not model.linear.d.any():
+            unit = weights["tolerance"]
+            found["noise"] = within_reach(partial(largest_tolerance, known, unit, theorem=NoiseGain))
         beside |= {name: part for name, part in found.items() if part is not None}
-    return replace(design, beside=beside)
+    design = replace(design, beside=beside)
+    return replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
+
+
+def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
+    """What is proved with limited inputs; nothing of neurons, without a certificate, or of limits not around rest."""
+    parts = (design.state_feedback, *(design.beside.get(f"state_feedback_{more}") for more in ("deployed", "limited")))
+    known = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
+    limits = np.stack([model.scale.scaled_input(end) for end in (lower, upper)], axis=1)
+    if not known or not isinstance(model, SSM) or not ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all():
+        return {}
+    found = {EVERYWHERE: within_reach(partial(from_everywhere, known[0]))}
+    known += [part for part in found.values() if isinstance(part, StateFeedbackOfBall)]
+    rest, gain = model.linear.held()
+    signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=len(gain) - 1)])
+    corners = rest @ np.linalg.pinv(gain) @ signs.T  # states at rest where every scaled output is one or minus one
+    corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
+    found[SETS] = within_reach(partial(unlimited, known, corners, limits))
+    return {label: part for label, part in found.items() if part is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithinLimits:
+    """No limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`: cut at them, or None."""
+
+    lower: Outputs
+    upper: Outputs
+    everywhere: LimitedFeedback | None
+
+
+def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
+    """Both, for limits in physical units; `BadRequest` for an infeasible design or limits without room around rest."""
+    design.parts()
+    parts, limits = with_limits(model, design, lower, upper), (lower.tolist(), upper.tolist())
+    problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"
+    require(SETS in parts, "input limits", limits, problem, remedy)
+    low, high = outputs_of(model, parts[SETS].starts)
+    return WithinLimits(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
+
+
+def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
+    """The least and the greatest output between the starts and their mirror images, physical units."""
+    read = (model.linear.c @ starts[: model.order]).T
+    ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))
+    return ends.min(axis=0), ends.max(axis=0)
 
 
 def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:

@@ -15,8 +15,9 @@ import numpy as np
 
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
+from ssm_study.synthesis.certificate import BESIDE, SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
 from ssm_study.synthesis.frontier import Frontier, controller_frontier
+from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem, theorem_named
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
@@ -120,10 +121,11 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
     ]
     for label, part in design.content.items():
         broken += [f"{label}{claim}" for claim in _of_part(part, known)]
-    for side in SIDES:  # what is proved at the largest rate is of the gain that is deployed
-        part, again = design.content[side], design.beside.get(f"{side}_deployed")
-        if again and (isinstance(part, Infeasible) or not np.array_equal(again.gain, part.gain)):
-            broken.append(f"{side}_deployed: the gain is not the one that is deployed")
+    for label, again in design.beside.items():  # what is proved beside a side is of the gain that is deployed
+        whole = design.content.get(BESIDE.get(label, ""))
+        if isinstance(again, Side) and (not isinstance(whole, Side) or not np.array_equal(again.gain, whole.gain)):
+            broken.append(f"{label}: the gain is not the one that is deployed")
+    for side in SIDES:
         stated, derived = content[side].get("certified_rate"), design.certified_rate(side)
         if stated != derived:
             broken.append(f"{side}.certified_rate = {stated!r}: what is proved is {derived!r}")
@@ -200,8 +202,7 @@ class Synthesis(ABC):
         model: Any,
         balls: Balls,
         validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
-        start_up_samples: int = 0,  # noqa: ARG002
-        trials: Trajectories = (),  # noqa: ARG002
+        shown: Mismatch | None = None,  # noqa: ARG002
     ) -> Design:
         """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
         system = getattr(model, "system", model.linear)

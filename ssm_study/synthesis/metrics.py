@@ -6,13 +6,15 @@ Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 from typing import Any
 
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
+from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.signals import Trajectories
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of
+from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
@@ -45,6 +47,12 @@ COLUMNS = (
     Column("synthesis_seconds", "Float64", "low", word="Synthesis time", unit="s", unchecked="depends on when it ran"),
     Column("certified_tolerance", "Float64", "high", "", "Mismatch gain tolerated, proved", "", ITERATED),
     Column("certified_tolerance_resolved", "Float64", "high", "", "Tolerance over what records show", "–", ITERATED),
+    Column("limit_lower", "Float64", word="Input limited from", unit="unit of the input", tolerance=ITERATED),
+    Column("limit_upper", "Float64", word="Input limited to", unit="unit of the input", tolerance=ITERATED),
+    Column("limited_rate", "Float64", "high", "", "Rate proved from everywhere, input limited", "1/sample", ITERATED),
+    Column("unlimited_from", "Float64", "low", "", "Full rates from outputs above", "output unit", ITERATED),
+    Column("unlimited_to", "Float64", "high", "", "Full rates from outputs below", "output unit", ITERATED),
+    Column("noise_gain", "Float64", "low", "", "Sensor noise on the output, at most", "share of the noise", ITERATED),
     Column("mismatch_gain", "Float64", "low", word="Model mismatch gain", tolerance=ITERATED),
     Column("mismatch_seen", "Float64", "low", word="Largest mismatch gain of any record", tolerance=ITERATED),
     Column("mismatch_in_loop", "Float64", "low", word="Mismatch gain of trials in closed loop", tolerance=ITERATED),
@@ -62,9 +70,7 @@ def design_facts(
     design: Design,
     model: Model,
     balls: Balls,
-    validation: Trajectories,
-    start_up_samples: int,
-    trials: Trajectories = (),
+    shown: Mismatch,
 ) -> dict[str, Any]:
     """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant."""
     feedback, observer = design.state_feedback, design.observer
@@ -78,13 +84,25 @@ def design_facts(
     if not design.certified:
         missed = (f"{side}: {part.solver_status}" for side, part in sides if not part.certified)
         facts["uncertified_reason"] = "; ".join(missed)
-    shown = mismatch(model, validation, start_up_samples, trials)
     predicted = predict(model, design.pair, balls, shown)
     tolerated = {"tolerance": "certified_tolerance", "tolerance_by_frequency": "certified_tolerance_resolved"}
     facts |= {column: getattr(design.beside.get(part), "s", None) for part, column in tolerated.items()}
+    facts |= limit_facts(design, model)
+    facts["noise_gain"] = 1 / design.beside["noise"].s if "noise" in design.beside else None  # type: ignore[attr-defined]
     seen = {"mismatch_gain": shown.gain, "mismatch_seen": shown.seen, "mismatch_spread": shown.spread}
     seen |= {} if shown.loop is None else {"mismatch_in_loop": shown.loop.gain}
     return facts | seen | vars(predicted) | {"predicted_stable": predicted.keeps_the_plant()}
+
+
+def limit_facts(design: Design, model: Model) -> dict[str, Any]:
+    """What is proved within input limits; the tightest of several inputs, outputs. Empty where nothing is."""
+    known, everywhere = design.beside.get(SETS), design.beside.get(EVERYWHERE)
+    if not isinstance(known, UnlimitedStart) or not isinstance(model, SSM):
+        return {}
+    (lower, upper), (low, high) = model.scale.physical_input(known.limits.T), outputs_of(model, known.starts)
+    facts = {"limit_lower": float(lower.max()), "limit_upper": float(upper.min())}
+    facts |= {"unlimited_from": float(low.max()), "unlimited_to": float(high.min())}
+    return facts | {"limited_rate": getattr(everywhere, "rate", None)}
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:

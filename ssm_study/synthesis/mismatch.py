@@ -39,6 +39,9 @@ EXCITED = 0.01
 # hundred bands the largest counts.
 SURE = 3.0
 AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
+RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
+BAND = 0.05  # share of the farthest start on record (of the output's scale without one) that counts as settled
+MISSED = 0.05  # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it: chance p
 IN_LOOP = (1 / 3, 300)  # share, and most samples, of a trial in closed loop that only tell its initial state
 MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
 NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
@@ -69,6 +72,8 @@ class Mismatch:
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None without such a
     record. `unexcited`: bands without input power in the largest record. `loop`: what trials in closed loop show.
+    `stuck`: what stays of the output at rest input after it has moved (friction, play), where more than `AT_REST`;
+    `farthest`: from where a decay at rest input was recorded; both in output scales.
     """
 
     views: tuple[View, ...]
@@ -76,6 +81,14 @@ class Mismatch:
     spread: float = 0.0
     left_at_rest: float | None = None
     unexcited: tuple[float, ...] = ()
+    stuck: tuple[float, ...] = ()
+    farthest: float = 1.0
+
+    @property
+    def offset(self) -> float:
+        """What may stay of the output at rest input, in bands of settling (-): at most, with 95 % confidence."""
+        worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
+        return worst / (BAND * self.farthest)
 
     @property
     def gain(self) -> float:
@@ -126,12 +139,14 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
     most, views = largest.strength(), [_once(moving)]
     if noise is not None:
         views = [_view(record, record.strength() == most, noise) for record in periodic]
-    drive = welch([largest.u])
+    drive, response = welch([largest.u]), model.linear.response_samples()
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
         loop=_in_loop(loops, noise) if loops else None,
         spread=largest.spread(),
         left_at_rest=max((left(one.e + one.model) for one in measured if not one.u.any()), default=None),
+        stuck=tuple(off for one in moving if (off := stuck(one.u, one.e + one.model, response)) > AT_REST),
+        farthest=max((float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()), default=1.0),
         unexcited=tuple(float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]),
     )
 
@@ -174,6 +189,12 @@ class _Errors:
         first, second = (slice(self.start + k * self.period, self.start + (k + 1) * self.period) for k in (0, 1))
         both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
         return both, np.fft.rfft(self.u[second], axis=0), np.fft.rfft(self.model[second], axis=0)
+
+
+def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
+    """What is left of an output at rest input after the input has moved it; zero unless that outlasts the response."""
+    still = int(np.flatnonzero(u.any(axis=1))[-1]) + 1 if u.any() else len(u)
+    return left(y[still:]) if len(u) - still >= max(RESPONSES * response, 8) else 0.0
 
 
 def left(y: Float[np.ndarray, "T p"]) -> float:

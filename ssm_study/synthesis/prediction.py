@@ -6,15 +6,20 @@ At each amplitude on record (`synthesis.mismatch`) one of two conditions must ho
     small gain      max_w g(w) sigma_max(T_ue(w)) < 1
     with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    M = s_u s_y G T_ue
 
-the second with e split into `Q y_model + r` (one input, one output), G the model's linear part. Between neighbouring
-amplitudes that do not both pass by small gain, mixtures of their Q and r must pass too: a limit cycle may lie between.
+the second with e split into `Q y_model + r` (one input, one output), G the model's linear part: the smaller of the two
+numbers counts. Between neighbouring amplitudes that do not both pass by small gain, mixtures must pass too: a limit
+cycle may lie between.
 Where the plant all but holds still (`HOLDS`), what it does between its moves is not counted: the controller then runs
 alone, so it must be stable by itself (`controller_radius` below one), which `1 - M Q` says at Q = -1. Integrators of
 the tracking error hold there (`1 - M Q` is zero at w = 0), so only `controller_radius`, without them, speaks of it.
 
+Where the output stays off at rest input (friction, play) the loop answers that offset at w = 0, and what is left of it
+must lie within the band of settling:
+
+    offset sigma_max(I + s_u s_y G T_ue)(0) < 1,      the offset in bands, as `Mismatch.offset` bounds it
+
 The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
-predicted to hold the plant stable when it exceeds one and its controller is stable: no certificate.
-Every g counts `SCATTER` times.
+predicted to settle the plant when it exceeds one and its controller is stable: no certificate.
 Source: THEORY sections 5 and 7 for small gain by amplitude; docs/trust.md for the phase and what was measured.
 """
 
@@ -30,7 +35,6 @@ from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.sensitivity import frequency_response
 from ssm_study.systems import Balls, Pair
 
-SCATTER = 1.05  # one, and what Welch's estimate of g alone scatters by
 HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time
 MIXTURES = (0.25, 0.5, 0.75)  # shares of the larger of two neighbouring amplitudes
 
@@ -86,16 +90,16 @@ def worst(model: Model, pair: Pair, balls: Balls, shown: Mismatch, shared: loops
             open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])
         single = answer.shape[1:] == open_loop.shape[1:] == (1, 1)
         through = slope[0] * slope[1] * open_loop[:, 0, 0] * answer[:, 0, 0] if single else None
-        size = SCATTER * loops.sizes(answer)
-        largest = max(
-            largest, _over_views(shown, _Loop(angles=angles, size=size, through=through, integrates=integrates))
-        )
+        parts = _Loop(angles=angles, size=loops.sizes(answer), through=through, integrates=integrates)
+        at_rest = np.eye(len(open_loop[0])) + slope[0] * slope[1] * open_loop[0] @ answer[0]
+        left = shown.offset * float(np.linalg.norm(at_rest, 2))
+        largest = max(largest, left, _over_views(shown, parts))
     return largest
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Loop:
-    """`SCATTER |T_ue|` at `angles (K,)`, and `M` where there is one input and one output."""
+    """`|T_ue|` at `angles (K,)`, and `M` where there is one input and one output."""
 
     angles: Float[np.ndarray, "K"]
     size: Float[np.ndarray, "K"]
@@ -122,12 +126,13 @@ def _over_views(shown: Mismatch, loop: _Loop) -> float:
     split = [(view.linear, np.where(holds, 0.0, view.rest)) for _, holds, view in views]
     largest = 0.0
     for (value, holds, _), parts in zip(views, split, strict=True):
-        if not (holds and loop.integrates):
-            largest = max(largest, value if value < 1 and not holds else min(value, loop.with_phase(*parts)))
+        if value > largest and not (holds and loop.integrates):
+            largest = max(largest, min(value, loop.with_phase(*parts)))
     for ((small, holds, _), (large, above_too, _)), (below, above) in zip(
         pairwise(views), pairwise(split), strict=True
     ):
-        if max(small, large) >= 1 and np.isfinite(largest) and not (holds and above_too and loop.integrates):
+        passed = max(small, large) < max(largest, 1.0)
+        if not passed and np.isfinite(largest) and not (holds and above_too and loop.integrates):
             mixed = [[(1 - t) * a + t * b for a, b in zip(below, above, strict=True)] for t in MIXTURES]
             largest = max(largest, *(loop.with_phase(*one) for one in mixed))
     return largest if shown.loop is None else max(largest, loop.small_gain(shown.loop.by_frequency))

@@ -65,8 +65,8 @@ class Problem:
     """Find `K` and `P` such that `A + B J K` contracts by `r = sqrt(1 - rate)` for every `J` of the ball.
 
     Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`, symmetric:
-    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1), matrices that are not
-    finite, or a ball that holds zero.
+    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1) or matrices that are
+    not finite. A ball that holds zero admits analysis only: `design.Request` refuses it.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -82,9 +82,6 @@ class Problem:
         finite = all(np.isfinite(m).all() for m in (self.a, self.b, self.state_weight))
         require(bool(finite), "a, b", "NaN or infinity", "the matrices are not finite", "identify the model again")
         require(bool(self.input_weight > 0), "input_weight", self.input_weight, "must be positive", "try 1")
-        ends, remedy = (self.ball.lower, self.ball.upper), "constrain the slopes (model.slope_lower > 0)"
-        acts = bool(abs(self.ball.alpha) > self.ball.beta)
-        require(acts, "slopes", ends, "the ball holds zero, so no input is certain to act", remedy)
 
     @property
     def contraction(self) -> float:

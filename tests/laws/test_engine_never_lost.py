@@ -193,6 +193,30 @@ def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_pa
     assert target.read_bytes() == b"x" * 100_000
 
 
+def test_a_file_system_with_clones_keeps_the_bytes_once(tmp_path: Path) -> None:
+    image, disk = tmp_path / "image", tmp_path / "disk"
+    disk.mkdir()
+    try:
+        with image.open("wb") as made:
+            made.truncate(400 << 20)  # sparse; XFS makes nothing below 300 MB
+        subprocess.run(["mkfs.xfs", "-q", "-m", "reflink=1", image], check=True, capture_output=True)
+        subprocess.run(["mount", "-o", "loop", image, disk], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("XFS's tools and the right to mount are needed")
+    try:
+        (disk / "a").write_bytes(os.urandom(8 << 20))
+        os.sync()
+        before = os.statvfs(disk).f_bfree
+        link_or_copy(disk / "a", disk / "b")
+        os.sync()
+        assert (before - os.statvfs(disk).f_bfree) * os.statvfs(disk).f_frsize < 1 << 20
+        assert [(disk / name).stat().st_nlink for name in "ab"] == [1, 1]  # cloned, not linked
+        (disk / "b").write_bytes(b"another")
+        assert (disk / "a").stat().st_size == 8 << 20
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)
+
+
 def test_where_files_cannot_be_shared_they_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any) -> None:
         raise OSError(errno.EXDEV, "another file system")

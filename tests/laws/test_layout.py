@@ -93,3 +93,14 @@ def test_files_and_functions_stay_short(path: Path) -> None:
     functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
     long = [function.name for function in functions if lines(function) > LONGEST_FUNCTION]
     assert not long, long
+
+
+def test_a_class_has_its_name_alone() -> None:
+    """`library.Design` is what `certificate.Design` is to users of the library; no other name stands for two things."""
+    found = [
+        node.name
+        for path in ROOT.rglob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert {name for name in found if found.count(name) > 1} == {"Design"}

@@ -1,6 +1,8 @@
 """Every figure draws on the smoke study, on runs of every kind, on an empty study and on one with failures only."""
 
+import os
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import report_tables
 from matplotlib.figure import Figure
 from report_runs import random_run, write_recordings
 
+from ssm_study.cli import endings
 from ssm_study.refusal import BadRequest
 from ssm_study.report import figures, style
 from ssm_study.report.figures import learned_dead_zone
@@ -69,6 +72,30 @@ def test_the_figure_of_the_fit_shows_the_test_record_first_and_validation_below(
     panels = drawn("validation_trajectory", smoke_copy).axes
     assert [panel.lines[0].get_label() for panel in panels[:2]] == ["test record", "validation record"]
     assert len(panels) == 3
+
+
+def test_the_figures_after_a_run_are_its_own_and_not_the_bests(studies: dict[str, Path], monkeypatch) -> None:
+    """Until another run's stand in their place: then the run is told again, and drawn again."""
+    folder, names = studies["runs"], ("closed_loop_responses",)
+    runs = STUDIES["runs"]
+    best = best_first(runs).iloc[0]["run"]
+    record = runs[(runs["status"] == "ok") & (runs["run"] != best)].astype(object).iloc[0].dropna().to_dict()
+    random_run(folder / record["run"], kind="mlp", channels=1, seed=2)
+    write_recordings(folder / record["run"], seed=1)
+    others = figures.draw(names, folder)[0].read_bytes()
+    monkeypatch.setattr("ssm_study.table.gather.gather", lambda _: runs)
+    pictures = [folder / "figures" / f"{names[0]}.{kind}" for kind in ("png", "pdf")]
+    told = folder / "told.json"
+    assert str(pictures[0].relative_to(folder)) in endings._outcome(folder, record, names, pictures, 80)
+    told.write_text("[1]")
+    own = pictures[0].read_bytes()
+    assert own == figures.draw(names, folder, run=record["run"])[0].read_bytes()
+    assert own != others
+    later = time.time_ns() + 10**9
+    os.utime(told, ns=(later, later))
+    assert endings._told(told, folder, pictures) == [1]
+    os.utime(pictures[1], ns=(later + 1, later + 1))
+    assert endings._told(told, folder, pictures) == []
 
 
 @pytest.mark.parametrize("name", ["rates", "closed_loop_responses"])

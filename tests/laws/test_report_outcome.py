@@ -64,15 +64,6 @@ def test_the_prediction_says_what_it_rests_on_and_an_older_record_its_margin() -
     assert "Mismatch margin" in printed(a_run("ok"))
 
 
-def test_figures_of_another_run_say_whose_they_are() -> None:
-    record, figure = a_run("ok"), Path("figures/closed_loop_responses.png")
-    stream = io.StringIO()
-    for drawn in (record["run"], None, "order8-width32-seed0-0a1b2c3d4e"):
-        stream.truncate(stream.seek(0))
-        print_outcome(record, [figure], Console(file=stream), drawn)
-        assert ("The study's best run" in stream.getvalue()) == (drawn not in (record["run"], None))
-
-
 def test_a_path_is_never_broken() -> None:
     path = Path("results") / ("long_" * 20) / "figures" / "closed_loop_responses.png"
     assert printed(a_run("ok"), path, path.with_suffix(".pdf")).splitlines()[-1] == f"  {path}, .pdf"

@@ -59,8 +59,8 @@ def test_a_design_comes_back(kind: str) -> None:
         u = np.repeat(rng.uniform(-3, 3, 40), 5)[:, None]
         record = (Trajectory(u=u, y=OUTPUTS[seed](rng, u), step_s=0.01),)
         design = Auto(**GRIDS, integral_weights=integral_weights).design(model, balls, record)
-        whole = as_deployed(design, model, balls, mismatch(model, record))
-        facts = design_facts(whole, model, balls, record, 0)
+        shown = mismatch(model, record)
+        facts = design_facts(as_deployed(design, model, balls, shown), model, balls, shown)
         assert isinstance(facts["controller_certified"], bool)
         assert design.feasible or facts["infeasible_reason"]
 

@@ -1,5 +1,6 @@
 """The benchmark records: official splits, and our scoring reproduces published rows by ordinary least squares."""
 
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from hydra.errors import InstantiationException
 from plants_cases import from_yaml
+from scipy import signal
 from scipy.io import loadmat, savemat
 
 from ssm_study.data.metrics import benchmark_rmse, position_rmse_mm
@@ -201,6 +203,26 @@ def test_the_official_package_splits_and_scores_as_we_do(
                 np.testing.assert_array_equal(record.y[:, 0], np.ravel(one.y)[: every * len(record) : every])
         window = theirs[0].state_initialization_window_length
         assert (window, data.start_up_samples) == {"EMPS": (20, 0), "CED": (10, 10), "Cascaded_Tanks": (50, 5)}[name]
+
+
+def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() -> None:
+    """A lag as a record of the package's own type, and as a sequence of the other's."""
+    official = pytest.importorskip("nonlinear_benchmarks.utilities", reason="extra benchmarks")
+    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text()
+    names: dict = {}
+    for block in re.findall(r'^```python title="\w+\.py"\n(.*?)^```', page, re.M | re.S):
+        exec(block, names)
+    u = np.random.default_rng(0).uniform(-1, 1, 100).repeat(8)
+    y = signal.lfilter([0, 0.1], [1, -0.9], u)
+    train, test = (official.Input_output_data(u[part], y[part], 0.1) for part in (slice(500), slice(0, 800)))
+    overrides = ("model.order=1", "model.hidden_width=4", "training.max_epochs=20", "data.equilibrium=zero")
+    assert names["entry"](train, test, *overrides) < 0.05 * y.std()
+    sequences = [SimpleNamespace(u=u[:500, None], y=y[:500, None], attrs={"fs": 10.0})]
+    told = {"hyperparameters": {"overrides": overrides}}
+    context = SimpleNamespace(get_train_sequences=lambda: iter(sequences), **told)
+    predicted = names["build_model"](context)(u[:, None], None, {})
+    assert predicted.shape == (800, 1)
+    assert np.abs(predicted[:, 0] - y).max() < 0.1
 
 
 def as_tuples(parts):  # type: ignore[no-untyped-def]

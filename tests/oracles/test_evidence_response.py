@@ -49,7 +49,7 @@ def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
     (found,) = findings(case(LEVELS, answer(LEVELS, 5)))
     assert found.level == "doubt"
     assert "answers 5 samples late" in found.sentence
-    assert "use model.order=7" in found.sentence
+    assert "use model=delayed model.dead_time=5" in found.sentence
     assert findings(case(LEVELS, answer(LEVELS, 1))) == []
 
 
@@ -133,6 +133,23 @@ def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_
     assert found.level == "doubt"
     assert "closed-loop log: record with the loop open" in found.sentence
     assert not list(feedback.findings(case(u, answer(u, noise=0.03))))
+
+
+@pytest.mark.parametrize("pole", [1.02, 1.05, 1.2])
+@pytest.mark.parametrize("noise", [0.005, 0.02])
+def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(pole, noise):
+    asked, rng, x = LEVELS.repeat(10)[:6000], np.random.default_rng(1), 0.0
+    log = np.zeros((6000, 2))
+    for k in range(6000):
+        y = x + noise * rng.standard_normal()
+        log[k] = asked[k] - y, y
+        x = pole * x + 0.3 * log[k, 0]
+    doubted, refused = feedback.findings(case(*log.T))
+    assert doubted.level == "doubt"
+    assert refused.level == "cannot judge"
+    assert f"a mode at {pole:.3g} a sample" in refused.sentence
+    assert "log its loop with the set point as the input" in refused.sentence
+    assert not [found for found in feedback.findings(case(asked, log[:, 1])) if found.level == "cannot judge"]
 
 
 @pytest.mark.parametrize("u", [WHITE, LEVELS, np.sign(LEVELS), scipy.signal.lfilter([0.1], [1, -0.9], WHITE)])

@@ -5,6 +5,7 @@ import pytest
 from test_evidence_response import LEVELS, answer, case
 
 from ssm_study.evidence.records import findings
+from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
@@ -27,6 +28,12 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
         stem = pushed if abs(pushed - stem) > stick else stem
         out[k] = stem
     assert bool(said(u, answer(out))) == (stick > 0)
+    log = case(u, answer(out))
+    rest = Trajectory(u=np.zeros((600, 1)), y=np.linspace(-1.5, 0, 600)[:, None] ** 3, step_s=0.1)
+    shown = mismatch(log.model, log.data.validation, 0, (*log.data.test, rest))
+    assert shown.stuck == pytest.approx((0.25 / log.model.scale.output_scale[0],) if stick else (), abs=0.01)
+    assert shown.farthest == pytest.approx(1.5**3 / log.model.scale.output_scale[0])
+    assert (shown.offset > 0) == (stick > 0)
 
 
 def test_a_record_that_ends_before_the_answer_does_says_nothing():

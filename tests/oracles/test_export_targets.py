@@ -5,16 +5,22 @@ import runpy
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from export_cases import compiled, written
 from report_runs import KINDS, random_run
+from structured_cases import model as structured
 
-from ssm_study.export.targets import export
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.export.device import Device
+from ssm_study.export.targets import deployed_rates, export, load
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.models.identified import SSM
+from ssm_study.models.structured import NEURONS, model_from_json
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 
 SAMPLES = 300
 Replay = Callable[[Path, np.ndarray], np.ndarray]
@@ -42,7 +48,7 @@ MAIN_LIMITED_C = MAIN_C.replace(
 
 
 def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
-    model, design = SSM.from_json(json.loads((run / "model.json").read_text())), Design.load(run / "certificate.json")
+    model, design = model_from_json(json.loads((run / "model.json").read_text())), Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
     memory, m = law.start(1), model.scale.inputs
     target = np.concatenate([np.zeros(model.order + m), model.scale.output_equilibrium])
@@ -60,7 +66,7 @@ def c_replay(folder: Path, y: np.ndarray, main: str = MAIN_C) -> np.ndarray:
     m, p = len(numbers["input_scale"]), len(numbers["output_scale"])
     (folder / "main.c").write_text(main % (p, m, p, m))
     strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2"]
-    subprocess.run(["gcc", *strict, "main.c", "-o", "main"], cwd=folder, check=True)
+    subprocess.run(["gcc", *strict, "main.c", "-o", "main", "-lm"], cwd=folder, check=True)
     text = " ".join(repr(float(v)) for v in y.ravel())
     done = subprocess.run([folder / "main"], input=text, capture_output=True, text=True, check=True)
     return np.array(done.stdout.split(), dtype=float).reshape(len(y), m)
@@ -111,3 +117,56 @@ def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     assert {"controller.h", "controller.json", "controller.py", "certificate.json"} <= names
     assert (tmp_path / "out" / "certificate.json").read_bytes() == (run / "certificate.json").read_bytes()
     assert "NOT certified" in (tmp_path / "out" / "controller.h").read_text()  # its numbers prove nothing
+
+
+def structured_run(folder: Path, kinds: tuple[str, ...], seen: float) -> Path:
+    """A certified pair of a model with these neurons, which the output sees directly where `seen` is not zero."""
+    made = replace(structured(kinds, seed=2), h=np.full((1, len(kinds)), seen))
+    design = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5, input_weight=0.1).design(
+        made, certified_balls(made)
+    )
+    assert design.certified
+    folder.mkdir(parents=True)
+    (folder / "model.json").write_text(json.dumps(made.to_json()))
+    design.save(folder / "certificate.json")
+    return folder
+
+
+@pytest.mark.parametrize(("replay", "tolerance"), [(c_replay, 1e-9), (onnx_replay, 1e-6), (control_replay, 1e-9)])
+@pytest.mark.parametrize("kinds", [*((kind,) for kind in NEURONS), tuple(NEURONS)])
+def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], replay: Replay, tolerance: float) -> None:
+    """Far from rest, so that every neuron bends; a controller without them would not agree."""
+    run = structured_run(tmp_path / "run", kinds, 0.02 * (len(kinds) > 1))
+    export(run, tmp_path / "out")
+    y = 1 + 20 * np.random.default_rng(7).standard_normal((SAMPLES, 1))
+    expected = python_loop(run, y)
+    assert np.ptp(expected) > 0.01
+    bare = json.loads((run / "model.json").read_text())
+    (run / "model.json").write_text(json.dumps(bare | {"e": (0 * np.array(bare["e"])).tolist()}))
+    assert np.abs(python_loop(run, y) - expected).max() > 100 * tolerance * np.abs(expected).max()
+    assert np.abs(replay(tmp_path / "out", y) - expected).max() <= tolerance * max(1.0, float(np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("kinds", [("relu", "saturation"), ("tanh", "softplus", "clipped_cubic")])
+def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real: str) -> None:
+    """To the last digit where they are piecewise linear, else within the bound that the replay itself holds."""
+    made = load(structured_run(tmp_path / "run", kinds, 0.02))
+    device = Device.of(made, real, *(made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)))
+    folder = written(device, tmp_path / "c")
+    words = ("-fsanitize=address,undefined", "-lm") if real == "double" else ("-std=c99", "-lm")
+    text = compiled(folder, sources=("controller_replay.c", *words))
+    assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
+    broken = (folder / "controller.h").read_text().replace("controller_phi_bias[0];", "controller_phi_bias[0] + 1;")
+    (folder / "controller.h").write_text(broken)
+    with pytest.raises(AssertionError, match="of 200 inputs differ"):
+        compiled(folder, sources=("controller_replay.c", *words))
+
+
+def test_rates_of_neurons_are_proved_for_the_deployed_floats(tmp_path: Path) -> None:
+    run = structured_run(tmp_path / "run", ("tanh", "relu"), 0.0)
+    design = Design.load(run / "certificate.json")
+    for real in ("double", "float"):
+        rates = deployed_rates(Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf])), design)
+        assert 0.45 < rates["state_feedback"] <= 0.5
+        assert 0.45 < rates["observer"] <= 0.5

@@ -12,6 +12,7 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.reference import RampReference, StepReference
 from ssm_study.loop.regulation import Loop
+from ssm_study.loop.trajectory import equilibrium
 from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
@@ -110,6 +111,22 @@ def test_limits_do_not_wind_the_integrator_up(design):
     assert run.u.min() == -0.8
     assert other.u.min() < -1.0
     assert np.abs(run.y - other.y)[:, -50:].max() < 0.05
+
+
+def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
+    """Its value is held from within the limits, its plan is not: the input waits at the limit, and nothing winds up."""
+    step = StepReference(before=0.0, after=8.0, at_s=1.0)
+    free = Loop(initial_conditions=3, horizon_s=5.0, measurement_noise_variance=0.0, reference=step)
+    held = float(equilibrium(motor_model(), np.array([8.0]))[1][0]) * motor_model().scale.input_scale[0]
+    limited = replace(free, input_lower=-1.2 * held, input_upper=1.2 * held)
+    run, other = (loop.run(motor(), motor_model(), design, seed=0).controlled for loop in (limited, free))
+    assert other.u.max() > 1.3 * held
+    assert (run.u[:, 100:] == 1.2 * held).sum() > 3
+    assert run.u.max() == 1.2 * held
+    assert np.abs(run.y - run.reference)[:, -50:].max() < 1e-3
+    assert run.y.max() < 1.1 * 8.0
+    with pytest.raises(BadRequest, match=r"is held by inputs in .* beyond the limits"):
+        replace(limited, input_upper=0.9 * held).run(motor(), motor_model(), design, seed=0)
 
 
 def test_the_margin_with_integrators_by_two_routes(design):

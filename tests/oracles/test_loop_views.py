@@ -1,6 +1,7 @@
 """What a record shows at its amplitude: noise told from what repeats, phase from size, rest from what is left."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from test_loop_prediction import ONES, closed, linear_model
 from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, trials
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory, repetition
-from ssm_study.synthesis.mismatch import AT_REST, mismatch
+from ssm_study.study.recordings import read_mismatch, write_mismatch
+from ssm_study.synthesis.mismatch import AT_REST, BAND, Mismatch, mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 
 
 @given(st.integers(0, 10_000), st.integers(32, 90), st.integers(0, 70), st.integers(0, 70))
@@ -73,6 +76,46 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
     assert verdicts == {True, False} or seed  # both answers occur
 
 
+def test_of_the_two_conditions_the_better_one_counts():
+    """A mismatch that is all phase costs no margin, whether small gain passes it or not."""
+    model = linear_model(0)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(model, ONES)
+    response, small_gain = model.linear.simulate(np.eye(400, 1))[0][:, 0], set()
+    for factor in (0.02, -0.95, 0.5, 1.5, 3.0, 8.0):
+        if closed(model, design.pair.k, design.pair.l, factor * response) >= 1:
+            continue
+        shown = mismatch(model, (twice(model, lambda u, f=factor: f * model.simulate(u), 0.0),))
+        sizes = replace(shown, views=tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views))
+        small_gain.add(predict(model, design.pair, ONES, sizes).resolved_margin > 1)
+        assert predict(model, design.pair, ONES, shown).resolved_margin > 1e4
+    assert small_gain == {True, False}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
+    """The loop run with an offset of the output, sample by sample, against the margin; integrators leave nothing."""
+    model = linear_model(seed)
+    model = model.with_linear(replace(model.linear, d=np.zeros((1, 1))))
+    moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
+    design, careful = moderate.design(model, ONES), RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1)
+    a, b, c, d = (getattr(model.linear, name) for name in "abcd")
+    x, x_hat, offset = np.zeros(3), np.zeros(3), 0.04
+    for _ in range(3000):
+        u = design.pair.k @ x_hat
+        y = c @ x + d @ u + offset
+        x, x_hat = a @ x + b @ u, a @ x_hat + b @ u + design.pair.l @ (c @ x_hat + d @ u - y)
+    view = mismatch(model, (twice(model, lambda u: 1e-9 * u, 0.0),)).views
+    for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
+        shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
+        found = predict(model, design.pair, ONES, shown)
+        worst = max(stuck, default=0.0) * {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}[len(stuck)]
+        left = abs(float(y[0])) / offset * worst / (BAND * farthest)  # in bands
+        assert not stuck or found.resolved_margin == pytest.approx(1 / left, rel=1e-3)
+        assert found.keeps_the_plant() == (left < 1 and found.controller_radius < 1)
+        integral = IntegralSynthesis(synthesis=careful, integral_weight=0.01).design(model, ONES)
+        assert predict(model, integral.pair, ONES, shown).resolved_margin > 5  # at 1e-4 rad/sample, not at 0
+
+
 def test_between_two_amplitudes_lies_what_neither_shows():
     """A gain of 0.1 at one amplitude and 6 at another: each loop is stable, the ones between are not all."""
     model, scale = linear_model(1), 3.0
@@ -116,3 +159,22 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
     again = trials(motor(), 3, np.array([0.1]))
     assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))
+
+
+def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
+    """With a trial in closed loop and a rest, and without; infinite gains included."""
+    shown = mismatch(linear_model(0), (twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2),))
+    view = shown.views[0]
+    lost = replace(view, by_frequency=np.full_like(view.rest, np.inf), linear=view.linear + complex(np.inf, 1.0))
+    for one in (shown, replace(shown, loop=lost, left_at_rest=0.25, unexcited=(0.1, 3.0), stuck=(0.3,), farthest=2.5)):
+        write_mismatch(tmp_path / "mismatch.safetensors", one)
+        assert plain(read_mismatch(tmp_path / "mismatch.safetensors")) == plain(one)
+
+
+def plain(content):
+    """A dataclass as nested tuples, arrays as their bytes."""
+    if is_dataclass(content):
+        return [(field.name, plain(getattr(content, field.name))) for field in fields(content)]
+    if isinstance(content, np.ndarray):
+        return content.dtype.str, content.shape, content.tobytes()
+    return [plain(one) for one in content] if isinstance(content, tuple) else repr(content)

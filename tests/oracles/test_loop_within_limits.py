@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 import ssm_study as st
-from ssm_study.loop.certified_bound import WithinLimits, everywhere, within_limits
+from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.deployed import WithinLimits, within_limits
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.limited_input import from_everywhere, limited
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 LIMIT = np.array([0.6])
@@ -41,10 +44,10 @@ def pair() -> tuple[SSM, Design]:
     return model, wanted.design(model, balls)
 
 
-def inputs(model: SSM, design: Design, y0: float, *, informed: bool) -> np.ndarray:
+def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
     """What the unlimited loop asks for from rest at `y0`, noise-free."""
     law, x = ObserverFeedback.of(model, design), equilibrium(model, np.array([y0]))[0][None]
-    memory = x.copy() if informed else np.zeros_like(x)
+    memory = x.copy()
     target, asked = np.zeros(model.order + 2), []
     for _ in range(120):
         y = model.read(x, np.zeros((1, 1)))
@@ -54,28 +57,23 @@ def inputs(model: SSM, design: Design, y0: float, *, informed: bool) -> np.ndarr
     return np.array(asked)
 
 
-@pytest.mark.parametrize("informed", [True, False])
-def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design], informed: bool) -> None:
-    found = within_limits(*pair, -LIMIT, LIMIT, informed=informed)
+def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design]) -> None:
+    found = within_limits(*pair, -LIMIT, LIMIT)
     assert found.lower[0] < 0 < found.upper[0]
     for y0 in np.linspace(found.lower[0], found.upper[0], 9):
-        assert np.abs(inputs(*pair, y0, informed=informed)).max() <= LIMIT[0]
-    assert np.abs(inputs(*pair, 6 * found.upper[0], informed=informed)).max() > LIMIT[0]
+        assert np.abs(inputs(*pair, y0)).max() <= LIMIT[0]
+    assert np.abs(inputs(*pair, 6 * found.upper[0])).max() > LIMIT[0]
 
 
 def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(pair: tuple[SSM, Design]) -> None:
-    one, two, skew = (
-        within_limits(*pair, low * LIMIT, high * LIMIT, informed=False) for low, high in ((-1, 1), (-2, 2), (-9, 1))
-    )
+    one, two, skew = (within_limits(*pair, low * LIMIT, high * LIMIT) for low, high in ((-1, 1), (-2, 2), (-9, 1)))
     assert np.allclose(two.upper, 2 * one.upper)
-    assert np.array_equal(skew.upper, one.upper)
-    told = within_limits(*pair, -LIMIT, LIMIT, informed=True)
-    assert told.upper > one.upper, "an estimate that starts right asks for less"
+    assert np.allclose(skew.upper, one.upper)
 
 
 def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slopes(pair: tuple[SSM, Design]) -> None:
     feedback = pair[1].state_feedback
-    proved = everywhere(feedback)
+    proved = from_everywhere(feedback)
     assert proved is not None
     own = 1 - np.abs(np.linalg.eigvals(feedback.a)).max() ** 2
     assert 0.5 * own < proved.rate <= own < feedback.rate
@@ -87,20 +85,56 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
         assert shrunk.max() <= np.sqrt(1 - proved.rate) * (1 + 1e-9)
 
 
+def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
+    rng, ball = np.random.default_rng(0), JacobianBall(alpha=-1.0, beta=0.5)
+    wide = limited(ball, inputs=2)
+    worst = 0.0
+    for _ in range(2000):
+        turned = np.linalg.qr(rng.standard_normal((2, 2)))[0]  # of norm one: the corners of the ball
+        cut = (ball.alpha * np.eye(2) + ball.beta * turned) * rng.choice([0.0, 0.5, 1.0], 2)
+        worst = max(worst, float(np.linalg.norm(cut - wide.alpha * np.eye(2), 2)))
+    assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
+    assert limited(ball, inputs=1).lower <= ball.lower < ball.upper < 0 == limited(ball, inputs=1).upper
+
+
+def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM, Design]) -> None:
+    """`d+ <= r d + c e` with the rate from everywhere; the full rate, or one a little higher, does not hold there."""
+    model, design = pair
+    saturated = from_everywhere(design.state_feedback)
+    assert saturated is not None
+    loop = Loop(horizon_s=8.0, measurement_noise_variance=0.0, input_lower=-LIMIT[0], input_upper=LIMIT[0])
+    law, starts = ObserverFeedback.of(model, design), np.array([[-20.0], [-3.0], [0.05], [9.0]])
+    run = loop.simulate(IdentifiedPlant.of(model), law, starts, np.zeros((4, 80, 1)))
+    assert (np.abs(run.u) == LIMIT).any(axis=1).tolist() == [[True], [True], [False], [True]]
+    assert violations(run.states, run.estimate, saturated, design.observer) == 0
+    assert violations(run.states, run.estimate, design.state_feedback, design.observer) > 0
+
+
+def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> None:
+    """No range can be larger than the one whose end asks for the limit at once, or for some slope later."""
+    model, design = pair
+    found, feedback = within_limits(model, design, -LIMIT, LIMIT), design.state_feedback
+    x, asked = equilibrium(model, np.array([1.0]))[0][:, None], []
+    for _ in range(40):
+        asked.append(abs((feedback.k @ x).item()))
+        x = (feedback.a + min(SLOPES) * feedback.b @ feedback.k) @ x
+    assert 0.7 * LIMIT[0] / max(asked) < found.upper[0] <= LIMIT[0] / max(asked)
+
+
 def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
     """An unstable model is certified near rest only: no limited input can hold it everywhere."""
     plant = control.StateSpace([[1.05]], [[1.0]], [[1.0]], [[0.0]], 0.1)
     rates = ("synthesis=riccati", "synthesis.rate_controller=0.2", "synthesis.rate_observer=0.4")
     design = st.control(plant, *rates)
     assert design.certificate.certified
-    found = within_limits(design.model, design.certificate, -LIMIT, LIMIT, informed=True)
+    found = within_limits(design.model, design.certificate, -LIMIT, LIMIT)
     assert found.everywhere is None
     assert 0 < found.upper[0] < 10
 
 
 def test_refusals(pair: tuple[SSM, Design]) -> None:
     with pytest.raises(BadRequest, match="do not enclose the input at rest"):
-        within_limits(*pair, LIMIT, 2 * LIMIT, informed=True)
+        within_limits(*pair, LIMIT, 2 * LIMIT)
 
 
 def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:

@@ -21,12 +21,13 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
-from ssm_study.study.claims import SECTIONS, Derived, Finding
+from ssm_study.study.claims import SECTIONS, Checked, Derived
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compared, judge, verify
 from ssm_study.synthesis.certificate import digest
 from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.table.columns import declared
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
@@ -49,7 +50,8 @@ NUMBERS = {
     ),
     **{f"settling_time_{which}_s": ONE_FORMULA for which in ("mean", "worst", "open_loop")},
     **dict.fromkeys(("integral_squared_error", "final_error_worst", "empirical_rate"), ONE_FORMULA),
-    **dict.fromkeys(("estimate_decay_rate", "certified_bound_excess_plant"), ONE_FORMULA),
+    **dict.fromkeys(("estimate_decay_rate", "certified_bound_excess_plant", "noise_gain_measured"), ONE_FORMULA),
+    **dict.fromkeys(("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain"), ITERATED),
 }
 EIGENVALUES = {"controller_margin": 1e-12, "observer_margin": 1e-12}  # absolute, of matrices with unit diagonal
 COUNTS = (
@@ -69,12 +71,19 @@ WORDS = (
     "judged_noise_free",
     *PARTS,
 )
-ABSENT = ("benchmark", "fold", "excitation_warning", "left_bound_first_s", "unsettled_as")  # of this run: all settle
+ABSENT = (
+    "benchmark",
+    "fold",
+    "excitation_warning",
+    "left_bound_first_s",
+    "unsettled_as",
+    "limited_rate",
+)  # here: all settle
 REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower", "slope_upper", "scaffold_in",
              "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source", "loop_on",
              "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
-    *("files", "evidence.json", "model.json step_s", "excitation.mcap"),
+    *("files", "certificate limits", "evidence.json", "model.json step_s", "excitation.mcap"),
     *("trials.mcap records", "closed_loop.mcap loop_on"),
     *(f"{name}.mcap {what}" for name in ("validation", "test") for what in ("records", "/simulated")),
     *("closed_loop.mcap", "closed_loop.mcap input", "closed_loop_model.mcap"),
@@ -103,7 +112,7 @@ def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
 
 def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
     judged = [judge(name, record, derived, {}) for name in {*derived, *record}]
-    return {finding.claim for finding in judged if isinstance(finding, Finding) and not finding.holds}
+    return {finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds}
 
 
 def failing(run: Path) -> set[str]:
@@ -121,7 +130,7 @@ def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(smoke_run:
     claims = {finding.claim for finding in verified}
     certificates = {claim for claim in claims if claim.startswith("certificate.")}
     assert verified.holds
-    assert len(certificates) == 6
+    assert len(certificates) == 8
     assert claims - certificates == {*NUMBERS, *COUNTS, *WORDS, *ABSENT, *REQUESTED, *FILES}
     assert {name for name, value in record.items() if value is not None} <= {*claims, *verified.unchecked}
     assert all(verified.unchecked.values())
@@ -181,8 +190,9 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(smoke_run: Path,
     run, kept = RunFiles(path=smoke_run, record=record), read_simulation(smoke_run / "validation.mcap")
     told = "riccati; not positive definite in exact arithmetic"
     missed = replace(run.design, observer=replace(run.design.observer, certified=False, solver_status=told))  # type: ignore[arg-type]
+    shown = mismatch(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
-        facts = design_facts(made, run.model, certified_balls(run.model), kept.records, kept.start_up_samples)
+        facts = design_facts(made, run.model, certified_balls(run.model), shown)
         assert facts.get("uncertified_reason") == reason
 
 

@@ -44,6 +44,17 @@ def test_the_run_folder_is_the_public_one(smoke_run: Path) -> None:
     assert {path.name for path in (smoke_run / ".hydra").iterdir()} >= {"config.yaml", "overrides.yaml"}
 
 
+def test_models_of_the_same_data_share_its_trials(smoke_run: Path) -> None:
+    """The largest file of a run belongs to the stage of the data: a further model of them adds no copy."""
+    stores = {
+        path.relative_to(smoke_run.parents[1] / ".store").parts[0]
+        for path in smoke_run.parents[1].rglob("trials.mcap")
+        if ".store" in path.parts
+    }
+    assert stores == {"dataset"}
+    assert "trials.mcap" in json.loads((smoke_run / "manifest.json").read_text())["files"]
+
+
 def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
     record = json.loads((smoke_run / "record.json").read_text())
     assert record["status"] == "ok"
@@ -187,6 +198,10 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     assert record["plant"] is None
     assert record["fit_test_percent"] > 90
     assert record["stable_count"] == 10
+    log = read_rollouts(path.parent / "closed_loop.mcap")[0].u  # within what the training part of the log visited
+    assert (record["limit_lower"], record["limit_upper"]) == pytest.approx((u[:360].min(), u[:360].max()), rel=1e-9)
+    assert record["limit_lower"] * (1 + 1e-12) <= log.min() < log.max() <= record["limit_upper"] * (1 + 1e-12)
+    assert record["unlimited_from"] < 0 < record["unlimited_to"]
     assert failing(path.parent) == set()
 
 

@@ -22,6 +22,7 @@ from ssm_study.synthesis.theorem import Known
 from ssm_study.synthesis.theorems.deployed_rate import largest_rate
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.noise_gain import NoiseGain
 from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
@@ -194,6 +195,33 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     assert not Tolerance.holds(**(found.numbers | {"s": 1.001 / max(peaks)}))
 
 
+@given(SEEDS)
+@settings(max_examples=10, deadline=None)
+def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_as_much(seed: int) -> None:
+    """Slopes that change at random, noise at the worst frequency: below the bound; with one slope just below."""
+    linear, balls, design = loop(seed)
+    flat_balls = replace(balls, input=JacobianBall(alpha=balls.input.alpha, beta=0.0))
+    one, many = (
+        largest_tolerance(known(linear, ball, design), np.eye(1), theorem=NoiseGain) for ball in (flat_balls, balls)
+    )
+    assert one is not None
+    assert many is not None
+    pair, rng = design.pair, np.random.default_rng(seed)
+    a, b, c, k, l = linear.a, linear.b, 0.8 * linear.c, pair.k, pair.l  # noqa: E741
+    closed = np.block([[a, balls.input.alpha * b @ k], [-l @ c, a + l @ c + balls.input.alpha * b @ k]])
+    into, seen = np.vstack([np.zeros_like(l), -l]), np.hstack([c, np.zeros_like(c)])
+    peak = hinf_norm(StateSpace(a=closed, b=into, c=seen, d=np.zeros((1, 1))))
+    assert peak <= 1 / one.s <= 1.002 * peak  # what a sine at the worst frequency does
+    assert 1 / many.s >= 0.999 / one.s
+    x = x_hat = np.zeros((len(a), 1))
+    noise, out = rng.standard_normal(400) * (np.arange(400) < 300), []
+    for n in noise:
+        v = rng.uniform(balls.input.lower, balls.input.upper) * (k @ x_hat)  # known to the observer, as S_u is
+        out.append((c @ x).item())
+        x, x_hat = a @ x + b @ v, a @ x_hat + b @ v + l @ (c @ x_hat - c @ x - n)
+    assert np.linalg.norm(out) <= np.linalg.norm(noise) / many.s
+
+
 def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     model = motor_model()
     synthesis = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
@@ -221,8 +249,10 @@ def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> Non
 def stored() -> tuple[dict, StateSpace]:
     model = motor_model()
     synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
-    whole = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, SHOWN)
-    assert set(whole.beside) == {"state_feedback_deployed", "observer_deployed", "tolerance", "tolerance_by_frequency"}
+    limits = np.array([-4.0]), np.array([6.0])
+    whole = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, SHOWN, limits)
+    expected = {"noise", "state_feedback_deployed", "observer_deployed", "tolerance", "tolerance_by_frequency"}
+    assert set(whole.beside) == {*expected, "state_feedback_limited", "state_feedback_unlimited"}
     return json.loads(json.dumps(whole.to_json())), model.linear
 
 
@@ -250,6 +280,21 @@ def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace
             "observer_deployed",
             "l",
             lambda gain: [[0.99 * v for v in row] for row in gain],
+            "not the one that is deployed",
+        ),
+        ("noise", "s", lambda s: 1.01 * s, "noise.certified = True: in exact arithmetic the inequality fails"),
+        ("noise", "theorem", lambda _: "tolerance", "is of another part"),
+        ("noise", "weight", lambda w: [[0.1 * w[0][0]]], "noise.weight: differs"),
+        ("state_feedback_limited", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
+        ("state_feedback_limited", "beta", lambda beta: 0.99 * beta, "state_feedback_limited.alpha, beta"),
+        ("state_feedback_limited", "theorem", lambda _: "state_feedback", "is of another part"),
+        ("state_feedback_unlimited", "starts", lambda x: [[1.01 * v for v in row] for row in x], "fails (start 0)"),
+        ("state_feedback_unlimited", "level", lambda level: 1.01 * level, "limit 0 is not reached"),
+        ("state_feedback_unlimited", "limits", lambda ends: [[-ends[0][0], ends[0][1]]], "fails (lower limit 0"),
+        (
+            "state_feedback_unlimited",
+            "k",
+            lambda k: [[0.5 * v for v in row] for row in k],
             "not the one that is deployed",
         ),
         ("state_feedback", "certified_rate", lambda rate: rate * 1.01, "state_feedback.certified_rate"),

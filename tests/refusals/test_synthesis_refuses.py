@@ -18,7 +18,7 @@ from ssm_study.synthesis.design import Request, broken_claims
 from ssm_study.synthesis.exact import Exact
 from ssm_study.synthesis.frontier import frontier, unreached_modulus
 from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.problem import Problem, Solution
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
@@ -166,15 +166,11 @@ def test_slopes_that_include_zero_are_refused_with_the_open_loops_rate() -> None
     assert part.proved
     assert part.rate_limit == pytest.approx(1 - PLANT.spectral_radius**2)
     assert "include zero" in part.reason
-    with pytest.raises(BadRequest, match="slopes"):
-        Problem(
-            a=PLANT.a,
-            b=PLANT.b,
-            ball=JacobianBall.from_slopes(0.0, 1.0),
-            rate=0.1,
-            state_weight=np.eye(2),
-            input_weight=1.0,
-        )
+    weights = {"rate": 0.1, "state_weight": np.eye(2), "input_weight": 1.0}
+    for lower in (0.0, -0.5):
+        ball = JacobianBall.from_slopes(lower, 1.0)
+        with pytest.raises(NoSolution, match="include zero"):
+            RiccatiSynthesis(**RATES).solve(Problem(a=PLANT.a, b=PLANT.b, ball=ball, **weights))
 
 
 def test_an_uncontrollable_unstable_mode_is_refused_by_its_modulus() -> None:

@@ -51,7 +51,7 @@ class Identified:
 
     def chosen(self, synthesis: "Auto") -> Design:
         """What `auto` takes, knowing all this."""
-        return synthesis.design(self.model, self.balls, self.validation, self.start_up_samples, self.trials)
+        return synthesis.design(self.model, self.balls, self.validation, self.shown)
 
 
 class ComparisonTable(ABC):

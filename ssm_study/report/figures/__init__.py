@@ -44,15 +44,18 @@ def drawn(name: str, study: StudyFolder) -> "Figure":
 
 
 def draw(
-    wanted: Sequence[str] | None, study_folder: Path, tell: Callable[[str], object] = lambda _: None
+    wanted: Sequence[str] | None,
+    study_folder: Path,
+    tell: Callable[[str], object] = lambda _: None,
+    run: str | None = None,
 ) -> list[Path]:
     """Draw the named figures (None: all) of a study into `study_folder/figures`, each as PNG and PDF.
 
-    Pure functions of the gathered table and the run folders' files: the same files give the same bytes. A figure of
-    what the study does not have is not drawn, and `tell` hears why. Raises `BadRequest` for a figure nobody wrote.
-    `captions.md` beside them has the caption of each.
+    Those of a single run show `run`, else the study's best. Pure functions of the gathered table and the run folders'
+    files: the same files give the same bytes. A figure of what the study does not have is not drawn, and `tell` hears
+    why. Raises `BadRequest` for a figure nobody wrote. `captions.md` beside them has the caption of each.
     """
-    study, paths = StudyFolder(folder=study_folder), []
+    study, paths = StudyFolder(folder=study_folder, shown=run), []
     for name in wanted or ():
         require(name in names(), "only", name, "there is no such figure", f"choose among {', '.join(names())}")
     for name in wanted or names():

@@ -96,6 +96,8 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
 
 
 def _tau_min(problem: Problem) -> float:  # kappa > 0 iff tau > R / (alpha^2 - beta^2)
+    if abs(problem.ball.alpha) <= problem.ball.beta:
+        raise NoSolution("the slopes include zero, so no input is sure to have an effect")
     return problem.input_weight / (problem.ball.alpha**2 - problem.ball.beta**2)
 
 

@@ -37,6 +37,7 @@ from ssm_study.refusal import positive, require
 from ssm_study.signals import Trajectories
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.design import Synthesis
+from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.systems import Balls, StateSpace, StructuredSystem, System
 
 
@@ -104,9 +105,8 @@ class IntegralSynthesis:
         self,
         model: Model,
         balls: Balls,
-        validation: Trajectories = (),  # noqa: ARG002 - the same signature for every synthesis
-        start_up_samples: int = 0,  # noqa: ARG002
-        trials: Trajectories = (),  # noqa: ARG002
+        validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
+        shown: Mismatch | None = None,  # noqa: ARG002
     ) -> Design:
         feedback = self.synthesis.state_feedback(with_integrators(model, self.integral_weight), balls.input)
         return Design(state_feedback=feedback, observer=self.synthesis.observer(model.system, balls.output))

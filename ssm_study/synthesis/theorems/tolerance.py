@@ -79,9 +79,9 @@ class Tolerance(Theorem):
     part: ClassVar[str] = "tolerance"
     metric_matrix: ClassVar[str] = "p"
 
-    @staticmethod
-    def conditions(of: Any) -> dict[str, Blocks]:
-        loop, into_u, into_w = loop_matrices(of)
+    @classmethod
+    def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class: it says what is `seen`
+        (loop, into_u), into_w = loop_matrices(of), cls.seen(of)
         m, p, order = of.b.shape[1], of.c.shape[0], of.p.shape[0]
         storage = of.p - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u) - of.s * of.s * (into_w.T @ into_w)
         blocks = [[storage, np.zeros((order, m)), np.zeros((order, p))]]
@@ -89,6 +89,14 @@ class Tolerance(Theorem):
         blocks += [[np.zeros((p, order)), np.zeros((p, m)), np.eye(p)]]
         inequality = stacked(blocks) - loop.T @ of.p @ loop
         return {"inequality": [[inequality]], "p": [[of.p]], "lambda_p": [[of.lambda_p]], "s": [[of.s]]}
+
+    @staticmethod
+    def seen(of: Any) -> Any:
+        """`C_W`: what the gain from e is measured to."""
+        n, m = of.c.shape[1], of.b.shape[1]
+        w = of.weight.shape[0] - m
+        c_w, d_w = of.weight[w:, :w], of.weight[w:, w:]
+        return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
     def given(self, known: Known) -> dict[str, Any]:
         nonlinear = known.balls.output.beta > 0
@@ -117,21 +125,22 @@ class Tolerance(Theorem):
         return f"differences of trajectories vanish under every mismatch of incremental gain up to {self.s:.6g}"
 
 
-def loop_matrices(of: Any) -> tuple[Any, Any, Any]:
-    """`[A_xi B_p B_e]`, `C_u`, `C_W` of the statement, in the numbers of `of`."""
+def loop_matrices(of: Any) -> tuple[Any, Any]:
+    """`[A_xi B_p B_e]`, `C_u` of the statement, in the numbers of `of`."""
     (s, m), (p, n) = of.b.shape, of.c.shape
     w = of.weight.shape[0] - m
     k_x, none = of.k[:, :n], np.zeros((s, w))
-    a_w, b_w, c_w, d_w = of.weight[:w, :w], of.weight[:w, w:], of.weight[w:, :w], of.weight[w:, w:]
+    a_w, b_w = of.weight[:w, :w], of.weight[:w, w:]
     closed, observed = of.a + of.alpha * (of.b @ of.k), of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
     top = [closed, of.alpha * (of.b @ k_x), none, of.b, np.eye(s, p, -n)]
     middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
     bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
-    into_u = stacked([[of.k, k_x, np.zeros((m, w))]])
-    return stacked([top, middle, bottom]), into_u, stacked([[d_w @ of.k, d_w @ k_x, c_w]])
+    return stacked([top, middle, bottom]), stacked([[of.k, k_x, np.zeros((m, w))]])
 
 
-def largest_tolerance(known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance") -> Tolerance | None:
+def largest_tolerance(
+    known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance", theorem: type[Tolerance] = Tolerance
+) -> Tolerance | None:
     """The largest s that is certified for this weight; None with a nonlinear output map, where none is found, and where
     no mismatch has an effect (K or L is zero): no number is the largest then.
 
@@ -143,7 +152,8 @@ def largest_tolerance(known: Known, weight: Float[np.ndarray, "v v"], method: st
         return None
     given: dict[str, Any] = {"a": known.controlled.a, "b": known.controlled.b, "c": known.system.c, **known.gains}
     given |= {"alpha": ball.alpha, "beta": ball.beta, "alpha_out": known.balls.output.alpha, "weight": weight}
-    loop, into_u, into_w = loop_matrices(SimpleNamespace(**given))
+    of = SimpleNamespace(**given)
+    (loop, into_u), into_w = loop_matrices(of), theorem.seen(of)
     order = len(loop)
     if np.abs(np.linalg.eigvals(loop[:, :order])).max() >= 1:
         return None
@@ -154,7 +164,7 @@ def largest_tolerance(known: Known, weight: Float[np.ndarray, "v v"], method: st
         if p is None or not s > 0:
             continue
         told: Any = {"status": f"{inside:.1%} inside the largest at this multiplier", "method": method}
-        found: Tolerance = Tolerance.proved(given | {"s": s, "lambda_p": lambda_p, "p": p}, started=started, **told)
+        found: Tolerance = theorem.proved(given | {"s": s, "lambda_p": lambda_p, "p": p}, started=started, **told)
         if found.certified:
             return found
     return None
