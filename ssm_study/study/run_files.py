@@ -89,9 +89,9 @@ class RunFiles:
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """What the training records applied, as `excitation.mcap` has it."""
-        file = self.path / "excitation.mcap"
-        return [signal(case, "input", file).values for case in read_cases(file)[0].values()]
+        """What the training records applied, as `excitation.mcap` has it, and what holds rest."""
+        file, held = self.path / "excitation.mcap", self.model.scale.input_equilibrium[None]
+        return [*(signal(case, "input", file).values for case in read_cases(file)[0].values()), held]
 
     @property
     def loop(self) -> Loop:
