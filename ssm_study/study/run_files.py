@@ -89,15 +89,17 @@ class RunFiles:
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """What the training records applied, as `excitation.mcap` has it, and what holds rest."""
-        file, held = self.path / "excitation.mcap", self.model.scale.input_equilibrium[None]
-        return [*(signal(case, "input", file).values for case in read_cases(file)[0].values()), held]
+        """What the training records applied, as `excitation.mcap` has it."""
+        file = self.path / "excitation.mcap"
+        return [signal(case, "input", file).values for case in read_cases(file)[0].values()]
 
     @property
     def loop(self) -> Loop:
         """The experiment; without a plant within the limits of the log."""
         loop = self.specification.loop
-        return loop if self.specification.plant else loop.within(self.inputs)
+        return (
+            loop if self.specification.plant else loop.within([*self.inputs, self.model.scale.input_equilibrium[None]])
+        )
 
     @property
     def plant(self) -> Plant:
