@@ -152,6 +152,11 @@ class DataSet:
     metadata: dict[str, str] = field(default_factory=dict)
 
     @property
+    def applied(self) -> list[Float[np.ndarray, "_ m"]]:
+        """The inputs of the training records, and the one that holds rest."""
+        return [*(record.u for record in self.training), self.scale.input_equilibrium[None]]
+
+    @property
     def step_s(self) -> float:
         return self.training[0].step_s
 

@@ -97,7 +97,9 @@ class RunFiles:
     def loop(self) -> Loop:
         """The experiment; without a plant within the limits of the log."""
         loop = self.specification.loop
-        return loop if self.specification.plant else loop.within(self.inputs)
+        return (
+            loop if self.specification.plant else loop.within([*self.inputs, self.model.scale.input_equilibrium[None]])
+        )
 
     @property
     def plant(self) -> Plant:

@@ -200,7 +200,7 @@ def compute_synthesis(
 
     chosen_by: Synthesis | Auto = synthesis
     model, balls = bounded.model, certified_balls(bounded.model)
-    ends = input_limits(limits["input_lower"], limits["input_upper"], [record.u for record in data.training])
+    ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
         chosen_by = judgeable.within(*map(model.scale.scaled_input, ends)) if limits["applied"] else judgeable
@@ -237,7 +237,7 @@ def compute_loop(
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on, loop_on = (twin, "identified model") if plant is None else (plant, "plant")
-    fitted = (loop.within([record.u for record in data.training]) if plant is None else loop).fitted(model)
+    fitted = (loop.within(data.applied) if plant is None else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
     if fitted.comparison is not None:
