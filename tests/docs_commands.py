@@ -87,7 +87,7 @@ ELSEWHERE = {  # what a test cannot have, by name
     "ssm-study excite": "run in tests/laws/test_data_own_plant.py",
     "hydra/launcher=slurm": "needs a Slurm cluster",
     "hydra/launcher=ray": "needs a Ray cluster",
-    "-m benchmarks.adversarial": "ten seconds a line; its table is committed, tests/oracles/test_study_refine.py imports it",
+    "-m benchmarks.adversarial": "ten seconds a line; its table is committed",
     "ssm-study watch": "serves until it is stopped; tests/laws/test_report_live.py asks it",
 }
 
