@@ -4,10 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+import scipy
 
 from ssm_study.report.words import FAILED, INFEASIBLE, LOST, SETTLED, decides, spoken, verdicts, words
 from ssm_study.table.columns import column, flag, requested, swept, text
 from ssm_study.table.rank import best_first, predicted
+
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,25 @@ def _margin(table: pd.DataFrame) -> tuple[str, ...]:
     ]
     if len(told) < len(sides):
         told.append("All runs are on one side, so this study cannot show where the prediction fails.")
-    return tuple(told)
+    return (*told, *_by_model(text(table, "stage_bounds_key")[known & said_so], sides[0][1]))
+
+
+def _by_model(models: pd.Series, share: pd.Series) -> list[str]:
+    """How often a prediction may fail: loops of one model are not independent, so each model counts once.
+
+    With k of N models wrong the probability is below the p of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934);
+    `1 - 0.05^(1/N)` for none.
+    """
+    wrong = (share < 1).groupby(models[models != ""]).any()
+    count, failed = len(wrong), int(wrong.sum())
+    if count < 2 or failed == count:
+        return []
+    bound = scipy.special.betaincinv(failed + 1, count - failed, CONFIDENCE)
+    of_them = f"{failed} had" if failed else "none had"
+    return [
+        f"Each model counted once: of {count} models {of_them} a predicted loop that does not settle, so with "
+        f"{100 * CONFIDENCE:g} % confidence the share of such models is below {bound:.2g}."
+    ]
 
 
 def _failed(table: pd.DataFrame) -> tuple[str, ...]:

@@ -1,7 +1,9 @@
 """What the page says in words must be what the table says in numbers."""
 
 import pandas as pd
+import pytest
 import report_tables
+import scipy
 
 from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.data import question
@@ -52,6 +54,23 @@ def test_the_prediction_by_frequency_takes_the_place_of_the_margin_where_it_is_k
     assert "(margin 1.3 > 1, own radius 0.9 < 1)" in said(table, "best")
     text = said(table, "prediction hold")
     assert text.startswith("Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it")
+
+
+def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
+    """Ten loops of each of N models are N trials, not ten times as many."""
+    foretold = {"predicted_stable": True, "resolved_margin": 1.3, "controller_radius": 0.9, "stage_synthesis_key": "k"}
+    runs = [row(run=f"{m}-{k}", stage_bounds_key=f"m{m}", **foretold) for m in range(20) for k in range(10)]
+    text = said(pd.DataFrame(runs), "prediction hold")
+    assert (
+        f"of 20 models none had a predicted loop that does not settle, so with 95% confidence the share of such models is below {1 - 0.05 ** (1 / 20):.2g}"
+        in text
+    )
+    runs[7]["stable_fraction"] = runs[8]["stable_fraction"] = 0.5
+    text = said(pd.DataFrame(runs), "prediction hold")
+    bound = float(text.split("below ")[1].rstrip("."))
+    assert "of 20 models 1 had" in text
+    assert scipy.stats.binom.cdf(1, 20, bound) == pytest.approx(0.05, abs=0.01)
+    assert "confidence" not in said(pd.DataFrame(runs[10:20]), "prediction hold")  # one model shows nothing
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
