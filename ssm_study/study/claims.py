@@ -200,7 +200,7 @@ def certificate(run: RunFiles) -> Claims:
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
         yield Checked(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
     told = {label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)}
-    ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.inputs))).T
+    ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))).T
     pairs = {label: (part.limits, ends) for label, part in told.items()}
     yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
     kept = run.simulated.validation

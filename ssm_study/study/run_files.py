@@ -94,12 +94,15 @@ class RunFiles:
         return [signal(case, "input", file).values for case in read_cases(file)[0].values()]
 
     @property
+    def applied(self) -> list[Float[np.ndarray, "_ m"]]:
+        """`DataSet.applied`, from the files of the run."""
+        return [*self.inputs, self.model.scale.input_equilibrium[None]]
+
+    @property
     def loop(self) -> Loop:
         """The experiment; without a plant within the limits of the log."""
         loop = self.specification.loop
-        return (
-            loop if self.specification.plant else loop.within([*self.inputs, self.model.scale.input_equilibrium[None]])
-        )
+        return loop if self.specification.plant else loop.within(self.applied)
 
     @property
     def plant(self) -> Plant:
