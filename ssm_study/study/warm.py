@@ -20,8 +20,8 @@ from ssm_study.plants.dc_motor_kernel import advance_batch
 from ssm_study.study.allow_list import ROOMS
 from ssm_study.study.stages import STAGES
 
-# By the stage that takes it: torch and Lightning, then CVXPY. Imported they take 5 s of a processor, and three quarters of
-# the memory whose page table every fork copies.
+# By the stage that takes it: torch and Lightning, then CVXPY. Together 5 s of a processor, and three quarters of the
+# memory whose page table every fork copies.
 HEAVY = {
     "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
     "synthesis": re.compile(r"ssm_study\.(bounds\.lipsdp|synthesis\.\w*lmi|loop\.(comparison|peers))"),
