@@ -30,7 +30,9 @@ SIZES = ((2, 1), (4, 2), (4, 4), (8, 4), (8, 8))
 BALLS = {"none": JacobianBall(alpha=1.0, beta=0.0), "wide": JacobianBall.from_slopes(0.6, 1.0)}
 KINDS = tuple(product(SIZES, ("controller", "observer"), BALLS, (False, True)))
 RANDOM, CLIMBED, STEPS = 400, 5, 20
-COLUMNS = "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,game_s,cost_s,feasible_s,exact_s"
+COLUMNS = (
+    "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,game_s,cost_s,feasible_s,exact_s"
+)
 
 
 def drawn(rng: np.random.Generator, n: int, q: int, h: bool) -> StructuredSystem:
@@ -118,7 +120,9 @@ def row(index: int) -> str | None:
     assert proof is not None
     assert holds(problem, proof)
     exact_s, worst = time.process_time() - started, sampled(system, problem, proof, rng)
-    factors = f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{'' if np.isnan(ratio) else f'{ratio:.4f}'}"
+    factors = (
+        f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{'' if np.isnan(ratio) else f'{ratio:.4f}'}"
+    )
     times = f"{game_s:.5f},{cost_s:.5f},{deep_s:.5f},{exact_s:.5f}"
     return f"{index},{n},{q},{side},{ball},{h and observes},{factors},{worst:.6f},{times}"
 
