@@ -132,9 +132,10 @@ def told(path: str) -> Iterator[str]:
     table = pd.read_csv(path)
     every = (table.sampled_r <= np.sqrt(1 - BELOW * (1 - table.best_r**2)) + 1e-4).sum()
     yield f"{len(table)} models; sampled slopes contract no slower than certified on {every}"
-    yield f"search certified {table.certified.sum()} ({table.certified.mean():.1%}), cost form solved {table.cost_ratio.notna().sum()}"
-    faster = table.cost_s / table.game_s
-    yield f"cost form over search, time: median {faster.median():.1f}, quartiles {faster.quantile(0.25):.1f}, {faster.quantile(0.75):.1f}"
+    share, solved = f"{table.certified.sum()} ({table.certified.mean():.1%})", table.cost_ratio.notna().sum()
+    yield f"search certified {share}, cost form solved {solved}"
+    low, middle, high = (table.cost_s / table.game_s).quantile([0.25, 0.5, 0.75])
+    yield f"cost form over search, time: median {middle:.1f}, quartiles {low:.1f}, {high:.1f}"
     for size, group in table.groupby(["states", "neurons"]):
         ms = 1e3 * group[["game_s", "cost_s", "feasible_s", "exact_s"]].median()
         ratio = (group.cost_s / group.game_s).median()
