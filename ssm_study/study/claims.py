@@ -38,7 +38,7 @@ from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import Theorem, condition, margin
-from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME
 from ssm_study.training.metrics import mean_fit
@@ -189,7 +189,7 @@ def certificate(run: RunFiles) -> Claims:
     """Both theorems in exact rational arithmetic on the stored matrices, and the columns that follow from them."""
     design, system, spec = run.design, run.model.system, run.specification.loop
     balls, feedback = certified_balls(run.model), run.design.state_feedback
-    controlled = controlled_system(run.model, feedback.k) if isinstance(feedback, StateFeedback) else system
+    controlled = controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
     broken = broken_claims(run.certificate, system, balls, controlled)
     for label, part in design.content.items():
         wrong = [sentence for sentence in broken if re.match(rf"{label}\b", sentence)] + information(part)
@@ -199,6 +199,10 @@ def certificate(run: RunFiles) -> Claims:
         found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
         yield Checked(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
+    if (words := getattr(run.specification.synthesis, "modes", ())) and isinstance(feedback, StateFeedback):
+        asked = internal_model(words, run.model.step_s, run.model.scale.outputs)
+        made = {"modes": (feedback.a[run.model.order :, run.model.order :], asked)}
+        yield agreement("certificate internal model", made, ONE_FORMULA, f"{', '.join(words)} was requested")
     told = {label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)}
     ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))).T
     pairs = {label: (part.limits, ends) for label, part in told.items()}

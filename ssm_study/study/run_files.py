@@ -96,7 +96,7 @@ class RunFiles:
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
         """`DataSet.applied`, from the files of the run."""
-        return [*self.inputs, self.model.scale.input_equilibrium[None]]
+        return self.model.scale.with_rest(self.inputs)
 
     @property
     def loop(self) -> Loop:

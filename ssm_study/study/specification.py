@@ -76,6 +76,7 @@ class Specification:
         )
         found.refuse_sizes()
         found.refuse_feedthrough()
+        found.refuse_fast_modes()
         return found
 
     def refuse_feedthrough(self) -> None:
@@ -86,6 +87,14 @@ class Specification:
         loops = self.model.gives_ssm and (self.plant is not None or not structured)
         problem, remedy = "the loop samples the output before the input acts", "identify with model.feedthrough=false"
         require(not (loops and known.get("feedthrough")), "model.feedthrough", True, problem, remedy)
+
+    def refuse_fast_modes(self) -> None:
+        """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is known beforehand."""
+        words, step_s = getattr(self.synthesis, "modes", ()), getattr(self.plant or self.data, "step_s", None)
+        if words and step_s:
+            from ssm_study.synthesis.theorems.integral_action import internal_model
+
+            internal_model(words, step_s, outputs=1)
 
     def refuse_sizes(self) -> None:
         """Raise `BadRequest` for what no memory holds, and for more states than there are, before any is allocated."""
