@@ -131,7 +131,7 @@ def data(run: RunFiles) -> Claims:
     try:
         records = run.data
     except (BadRequest, OSError) as error:
-        if run.specification.plant is not None:
+        if run.specification.plant is not None and not run.specification.plant.real:
             raise
         reason = f"the recorded data cannot be read: {one_line(error)}"
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
@@ -244,6 +244,11 @@ def loop(run: RunFiles) -> Claims:
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
+    same = loop_on == ("plant" if spec.plant else "identified model")
+    yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
+    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
+    if plant.real:
+        return
     again = run.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
     pairs = of_rollouts(kept.controlled, again.controlled) | {
         "settling_band": (kept.settling_band, again.settling_band),
@@ -255,9 +260,6 @@ def loop(run: RunFiles) -> Claims:
     for name, stored, made in (on_model, (NOISE_FREE, kept.noise_free, again.noise_free)):
         if stored is not None or made is not None:
             yield agreement(name, of_rollouts(stored, made), ITERATED, "stored model and gains give it")
-    same = loop_on == ("plant" if spec.plant else "identified model")
-    yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
-    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
 
 
 def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
