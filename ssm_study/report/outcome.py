@@ -60,7 +60,7 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 
 
 def _on_plant(record: Mapping[str, Any]) -> bool:
-    return record.get("loop_on") in (None, "plant")
+    return record.get("loop_on") != "identified model"
 
 
 def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -89,7 +89,7 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield "neurons", LIMITS_OF[_on_plant(record)], "nothing is proved: the theorems know no neurons"
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
-    where = "simulated plant" if _on_plant(record) else record["loop_on"]
+    where = {None: "simulated plant", "plant": "simulated plant"}.get(record.get("loop_on"), record.get("loop_on"))
     settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on the {where}"
     yield "stable_count", "Starts settled", settled
     time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")

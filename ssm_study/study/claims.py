@@ -244,7 +244,7 @@ def loop(run: RunFiles) -> Claims:
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    same = loop_on == ("plant" if spec.plant else "identified model")
+    same = loop_on == ("device" if plant.real else "plant" if spec.plant else "identified model")
     yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
     if plant.real:

@@ -105,7 +105,7 @@ class Specification:
             return
         assert isinstance(self.data, SimulatedData)
         one = not self.plant.real or (self.loop.initial_conditions == 1 and not self.data.trials)
-        problem, remedy = "a device runs one case, from where it is", "use loop.initial_conditions=1 data.trials=false"
+        problem, remedy = "a device runs one case, from where it is", "use loop.initial_conditions=1 +data.trials=false"
         require(one, "plant", type(self.plant).__name__, problem, remedy)
         samples = self.loop.initial_conditions * self.loop.samples(self.plant.step_s)
         counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
