@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Set
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ class Badly(Task[Settings]):
         (run.path / "model.json").write_text(json.dumps({"number": number}))
         return {"fit_test_percent": number + request.rate, "stable_fraction": 1.0, "threads_seen": _threads(request)}
 
-    def warm(self) -> None:
+    def warm(self, again: Set[str]) -> None:  # noqa: ARG002
         for module in filter(None, os.environ.get("WARM", "").split()):
             importlib.import_module(module)
 

@@ -5,7 +5,7 @@ import os
 import signal
 import time
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -134,11 +134,14 @@ class Processes(Launcher):
 
 
 def warm(task: Task[Any], jobs: list[Job]) -> None:
-    """What every job would import and read for itself: also the code that the first one's keys depend on (0.2 s)."""
-    task.warm()
+    """What every job would import and read for itself: also the code that their keys depend on (0.2 s)."""
+    planned = KeyedStages(store_of(jobs[0].settings))
+    for job in jobs:
+        with contextlib.suppress(Exception):  # the job itself says what is wrong with it
+            task.stages(task.request(job.settings), planned)
+    missing = Counter(result.name for result in planned.noted.values() if not result.reused)
+    task.warm({name for name, number in missing.items() if number > 1})
     task.provenance()
-    with contextlib.suppress(Exception):  # the job itself says what is wrong with it
-        task.stages(task.request(jobs[0].settings), KeyedStages(store_of(jobs[0].settings)))
 
 
 @contextlib.contextmanager

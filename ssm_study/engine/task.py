@@ -2,7 +2,7 @@
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -58,8 +58,11 @@ class Task(ABC, Generic[R]):
         """Files that the request reads: a finished run knows by their content whether it is still its result."""
         return []
 
-    def warm(self) -> None:
-        """Import what every job of a sweep would import for itself; asked once, before the first is forked."""
+    def warm(self, again: Set[str]) -> None:
+        """Import what every job of a sweep would import for itself; asked once, before the first is forked.
+
+        `again` names the stages that more than one job will compute: what only the others take, one job can import.
+        """
 
     def provenance(self) -> Facts:
         """Commit, versions and machine; found once in a process."""

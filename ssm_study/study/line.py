@@ -4,6 +4,7 @@ Each stage is a pure function of its part of the configuration and of the stages
 of the store, so that what is computed and what is reused are the same bits.
 """
 
+from collections.abc import Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,10 +117,10 @@ class Study(Task["Specification"]):
     def parameters(self, request: "Specification") -> Facts:
         return parameters(request)
 
-    def warm(self) -> None:
+    def warm(self, again: Set[str]) -> None:
         from ssm_study.study.warm import warm
 
-        warm()
+        warm(again)
 
 
 STUDY = Study()

@@ -6,6 +6,8 @@ what its jobs compute nor the keys under which they keep it.
 
 import importlib
 import pkgutil
+import re
+from collections.abc import Set
 from contextlib import suppress
 
 import numpy as np
@@ -18,14 +20,23 @@ from ssm_study.plants.dc_motor_kernel import advance_batch
 from ssm_study.study.allow_list import ROOMS
 from ssm_study.study.stages import STAGES
 
+# By the stage that takes it: torch and Lightning, then CVXPY. Together 5 s of a processor, and three quarters of the
+# memory whose page table every fork copies.
+HEAVY = {
+    "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
+    "synthesis": re.compile(r"ssm_study\.(bounds\.lipsdp|synthesis\.\w*lmi|loop\.(comparison|peers))"),
+}
 
-def warm() -> None:
-    """Everything that this module speaks of, in the process that jobs are forked from."""
+
+def warm(again: Set[str]) -> None:
+    """Everything that this module speaks of, in the process that jobs are forked from; `again` as in `Task.warm`."""
+    left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
-                importlib.import_module(module.name)
+                if not any(modules.match(module.name) for modules in left):
+                    importlib.import_module(module.name)
     # The motor's compiled step, from its cache on disk: a third of a second that each job would spend on its own.
     constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
     advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)

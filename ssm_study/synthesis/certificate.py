@@ -235,9 +235,9 @@ class Design:
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """`k` and `l`, those that there are."""
-        found = {"k": self.state_feedback, "l": self.observer}
-        return {letter: part.gain for letter, part in found.items() if not isinstance(part, Infeasible)}
+        """`k`, `l` and `l_z`, those that there are."""
+        found = {"k": self.state_feedback, "l": self.observer, "l_z": self.observer}
+        return {letter: vars(part)[letter] for letter, part in found.items() if letter in vars(part)}
 
     def certified_rate(self, side: str) -> float | None:
         """The largest rate that is proved for the gain of this side; None without any."""

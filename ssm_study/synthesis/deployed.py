@@ -16,15 +16,17 @@ from jaxtyping import Float
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible
+from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.problem import NoSolution, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem
+from ssm_study.synthesis.theorems import structured_tolerance
 from ssm_study.synthesis.theorems.integral_action import controlled_system
 from ssm_study.synthesis.theorems.limited_input import LimitedFeedback, from_everywhere
 from ssm_study.synthesis.theorems.noise_gain import NoiseGain
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
 from ssm_study.synthesis.theorems.tolerance import largest_tolerance
 from ssm_study.synthesis.theorems.unlimited_start import unlimited
 from ssm_study.systems import Balls
@@ -49,15 +51,17 @@ def as_deployed(
         if again is not None:
             beside[f"{side}_deployed"] = again
     feedback, observer = design.state_feedback, design.observer
-    if isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall):
+    linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
+    if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
         controlled = controlled_system(model, feedback)
         known = Known(system=model.system, controlled=controlled, balls=balls, gains=design.gains)
         weights = {"tolerance": np.eye(len(feedback.k))}
         if shown.rests:  # a plant that does not rest by itself shows no gain that a weight could cover
             gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
             weights["tolerance_by_frequency"] = covering_weight(ANGLES, gains, channels=len(feedback.k))
-        found = {name: within_reach(partial(largest_tolerance, known, weight)) for name, weight in weights.items()}
-        if not model.linear.d.any():
+        largest = largest_tolerance if linear else structured_tolerance.largest_tolerance
+        found = {name: within_reach(partial(largest, known, weight)) for name, weight in weights.items()}
+        if linear and not model.linear.d.any():
             unit = weights["tolerance"]
             found["noise"] = within_reach(partial(largest_tolerance, known, unit, theorem=NoiseGain))
         beside |= {name: part for name, part in found.items() if part is not None}

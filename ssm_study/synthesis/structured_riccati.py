@@ -47,10 +47,12 @@ def game_of(problem: Problem) -> Game:
     if problem.neurons is None:
         raise ValueError("a game needs neurons")
     neurons, ball = problem.neurons.scaled(), problem.ball
+    parts = {"a": problem.a, "b": problem.b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
+    parts |= {"state_weight": problem.state_weight}
     return Game(
-        a=problem.a, b=problem.b, e=neurons.e, f=neurons.f, g=neurons.g, alpha=ball.alpha, beta=ball.beta,
-        r=problem.contraction, state_weight=problem.state_weight, input_weight=problem.input_weight,
-        injects=problem.neurons.injects and ball.beta == 0,
+        **{name: np.array(part, dtype=float, order="C") for name, part in parts.items()},
+        alpha=float(ball.alpha), beta=float(ball.beta), r=problem.contraction,
+        input_weight=float(problem.input_weight), injects=bool(problem.neurons.injects and ball.beta == 0),
     )  # fmt: skip
 
 
@@ -63,13 +65,13 @@ def searched(
     if game.beta > 0:
         logs = np.append(logs, np.log(1 + 4 * game.beta**2 * np.linalg.norm(game.b.T @ game.state_weight @ game.b, 2)))
     slow, share = game, 1.0
-    while evaluate(slow, logs, 0.0) is None:
+    while np.isinf(evaluate(slow, logs, 0.0).goal):
         slow = slow._replace(r=slow.r * SLOWER)
         if slow.r > SLOWEST:
             return logs, slow.r
     while slow.r > game.r:
         logs = descend(slow, logs, centred, per_rate)
-        while evaluate(_between(game, slow, share), logs, 0.0) is None:
+        while np.isinf(evaluate(_between(game, slow, share), logs, 0.0).goal):
             share /= 2
             if share < SHORTEST:
                 return logs, slow.r
@@ -85,7 +87,7 @@ def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solu
     """The theorem's matrices at these multipliers. Raises `NoSolution` where they do not hold."""
     assert problem.neurons is not None
     saddle = evaluate(game, logs, 0.0)
-    if saddle is None:
+    if np.isinf(saddle.goal):
         raise NoSolution("the game has no saddle point at these multipliers")
     x, h, toward = saddle.x, saddle.h, saddle.toward
     m, q = game.b.shape[1], game.e.shape[1]

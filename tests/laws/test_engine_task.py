@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Set
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,32 @@ def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path:
     read = code._version.cache_info().misses
     task.stages(settings, Store(tmp_path / ".store"))
     assert code._version.cache_info().misses == read > 0
+
+
+def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -> None:
+    """Two jobs on one model: its training is one job's own matter, unlike the data of two seeds."""
+    asked = []
+
+    class Asked(Badly):
+        def warm(self, again: Set[str]) -> None:
+            asked.append(again)
+
+    def job(run: str, seed: int, rate: int) -> Job:
+        made = Settings(seed=seed, do="work", rate=rate, study="s", run=run, results_dir=str(tmp_path))
+        return Job(overrides=[], settings=made, folder=tmp_path / "s" / run)
+
+    warm(Asked(), [job("a", 1, 1), job("b", 1, 2)])
+    warm(Asked(), [job("a", 1, 1), job("c", 2, 1)])
+    first = job("a", 1, 1)
+    Asked().stages(first.settings, Store(tmp_path / ".store"))
+    warm(Asked(), [first, job("c", 2, 1)])
+    assert asked == [{"model"}, {"data", "model"}, set()]
+
+
+@pytest.mark.parametrize(("again", "there"), [("", []), ("'synthesis', 'model'", ["cvxpy", "torch", "lightning"])])
+def test_a_sweep_imports_what_its_jobs_take(again: str, there: list[str]) -> None:
+    heavy = ["cvxpy", "torch", "lightning"]
+    program = f"import sys; from ssm_study.study.warm import warm; warm({{{again or '*()'}}}); "
+    program += f"print([name for name in {heavy} if name in sys.modules])"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    assert ended.stdout.strip() == str(there)

@@ -89,5 +89,5 @@ def test_an_infeasible_run_shows_the_rate_that_was_possible() -> None:
 
 def test_with_neurons_it_says_that_nothing_is_proved_of_the_limits() -> None:
     record = a_run("ok") | {"neurons": 3, "controller_certified": True}
-    assert "nothing is proved: the theorems know no neurons" in printed(record)
+    assert "nothing is proved: the theorems on limits know no" in printed(record)
     assert "know no neurons" not in printed(record | {"neurons": 0})

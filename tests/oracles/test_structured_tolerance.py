@@ -1,0 +1,146 @@
+"""Mismatch tolerated by a model with neurons: the limit without them, frozen slopes, simulated loops, a forged file."""
+
+import json
+
+import numpy as np
+import pytest
+from loop_cases import flat
+from structured_cases import drawn, model
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.synthesis.certificate import Design, digest
+from ssm_study.synthesis.deployed import as_deployed
+from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.mismatch import ANGLES
+from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
+from ssm_study.synthesis.theorem import Known
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.structured_tolerance import StructuredTolerance, largest_tolerance
+from ssm_study.synthesis.theorems.tolerance import largest_tolerance as without_neurons
+from ssm_study.systems import Balls, JacobianBall, Pair, StructuredSystem
+
+BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
+SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
+ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.0)
+
+
+class _Model:
+    def __init__(self, system: StructuredSystem) -> None:
+        self.system, self.linear = system, system.at_slopes(np.zeros(system.neurons))
+
+
+def found(system: StructuredSystem, weight: np.ndarray | None = None) -> tuple[Known, StructuredTolerance]:
+    design = ASKED.design(_Model(system), BALLS)
+    known = Known(system=system, controlled=system, balls=BALLS, gains=design.gains)
+    proved = largest_tolerance(known, np.eye(1) if weight is None else weight)
+    assert proved is not None
+    assert proved.certified
+    return known, proved
+
+
+@pytest.mark.parametrize("weight", [np.eye(1), np.array([[0.5, 1.0], [0.2, 1.0]])])
+def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndarray) -> None:
+    """By two routes that share no line: a semidefinite program, and a Riccati equation with a search."""
+    system = drawn(2, n=4, q=3, radius=0.9)
+    still = StructuredSystem(**{**vars(system), "e": 0 * system.e, "h": 0 * system.h})
+    known, proved = found(still, weight)
+    linear = still.at_slopes(np.zeros(3))
+    gains = {name: known.gains[name] for name in ("k", "l")}
+    other = without_neurons(Known(system=linear, controlled=linear, balls=BALLS, gains=gains), weight)
+    assert other is not None
+    assert proved.s == pytest.approx(other.s, rel=2e-4)
+
+
+@pytest.mark.parametrize(("seed", "h"), [(0, 0.0), (0, 0.3), (2, 0.0)])
+def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) -> None:
+    """Both sets of neurons frozen alike: small gain at each corner; and what is stored is refused above it."""
+    system = drawn(seed, n=4, q=3, radius=0.9, h=h)
+    known, proved = found(system)
+    k, l, l_z = (known.gains[name] for name in ("k", "l", "l_z"))  # noqa: E741
+    peaks = []
+    for slopes in system.corners():
+        injected = l + (system.e * slopes) @ l_z
+        for slope in (0.6, 0.8, 1.0):
+            peaks.append(hinf_norm(sensitivity(system.at_slopes(slopes), Pair(k=k, l=injected), slope, 0.8)))
+    assert 0.2 < proved.s * max(peaks) <= 1
+    assert not StructuredTolerance.holds(**(proved.numbers | {"s": 1.001 / max(peaks)}))
+
+
+def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
+    """The real neurons, S_u of changing slope, and `e` of the allowed energy, placed where it raises P most."""
+    stand = model()
+    system, balls = stand.system, Balls(input=BALLS.input, output=JacobianBall(alpha=1.0, beta=0.0))
+    gains = ASKED.design(stand, balls).gains
+    proved = largest_tolerance(Known(system=system, controlled=system, balls=balls, gains=gains), np.eye(1))
+    assert proved is not None
+    rng, k, l, l_z = np.random.default_rng(0), proved.k, proved.l, proved.l_z  # noqa: E741
+    for _ in range(2):
+        x, x_hat = rng.normal(size=(2, 3))
+        start, budget = np.linalg.norm(x), 0.0
+        for _ in range(60):
+            u = k @ x_hat
+            budget += proved.s**2 * float(u @ u)  # saved energy may be spent later: gain in mean square alone
+            after = []
+            for share, sign, slope in [(a, b, c) for a in (0, 0.5, 1) for b in (-1, 1) for c in (0.6, 1.0)]:
+                e, v = sign * np.sqrt(share * budget), slope * u
+                error = x_hat @ stand.c.T - (x @ stand.c.T + e)
+                estimate = stand.advance(x_hat, v, error @ l_z.T) + l @ error
+                after.append((np.concatenate([stand.advance(x, v), estimate]), e * e))
+            energies = [
+                xi[:3] @ proved.p[:3, :3] @ xi[:3] + (xi[3:] - xi[:3]) @ proved.p[3:, 3:] @ (xi[3:] - xi[:3])
+                for xi, _ in after
+            ]
+            xi, spent = after[int(np.argmax(energies))]
+            x, x_hat, budget = xi[:3], xi[3:], budget - spent
+        assert np.linalg.norm(x) < 1e-3 * start
+
+
+@pytest.fixture(scope="module", params=[False, True])
+def stored(request: pytest.FixtureRequest) -> tuple[dict, object]:
+    stand = model()
+    asked = IntegralSynthesis(synthesis=ASKED) if request.param else ASKED
+    balls = certified_balls(stand)
+    whole = as_deployed(asked.design(stand, balls), stand, balls, SHOWN)
+    assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)
+    assert "comes to rest" in whole.beside["tolerance"].claim
+    return json.loads(json.dumps(whole.to_json())), controlled_system(stand, whole.state_feedback)
+
+
+def broken(content: dict, controlled: object) -> list[str]:
+    return broken_claims(content, model().system, certified_balls(model()), controlled)
+
+
+def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) -> None:
+    assert broken(*stored) == []
+    assert json.loads(json.dumps(Design.from_json(stored[0]).to_json())) == stored[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "said"),
+    [
+        ("s", 1.05, "tolerance.certified = True: in exact arithmetic the inequality fails"),
+        ("lambda", -1.0, "fails (inequality)"),
+        ("lambda_p", -1.0, "fails (inequality, lambda_p)"),
+        ("f", 0.5, "tolerance.f: differs"),
+        ("h", None, "tolerance.h: differs"),
+        ("l_z", 0.5, "tolerance.l_z: differs"),
+        ("alpha_out", 0.5, "tolerance.alpha_out: differs"),
+        ("theorem", "tolerance", "is not part of a certificate"),
+    ],
+)
+def test_a_forged_number_is_found(stored: tuple[dict, object], name: str, factor: object, said: str) -> None:
+    content, controlled = json.loads(json.dumps(stored[0])), stored[1]
+    value = np.array(content["tolerance"][name]) * factor if isinstance(factor, float) else factor
+    content["tolerance"][name] = value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
+    content["tolerance"]["digest"] = digest(content["tolerance"])
+    assert any(said in claim for claim in broken(content, controlled))
+
+
+def test_a_nonlinear_output_map_gets_none() -> None:
+    known, _ = found(drawn(2, n=4, q=3, radius=0.9))
+    bent = Balls(input=BALLS.input, output=JacobianBall.from_slopes(0.7, 0.9))
+    assert (
+        largest_tolerance(Known(system=known.system, controlled=known.system, balls=bent, gains=known.gains), np.eye(1))
+        is None
+    )
