@@ -1,0 +1,81 @@
+"""Structured models of the simulated plants over seeds: noise-free fit, best certified factors, what a start costs.
+
+    python benchmarks/structured_plants.py dc_motor stribeck_drive --seeds 10 [--set model.order=6 ...] [--to FILE]
+
+writes results/reference/training/structured_plants.csv. Per row: fits of the validation record (noisy) and of the test
+record (without noise), the open loop's slowest mode at rest, the least r = sqrt(1 - rate) that bisecting the inequality
+on the exact verdict finds for a state feedback (the ball of S_u included) and for an observer, 1 where there is none,
+and processor seconds of a start with its training. Nothing is chosen by a test record: the starts go by validation.
+"""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import hydra
+import numpy as np
+from hydra import compose, initialize_config_dir
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.synthesis.structured_lmi import largest_rate
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.training.metrics import mean_fit
+
+ROOT = Path(__file__).resolve().parents[1]
+TARGET = ROOT / "results" / "reference" / "training" / "structured_plants.csv"
+
+
+def parts(plant: str, overrides: list[str]) -> dict:
+    """The objects of one configuration, without a run folder."""
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("study", [f"plant={plant}", "model=structured", "study=plants", *overrides])
+    names = ("plant", "excitation", "data", "model", "training")
+    return {name: hydra.utils.instantiate(config[name], _convert_="all") for name in names}
+
+
+def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
+    part = parts(plant, overrides)
+    data = part["data"].build(part["plant"], part["excitation"], seed)
+    with TemporaryDirectory() as folder:
+        began = time.process_time()
+        found = part["training"].identify(part["model"], data, seed, Path(folder))
+        spent = time.process_time() - began
+    model, balls = found.model, certified_balls(found.model)
+    asked = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
+    sides = {False: balls.input, True: balls.output}
+    factors = [np.sqrt(1.0 - largest_rate(asked.problem(model.system, ball, side))) for side, ball in sides.items()]
+    at_rest = model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
+    numbers = {
+        "fit_validation_percent": found.fit_validation_percent,
+        "fit_test_percent": mean_fit(model, data.test, data),
+        "radius_at_rest": float(np.abs(np.linalg.eigvals(at_rest.a)).max()),
+        "r_controller": factors[0],
+        "r_observer": factors[1],
+        "seconds_per_start": spent / part["model"].starts,
+    }
+    sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(model.neurons)}
+    return sizes | {name: f"{value:.4g}" for name, value in numbers.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("plants", nargs="+")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--set", nargs="*", default=[], help="overrides of the configuration")
+    parser.add_argument("--to", type=Path, default=TARGET)
+    options = parser.parse_args()
+    rows = []
+    for plant in options.plants:
+        for seed in range(options.seeds):
+            rows.append(row(plant, seed, options.set))
+            print(",".join(map(str, rows[-1].values())), flush=True)
+            with options.to.open("w", newline="") as file:
+                writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
