@@ -84,10 +84,7 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     alone = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
     told = "" if record.get("neurons") else f"; model alone {alone:.3g}"  # with neurons A says it not
     yield "controller_certified_rate", "Rate proved of the gains", f"{rates}{told}"
-    tolerated = "rest is proved up to {}" if record.get("neurons") else "{} is proved"
-    yield from _proved(number, LIMITS_OF[_on_plant(record)], tolerated)
-    if (record.get("neurons") or 0) > 0 and record.get("controller_certified"):
-        yield "neurons", LIMITS_OF[_on_plant(record)], "nothing is proved: the theorems on limits know no neurons"
+    yield from _proved(number, record)
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
     where = {None: "simulated plant", "plant": "simulated plant"}.get(record.get("loop_on"), record.get("loop_on"))
@@ -99,8 +96,12 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield "settling_time_open_loop_s", "Mean settling time", shown
 
 
-def _proved(number: Callable[[str], str], label: str, tolerated: str) -> Iterator[tuple[str, str, str]]:
+def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """What is proved beside the rates: with limited inputs, of a wrong model, of noise."""
+    label, neurons = LIMITS_OF[_on_plant(record)], record.get("neurons")
+    if neurons and record.get("controller_certified"):
+        yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
+    tolerated = "rest is proved up to {}" if neurons else "{} is proved"
     yield LIMITS[0], label, LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
     seen = f"the records show {number('mismatch_seen')}"
     yield "certified_tolerance", "Mismatch tolerated", f"{tolerated.format(number('certified_tolerance'))}, {seen}"
