@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_cases import compiled, written
-from report_runs import KINDS, random_run
+from report_runs import KINDS, random_run, write_recordings
 from structured_cases import model as structured
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.device import Device
-from ssm_study.export.targets import deployed_rates, export, load
+from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.structured import NEURONS, model_from_json
 from ssm_study.synthesis.certificate import Design
@@ -105,7 +105,7 @@ def test_export_replays_the_python_loop(tmp_path: Path, kind: str, channels: int
 
 
 def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> None:
-    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=True)
+    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=["step", "sine(5Hz)"])
     export(run, tmp_path / "out")
     y = 40 * np.sign(np.sin(2 * np.pi * np.arange(SAMPLES) / 60))[:, None]
     limited = python_loop(run, y, limit=3.0)
@@ -132,6 +132,26 @@ def structured_run(folder: Path, kinds: tuple[str, ...], seen: float) -> Path:
     (folder / "model.json").write_text(json.dumps(made.to_json()))
     design.save(folder / "certificate.json")
     return folder
+
+
+def test_with_neurons_the_header_says_what_is_not_there(tmp_path: Path) -> None:
+    """No set points, so no word of them; nothing proved of the limits, so that is said."""
+    run = write_recordings(structured_run(tmp_path / "run", ("relu",), 0.0))
+    header = c_sources(run, prefix="drive")["drive.h"]
+    assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
+    assert "drive_init" not in header
+    assert "drive_track" not in header
+    assert "drive_clamp(u), apply, drive_advance" in header
+
+
+def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:
+    run = write_recordings(random_run(tmp_path / "run", kind="linear", channels=1, seed=0))
+    stored = json.loads((run / "model.json").read_text())
+    for rest in (-7.5, 9.0):
+        (run / "model.json").write_text(json.dumps(stored | {"input_equilibrium": [rest]}))
+        lower, upper = (float(end[0]) for end in limits(run))
+        assert rest in (lower, upper)
+        assert lower < -4 < 4 < upper
 
 
 @pytest.mark.parametrize("kinds", [*((kind,) for kind in NEURONS), tuple(NEURONS)])
