@@ -224,7 +224,9 @@ class Design:
     def pair(self) -> Pair:
         """The gains of both sides; `BadRequest` as of `parts`."""
         feedback, observer = self.parts()
-        return Pair(k=feedback.k, l=observer.l, l_z=getattr(observer, "l_z", None))
+        n, l_z = len(observer.l), getattr(observer, "l_z", None)
+        internal = feedback.a[n:, n:] if len(feedback.a) > n else None
+        return Pair(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
 
     @property
     def content(self) -> dict[str, Theorem | Infeasible]:
