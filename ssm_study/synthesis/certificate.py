@@ -227,6 +227,12 @@ class Design:
         return Pair(k=feedback.k, l=observer.l, l_z=getattr(observer, "l_z", None))
 
     @property
+    def inverts(self) -> bool:
+        """Whether the law undoes the input map: `u = S_u^{-1}(K xh)`."""
+        part = self.state_feedback
+        return (part.theorem if isinstance(part, Infeasible) else part.name()).endswith("inverted_input")
+
+    @property
     def content(self) -> dict[str, Theorem | Infeasible]:
         """Every part, as the file names it."""
         return {"state_feedback": self.state_feedback, "observer": self.observer, **self.beside}

@@ -26,7 +26,7 @@ Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second
 [[0.9, 0.0], [0.5, 1.0]]
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -36,6 +36,7 @@ from ssm_study.models.structured import Model
 from ssm_study.refusal import positive, require
 from ssm_study.signals import Trajectories
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.systems import Balls, StateSpace, StructuredSystem, System
@@ -105,11 +106,18 @@ class IntegralSynthesis:
         self,
         model: Model,
         balls: Balls,
-        validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
-        shown: Mismatch | None = None,  # noqa: ARG002
+        validation: Trajectories = (),
+        shown: Mismatch | None = None,
     ) -> Design:
+        if self.invert_input:
+            plain = replace(self, synthesis=replace(self.synthesis, invert_input=False))
+            return designed(plain, model, validation, shown)
         feedback = self.synthesis.state_feedback(with_integrators(model, self.integral_weight), balls.input)
         return Design(state_feedback=feedback, observer=self.synthesis.observer(model.system, balls.output))
+
+    @property
+    def invert_input(self) -> bool:
+        return self.synthesis.invert_input
 
 
 Synthesis.register(IntegralSynthesis)
