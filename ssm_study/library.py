@@ -26,6 +26,7 @@ from omegaconf import DictConfig
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli import run as command
 from ssm_study.cli.explained import advised
+from ssm_study.cli.request import quoted
 from ssm_study.data.arrays import logged, signal
 from ssm_study.engine.records import FAILED, read_record
 from ssm_study.engine.settings import plain
@@ -269,7 +270,7 @@ def composed(overrides: Sequence[str]) -> DictConfig:
     GlobalHydra.instance().clear()  # the caller may be a Hydra program itself
     try:
         with initialize_config_dir(str(folder.absolute()), version_base="1.3"):
-            return compose("study", overrides=list(overrides))
+            return compose("study", overrides=quoted(overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, list(overrides), folder) from error
     finally:

@@ -1,6 +1,6 @@
 """The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -117,6 +117,10 @@ class Scale:
     def physical_output(self, w: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
         return self.output_equilibrium + self.output_scale * w
 
+    def with_rest(self, inputs: Iterable[Float[np.ndarray, "_ m"]]) -> list[Float[np.ndarray, "_ m"]]:
+        """These inputs and the one that holds rest: what a log is known to have visited."""
+        return [*inputs, self.input_equilibrium[None]]
+
 
 Trajectories = tuple[Trajectory, ...]
 Limit = float | Sequence[float] | None  # of every input, or one for each; None where it is not given
@@ -154,7 +158,7 @@ class DataSet:
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
         """The inputs of the training records, and the one that holds rest."""
-        return [*(record.u for record in self.training), self.scale.input_equilibrium[None]]
+        return self.scale.with_rest(record.u for record in self.training)
 
     @property
     def step_s(self) -> float:

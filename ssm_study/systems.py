@@ -159,17 +159,34 @@ class Balls:
 class Pair:
     """Controller and observer gains of `u = K xh,  xh+ = A xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
 
-    `s` is the model's order, or the order and the number of outputs with integral action (`synthesis.integral`).
-    Of a structured model `l_z` injects `L_z (yh - y)` into the neurons as well; None where nothing is injected.
+    `s` is the model's order, and that of an internal model `z+ = internal z + feed(y - y*)` where there is one: None
+    stands for integrators. Of a structured model `l_z` injects `L_z (yh - y)` into the neurons as well.
     """
 
     k: Float[np.ndarray, "*pairs m s"]
     l: Float[np.ndarray, "*pairs n p"]  # noqa: E741 - the paper's letter
     l_z: Float[np.ndarray, "*pairs q p"] | None = None
+    internal: Float[np.ndarray, "z z"] | None = None  # one for all pairs
+
+    @property
+    def modes(self) -> Float[np.ndarray, "z z"]:
+        """The internal model's matrix, of width zero where there is none."""
+        return np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
 
     def at(self, which: int | Int[np.ndarray, "N"]) -> "Pair":
         """One of many, or some."""
-        return Pair(k=self.k[which], l=self.l[which], l_z=None if self.l_z is None else self.l_z[which])
+        l_z = None if self.l_z is None else self.l_z[which]
+        return Pair(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)
+
+
+def feed(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
+    """How the error enters an internal model: each output enters every state of its own copy alike."""
+    return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
+
+
+def held(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
+    """What an internal model does while a limit acts: integrators (ones on the diagonal) rest, oscillators go on."""
+    return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 
 def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float[np.ndarray, "..."]:

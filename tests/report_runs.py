@@ -15,15 +15,16 @@ from ssm_study.models.scaffolds.residual import ResidualScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.signals import Channel, Scale
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.theorems.integral_action import internal_model
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.systems import StateSpace
+from ssm_study.systems import StateSpace, feed
 
 KINDS = ("linear", "mlp", "monotone", "residual")
 ORDER = 4
 
 
-def random_run(folder: Path, *, kind: str, channels: int, seed: int, integral: bool = False) -> Path:
+def random_run(folder: Path, *, kind: str, channels: int, seed: int, integral: bool | list[str] = False) -> Path:
     """A stable model with a gentle controller; the certificate's numbers are placeholders of the right shape."""
     rng = np.random.default_rng(seed)
     model = random_model(rng, kind, channels)
@@ -75,15 +76,17 @@ def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -
     )
 
 
-def random_design(rng: np.random.Generator, model: SSM, integral: bool) -> Design:
+def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[str]) -> Design:
     (n, m), p, linear = model.linear.b.shape, model.scale.outputs, model.linear
     shared = {"alpha": 0.5, "beta": 0.1, "rate": 0.2, "certified": True, "margin": 0.1, "condition": 1.0}
     shared |= {"rate_limit": 0.4, "method": "placeholder", "solver_status": "none", "seconds": 0.0}
     a, b = linear.a, linear.b
-    if integral:
-        gain = 0.7 * np.eye(p)
-        a = np.block([[a, np.zeros((n, p))], [gain @ linear.c, np.eye(p)]])
-        b = np.vstack([b, gain @ linear.d])
+    if integral:  # of one output a ramp and a sine, of several outputs constants, unless named
+        named = integral if isinstance(integral, list) else ["ramp", "sine(5Hz)"] if p == 1 else ["step"]
+        modes = internal_model(named, model.step_s, p)
+        fed = feed(modes, p) @ (0.7 * np.eye(p))
+        a = np.block([[a, np.zeros((n, len(modes)))], [fed @ linear.c, modes]])
+        b = np.vstack([b, fed @ linear.d])
     k, l = 0.1 * rng.standard_normal((m, len(a))), 0.05 * rng.standard_normal((n, p))  # noqa: E741
     wide, eye = np.eye(len(a)), np.eye(n)
     return Design(

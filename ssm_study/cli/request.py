@@ -1,5 +1,7 @@
 """A request, checked before Hydra acts on it: our three options, and every configuration of a sweep."""
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ OPTIONS = {
 }
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
 LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
+SINE = re.compile(r"""(?<!["'\w])(\w+\([^()"']*\))""")
 JUST_ASKING = ("--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
 
 
@@ -27,7 +30,13 @@ def translate(arguments: list[str]) -> list[str]:
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
     if "--dry-run" in rest:
         rest = [word for word in rest if not word.startswith(LAUNCHER)]
-    return ["--multirun"] * many + [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
+    words = [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
+    return ["--multirun"] * many + quoted(words)
+
+
+def quoted(words: Iterable[str]) -> list[str]:
+    """`internal_model=[sine(0.5Hz)]` with the sine in quotes: to Hydra it would be a function."""
+    return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
 
 
 def asks_only(arguments: list[str]) -> bool:

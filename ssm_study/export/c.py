@@ -19,6 +19,15 @@ _HEADER, _SET_POINTS, _REPLAY = (
     Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
     for name in ("controller.h.txt", "set_points.h.txt", "replay.c.txt")
 )
+# The header's comment on use within limits, with set points and without them; `#` is the prefix.
+WITHIN = {
+    True: """ * Within limits, to set points r:
+ *     #_init(&state, y);             once: the estimate starts at rest at the first measurement
+ *     #_track(&state, y, r, u);      every sample: u is clamped to the limits, the estimate knows it""",
+    False: """ * Within limits, to rest, for set points of this model cannot be computed on the device:
+ *     #_reset(&state);               once: the estimate starts at rest at the equilibrium
+ *     #_input(&state, u), #_clamp(u), apply, #_advance(&state, y, u);      every sample""",
+}
 KEYWORDS = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
@@ -67,10 +76,17 @@ def _header(device: Device, words: Words, name: str) -> str:
         about=harmless(words.about), digest=harmless(words.digest) or "none",
         signals="\n".join(f" * {harmless(line)}" for line in words.signals) or " *",
         rates="\n".join(f" * {harmless(line)}" for line in words.rates) or " *",
+        within=WITHIN[points is not None].replace("#", name), resting=_resting(c.resting),
         step_s=repr(c.step_s), has_set_points=int(points is not None),
         bytes=constants * np.dtype(REALS[real]).itemsize, multiplications=device.multiplications,
         tiny=_number(1e-12, real), relative=_number(1e-9 if real == "double" else 1e-6, real),
     )  # fmt: skip
+
+
+def _resting(states: slice) -> str:
+    """A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on."""
+    rests = f"    else for (int i = {states.start}; i < {states.stop}; ++i) next[i] = state->x[i];\n"
+    return rests if states.stop > states.start else ""
 
 
 def harmless(text: str) -> str:

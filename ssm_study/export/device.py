@@ -3,8 +3,8 @@
 For a set point r the law aims at the rest point of the model nearest to it: `v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped
 to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`, and applies
 `u = clamp(u_eq + s_u (v* + K (x - x*)))`. The observer is told the input that was applied, so a limit does not disturb
-the estimate, and integrators rest while it acts: nothing winds up. `Device` is also its own oracle: `replay` runs the
-law in NumPy, one rounding for one rounding of the C code compiled with `-ffp-contract=off`.
+the estimate, and no error enters an internal model while it acts: nothing winds up. `Device` is also its own oracle:
+`replay` runs the law in NumPy, one rounding for one rounding of the C code compiled with `-ffp-contract=off`.
 """
 
 from dataclasses import dataclass
@@ -111,8 +111,10 @@ class Device:
         following = times(c.l, error, times(c.b, lifted, times(c.a, x)))
         if c.neurons:
             following = times(c.neurons.into, c.neurons(x, lifted, error), following)
-        if np.array_equal(u, asked):  # integrators rest while a limit acts
+        if np.array_equal(u, asked):  # no error enters the internal model while a limit acts
             following = times(c.e, measured - rest["w"], following)
+        else:
+            following[c.resting] = x[c.resting]
         return u, following
 
     def aim(self, r: Vector) -> dict[str, Vector]:

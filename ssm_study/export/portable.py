@@ -12,7 +12,7 @@ from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Scale
 from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.systems import StateSpace, StructuredSystem, System
+from ssm_study.systems import StateSpace, StructuredSystem, System, feed, held
 
 Vector = Float[np.ndarray, "_"]
 
@@ -21,7 +21,7 @@ Vector = Float[np.ndarray, "_"]
 class PortableNeurons:
     """`phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output: `into` x+, and `h` the output.
 
-    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for integrators.
+    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for the internal model.
     """
 
     into: Float[np.ndarray, "n r"]
@@ -44,7 +44,7 @@ class PortableController:
     """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u - u_eq)/s_u`.
 
     `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the equilibrium: the estimate
-    of the model's scaled state and, with integral action, the integrators `z+ = z + w` below it (`E` is zero without).
+    of the model's scaled state and, below it, that of an internal model, `z+ = A_z z + E_z w` (`E` is zero without).
     `neurons` are those of a structured model, added to `x+` and to what `S_y` reads.
     """
 
@@ -71,9 +71,17 @@ class PortableController:
         inner = {name: part for name, part in vars(self.neurons).items() if name != "kinds"} if self.neurons else {}
         return {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")} | vars(self.scale) | inner
 
+    @property
+    def resting(self) -> slice:
+        """States that rest while a limit acts and would not by themselves: a ramp's; they come first in its model."""
+        rows = np.flatnonzero(self.e.any(axis=1))
+        modes = self.a[rows][:, rows]
+        kept = 0 if np.array_equal(held(modes), modes) else int((np.diagonal(modes) == 1).sum())
+        return slice(len(self.a) - len(rows), len(self.a) - len(rows) + kept)
+
     def recurrence(self) -> System:
-        """`A, B, C, D` of the model alone, without the integrators, in float64."""
-        n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the integrators alone
+        """`A, B, C, D` of the model alone, without the internal model, in float64."""
+        n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
         parts = {"a": self.a[:n, :n], "b": self.b[:n], "c": self.c[:, :n], "d": self.d}
         linear = {name: np.asarray(part, dtype=float) for name, part in parts.items()}
         if not self.neurons:
@@ -89,25 +97,26 @@ def portable(model: Model, design: Design) -> PortableController:
             raise BadRequest(f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run")
     problem, remedy = "the law undoes the input map, which no target computes", "export a run without it"
     require(not design.inverts, "synthesis.invert_input", True, problem, remedy)
-    k, l = design.pair.k, design.pair.l  # noqa: E741 - the paper's letter
+    pair = design.pair
+    k, l, modes = pair.k, pair.l, pair.modes  # noqa: E741 - the paper's letter
     linear, n, p = model.linear, model.order, model.scale.outputs
-    fits = k.shape[1] in (n, n + p) and len(l) == n
+    added = len(modes)
+    fits = k.shape[1] == n + added and len(l) == n and added % p == 0
     require(fits, "certificate", k.shape, f"the model has order {n}", "export the run as stored")
-    added = k.shape[1] - n  # integrators
     below = ((0, added), (0, 0))
     return PortableController(
-        a=scipy.linalg.block_diag(linear.a, np.eye(added)),
+        a=scipy.linalg.block_diag(linear.a, modes),
         b=np.pad(linear.b, below),
         c=np.pad(linear.c, ((0, 0), (0, added))),
         d=linear.d,
         k=k,
         l=np.pad(l, below),
-        e=np.vstack([np.zeros((n, p)), np.eye(p)[:added]]),
+        e=np.vstack([np.zeros((n, p)), feed(modes, p)]),
         s_in=model.scaffold_in.portable(),
         s_out=model.scaffold_out.portable(),
         scale=model.scale,
         step_s=model.step_s,
-        neurons=_neurons(model, design.pair.l_z, added),
+        neurons=_neurons(model, pair.l_z, added),
     )
 
 

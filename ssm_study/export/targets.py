@@ -83,7 +83,7 @@ def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") ->
 
 
 def limits(run: Path) -> tuple[Range, Range]:
-    """`loop.input_lower`, `loop.input_upper` where they were given, else the range that the training records visited.
+    """`loop.input_lower`, `loop.input_upper` where they were given, else what the training records and rest visited.
 
     Beyond that range nothing is known of S_u. Infinite for a run without records.
     """
@@ -92,7 +92,7 @@ def limits(run: Path) -> tuple[Range, Range]:
         return np.array([-np.inf]), np.array([np.inf])
     asked = OmegaConf.load(file) if file.is_file() else OmegaConf.create()
     given = [OmegaConf.select(asked, f"loop.input_{end}") for end in ("lower", "upper")]
-    return input_limits(resolved(given[0]), resolved(given[1]), [np.stack(seen[1:])])
+    return input_limits(resolved(given[0]), resolved(given[1]), _model(run).scale.with_rest([np.stack(seen[1:])]))
 
 
 def _seen(run: Path, name: str, topic: str) -> tuple[tuple[Channel, ...], Range, Range] | None:
@@ -117,23 +117,27 @@ def _described(run: Path, device: Device) -> tuple[str, ...]:
 
 
 def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """What the certificate says of the limits; nothing where there are none or they leave no room around rest."""
+    """What the certificate says of the limits; nothing where there are none."""
     lower, upper = (np.asarray(limit, dtype=float) for limit in (device.lower, device.upper))
-    if device.set_points is None or max(-lower.min(), upper.max()) >= UNLIMITED:
+    if max(-lower.min(), upper.max()) >= UNLIMITED:
         return ()
     model = _model(run)
     if not isinstance(model, SSM):
-        return ("Nothing is proved of the limits: the theorem knows no neurons.",)
+        return ("Within the limits nothing is proved: the theorems on them know no neurons.",)
     try:
         found = within_limits(model, design, lower, upper)
     except BadRequest as refusal:
         return (str(refusal),)
     ends = " and ".join(f"{low:.6g} to {high:.6g}" for low, high in zip(found.lower, found.upper, strict=True))
-    beyond = "Beyond that range nothing is proved from everywhere."
+    beyond = "From everywhere nothing is proved within the limits."
     if found.everywhere:
         beyond = f"From everywhere the state feedback, cut at the limits, contracts at rate {found.everywhere.rate:.3g}"
         beyond += ", and the estimate as fast as without them."
     inside = f"Within the limits the full rates hold from rest at outputs from {ends}, at the set point of rest."
+    if device.set_points is None:
+        inside = (
+            "The limits are proved not to act from rest alone: the estimate cannot start at an output on the device."
+        )
     return inside, beyond
 
 
@@ -166,8 +170,8 @@ def describe(run: Path) -> str:
     model, design = _model(run), Design.load(run / "certificate.json")
     content, verdict = json.loads((run / "certificate.json").read_text()), "NOT certified"
     rates = f"rates {design.state_feedback.rate:g} (controller), {design.observer.rate:g} (observer) per sample"
-    with suppress(BadRequest):  # integrators behind an output map that is not linear: no theorem covers them
-        controlled = controlled_system(model, design.pair.k)
+    with suppress(BadRequest):  # an internal model behind an output map that is not linear: no theorem covers it
+        controlled = controlled_system(model, design.parts()[0])
         if design.certified and not broken_claims(content, model.system, certified_balls(model), controlled):
             verdict = f"certified for its model at {rates}"
     return f"Controller of run {run.resolve().parent.name}/{run.resolve().name}, {verdict}; see certificate.json."
@@ -200,13 +204,13 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
     """The rates that exact arithmetic proves for the rounded `A, B, C, K, L` and maps, with the stored metrics.
 
     The device is an observer for its own rounded model, so that model is what is certified: the stored rate where the
-    theorem still holds, else the largest of some smaller rates, else None. With integral action the augmented pair is
+    theorem still holds, else the largest of some smaller rates, else None. With an internal model the augmented pair is
     rebuilt from the rounded numbers. Source: [Z26] Theorems 1 and 2.
     """
     c = in_floats(device.controller, np.float64)
     system = controlled = c.recurrence()
     if len(c.a) > system.order:
-        controlled = augmented(system, c.s_out.linear, 1.0)  # the weight is a cost: no part of the certificate
+        controlled = augmented(system, c.s_out.linear, c.a[system.order :, system.order :])
     gains = {"state_feedback": {"k": c.k}, "observer": {"l": c.l[: system.order]}}
     gains["observer"] |= {"l_z": c.neurons.l_z} if c.neurons else {}
     inner, outer = _ball(c.s_in), _ball(c.s_out)

@@ -17,7 +17,7 @@ from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.synthesis.certificate import Design
-from ssm_study.systems import Pair
+from ssm_study.systems import Pair, feed, held
 
 Memory = Float[np.ndarray, "N s"]
 Inputs = Float[np.ndarray, "N m"]
@@ -112,7 +112,7 @@ class EstimateFeedback(Controller):
         return self.model.advance(x_hat, lifted, *injected) + times(self.gains.l, innovation)
 
     def estimate(self, memory: Memory) -> Estimate:
-        return memory  # the estimated state of the model, then the integrators, if any
+        return memory  # the estimated state of the model, then the internal model's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,15 +122,18 @@ class ObserverFeedback(EstimateFeedback):
     A target row is `(x*, u*, y*)`, a trajectory of the model itself near the reference: around any such trajectory the
     certified loop contracts. `K (m, n)`, or one pair of gains for each case, stacked.
 
-    With `K (m, n + p)` the law has integral action: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
-    `z+ = z + (y - y*) / s_y`. So that it does not wind up, z is held while a limit keeps the input from what was asked.
+    With a wider K the law has an internal model: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
+    `z+ = A_z z + E (y - y*) / s_y`. So that it does not wind up, no error enters while a limit keeps the input from
+    what was asked: integrators rest, oscillators go on (`systems.held`).
     With `inverse` the scaled input is `S_u^{-1}(S_u(u*) + K ...)` in either law.
     """
 
     def __post_init__(self) -> None:
         (n, m), p = self.model.linear.b.shape, self.model.scale.outputs
         k, l_, remedy = self.gains.k.shape[-2:], self.gains.l.shape[-2:], "use the design made for this model"
-        require(k in ((m, n), (m, n + p)), "k", k, f"the model needs a gain of shape {(m, n)} or {(m, n + p)}", remedy)
+        widths = (n, n + p) if self.gains.internal is None else (n + len(self.gains.internal),)
+        needed = " or ".join(str((m, width)) for width in widths)
+        require(k[0] == m and k[1] in widths, "k", k, f"the model needs a gain of shape {needed}", remedy)
         require(l_ == (n, p), "l", l_, f"the model needs a gain of shape {(n, p)}", remedy)
 
     @classmethod
@@ -158,17 +161,18 @@ class ObserverFeedback(EstimateFeedback):
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         n, m = self.model.order, self.model.scale.inputs
-        error = np.concatenate([memory[:, :n] - target[:n], memory[:, n:]], axis=1)  # integrators aim at zero
+        error = np.concatenate([memory[:, :n] - target[:n], memory[:, n:]], axis=1)  # the internal model aims at zero
         u = np.broadcast_to(target[n : n + m], (len(error), m))
         return self.model.scale.physical_input(self.asked(u, times(self.gains.k, error)))
 
     def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
-        x_hat, z = super().advance(memory, u, y, target), memory[:, self.model.order :]
-        if not z.shape[1]:
+        x_hat, z, modes = super().advance(memory, u, y, target), memory[:, self.model.order :], self.gains.modes
+        if not len(modes):
             return x_hat
         free = np.isclose(u, self.input(memory, y, target), rtol=1e-9, atol=1e-12).all(axis=1, keepdims=True)
-        error = (y - target[-z.shape[1] :]) / self.model.scale.output_scale
-        return np.concatenate([x_hat, z + np.where(free, error, 0.0)], axis=1)
+        error, p = (y - target[-y.shape[1] :]) / self.model.scale.output_scale, y.shape[1]
+        z = np.where(free, z @ modes.T + error @ feed(modes, p).T, z @ held(modes).T)
+        return np.concatenate([x_hat, z], axis=1)
 
 
 def times(gain: Float[np.ndarray, "*cases r c"], rows: Float[np.ndarray, "N c"]) -> Float[np.ndarray, "N r"]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.disturbance import Disturbance, NoDisturbance, PeriodicDisturbance
+from ssm_study.plants.disturbance import Disturbance, NoDisturbance, PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest, require
 
 Reference = Disturbance
@@ -32,20 +32,8 @@ class StepReference(Reference):
         return np.where(time_s < self.at_s - 1e-12, float(self.before), float(self.after))
 
 
-@dataclass(frozen=True, kw_only=True)
-class RampReference(Reference):
-    """`r` rises (or falls) at `slope_per_s` from `from_s` until `until_s`, constant before and after."""
-
-    slope_per_s: float
-    from_s: float
-    until_s: float
-
-    def __post_init__(self) -> None:
-        ordered = 0 <= self.from_s < self.until_s
-        require(ordered, "from_s, until_s", (self.from_s, self.until_s), "not in order", "give 0 <= from_s < until_s")
-
-    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        return self.slope_per_s * (np.clip(time_s, self.from_s, self.until_s) - self.from_s)
+class RampReference(RampDisturbance):
+    """`r` rises (or falls) at `slope_per_s` from `from_s` until `until_s`."""
 
 
 @dataclass(frozen=True, kw_only=True)

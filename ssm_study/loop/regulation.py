@@ -236,4 +236,7 @@ class Loop:
         reach = self.bound_in_initial_ranges * max(abs(r) for r in plant.initial_range) + float(np.abs(offset).max())
         asked = {"reference": plant.equilibrium().y + np.repeat(offset[:, None], outputs, axis=1), "noise": noise}
         asked |= {"x0": plant.states_at(y0), "disturbance": disturbance, "bound": np.full(outputs, reach)}
-        return close_loop(plant, controller, **asked, limits=self.limits)
+        try:
+            return close_loop(plant, controller, **asked, limits=self.limits)
+        finally:
+            plant.stop()

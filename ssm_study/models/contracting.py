@@ -17,7 +17,7 @@ from jaxtyping import Float
 from ssm_study.refusal import BadRequest
 
 FREQUENCIES = np.exp(1j * np.append(0.0, np.geomspace(1e-4, np.pi, 200)))  # the Riccati equation has the last word
-INSIDE = 0.9  # share of the largest gain, and of the rate, that a projected model may have
+INSIDE, PULLED = 0.9, 0.99  # shares of the largest gain, and of the rate, that a projected model may have
 STRICT = 1e-2  # relative: what makes the Riccati equation's inequality strict
 HALVINGS = 12  # of the path from a free model to one that contracts
 Square = Float[np.ndarray, "k k"]
@@ -95,7 +95,7 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
     """
     mean = (core.e * slope) @ core.f  # what the neurons add to A on average
     radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
-    average = min(1.0, INSIDE * rate / max(radius, 1e-12)) * (core.a + mean)
+    average = min(1.0, PULLED * rate / max(radius, 1e-12)) * (core.a + mean)
     low, high, share, found = 0.0, 1.0, 1.0, None
     for _ in range(HALVINGS):
         trial = metric(Core(a=average - share * mean, e=share * core.e, f=core.f), rate)

@@ -94,9 +94,10 @@ class StructuredSpec(ModelSpec):
     converged) or "free"; `output_path` is H: "none" or "free". S_u and S_y are monotone and piecewise linear with
     `knots` and `output_knots` break points (0: the identity), slopes in `[slope_lower, slope_upper]`. `rate` r holds
     `|x|_M` contracting by r per sample, by construction; null leaves the model free. `ridge` weighs the squared
-    parameters. `starts` trainings, each with neurons of its own at random; `start_steps` of Levenberg-Marquardt for the
-    linear fit, S_u and the free model before the set of contracting models is entered. `integrated`: the output is a
-    running sum, an integrator in front of which the model contracts. Source: THEORY section 6.
+    parameters. Each of `starts` trainings begins with the best of `draws` of neurons at random; `start_steps` of
+    Levenberg-Marquardt for the linear fit, S_u and each free draw, before the set of contracting models is entered.
+    `integrated`: the output is a running sum, an integrator in front of which the model contracts.
+    Source: THEORY section 6.
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -114,11 +115,12 @@ class StructuredSpec(ModelSpec):
     rate: float | None = 0.999
     ridge: float = 1e-6
     starts: int = 4
-    start_steps: list[int] | tuple[int, int, int] = (15, 20, 40)
+    draws: int = 8
+    start_steps: list[int] | tuple[int, int, int] = (15, 20, 10)
     integrated: bool = False
 
     def __post_init__(self) -> None:
-        for name, least in {"order": 1, "neurons": 0, "knots": 0, "output_knots": 0, "starts": 1}.items():
+        for name, least in {"order": 1, "neurons": 0, "knots": 0, "output_knots": 0, "starts": 1, "draws": 1}.items():
             if (name, getattr(self, name)) != ("order", AUTO):
                 whole(least, name, getattr(self, name), "use 4 or so" + (f", or {AUTO}" if name == "order" else ""))
         codes(self.each)
@@ -129,7 +131,7 @@ class StructuredSpec(ModelSpec):
         require(inside, "model.rate", self.rate, "must lie in (0, 1]", "use 0.999, or null for a free model")
         at_least(0, "model.ridge", self.ridge, "use 1e-6")
         three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
-        require(three, "model.start_steps", self.start_steps, "needs three numbers, at least 1", "use [15, 20, 40]")
+        require(three, "model.start_steps", self.start_steps, "needs three numbers, at least 1", "use [15, 20, 10]")
         plain = not (self.integrated and self.output_knots)
         require(plain, "model.output_knots", self.output_knots, "an integrated output has a linear S_y", "use 0")
 

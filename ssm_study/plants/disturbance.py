@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import at_least, positive
+from ssm_study.refusal import at_least, positive, require
 
 
 class Disturbance(ABC):
@@ -52,6 +52,22 @@ class PeriodicDisturbance(Disturbance):
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         return self.amplitude * np.sin(2 * np.pi * self.frequency_hz * time_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RampDisturbance(Disturbance):
+    """`d` rises (or falls) at `slope_per_s` from `from_s` until `until_s`, constant before and after."""
+
+    slope_per_s: float
+    from_s: float
+    until_s: float
+
+    def __post_init__(self) -> None:
+        ordered = 0 <= self.from_s < self.until_s
+        require(ordered, "from_s, until_s", (self.from_s, self.until_s), "not in order", "give 0 <= from_s < until_s")
+
+    def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        return self.slope_per_s * (np.clip(time_s, self.from_s, self.until_s) - self.from_s)
 
 
 @dataclass(frozen=True, kw_only=True)

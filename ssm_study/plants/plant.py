@@ -68,6 +68,14 @@ class Plant(ABC):
         """Variance of each output's measurement noise, its unit squared."""
         return (0.0,) * len(self.outputs)
 
+    @property
+    def real(self) -> bool:
+        """Whether it is a device: one case at a time, from where it is, and never run again to check a record."""
+        return False
+
+    def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
+        """What ends every closed loop, however it ends: a device switches off."""
+
     @abstractmethod
     def equilibrium(self) -> Equilibrium: ...
 

@@ -34,7 +34,7 @@ class Wrapper(Plant):
     step_s, settling_band, initial_range = map(_inner, ("step_s", "settling_band", "initial_range"))
     inputs, outputs, disturbances = map(_inner, ("inputs", "outputs", "disturbances"))
     input_amplitude, input_clock_s = map(_inner, ("input_amplitude", "input_clock_s"))
-    noise_variance = _inner("noise_variance")
+    noise_variance, real, stop = map(_inner, ("noise_variance", "real", "stop"))
 
     @property
     def states(self) -> tuple[Channel, ...]:

@@ -34,12 +34,11 @@ from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
-from ssm_study.synthesis.commanded import shown_behind
+from ssm_study.synthesis.commanded import measured
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import Theorem, condition, margin
-from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME
 from ssm_study.training.metrics import mean_fit
@@ -132,7 +131,7 @@ def data(run: RunFiles) -> Claims:
     try:
         records = run.data
     except (BadRequest, OSError) as error:
-        if run.specification.plant is not None:
+        if run.specification.plant is not None and not run.specification.plant.real:
             raise
         reason = f"the recorded data cannot be read: {one_line(error)}"
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
@@ -190,7 +189,7 @@ def certificate(run: RunFiles) -> Claims:
     """Both theorems in exact rational arithmetic on the stored matrices, and the columns that follow from them."""
     design, system, spec = run.design, run.model.system, run.specification.loop
     balls, feedback = certified_balls(run.model), run.design.state_feedback
-    controlled = controlled_system(run.model, feedback.k) if isinstance(feedback, StateFeedback) else system
+    controlled = controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
     broken = broken_claims(run.certificate, system, balls, controlled)
     for label, part in design.content.items():
         wrong = [sentence for sentence in broken if re.match(rf"{label}\b", sentence)] + information(part)
@@ -200,13 +199,16 @@ def certificate(run: RunFiles) -> Claims:
         found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
         yield Checked(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
+    if (words := getattr(run.specification.synthesis, "modes", ())) and isinstance(feedback, StateFeedback):
+        asked = internal_model(words, run.model.step_s, run.model.scale.outputs)
+        made = {"modes": (feedback.a[run.model.order :, run.model.order :], asked)}
+        yield agreement("certificate internal model", made, ONE_FORMULA, f"{', '.join(words)} was requested")
     told = {label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)}
     ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))).T
     pairs = {label: (part.limits, ends) for label, part in told.items()}
     yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
     kept = run.simulated.validation
-    measured = shown_behind if design.inverts else mismatch
-    shown = measured(run.model, kept.records, kept.start_up_samples, run.trials)
+    shown = measured(design, run.model, kept.records, kept.start_up_samples, run.trials)
     facts = design_facts(design, run.model, balls, shown)
     yield Derived(withheld(facts, run.record.get("evidence")))
 
@@ -242,6 +244,11 @@ def loop(run: RunFiles) -> Claims:
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
+    same = loop_on == ("device" if plant.real else "plant" if spec.plant else "identified model")
+    yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
+    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
+    if plant.real:
+        return
     again = run.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
     pairs = of_rollouts(kept.controlled, again.controlled) | {
         "settling_band": (kept.settling_band, again.settling_band),
@@ -253,9 +260,6 @@ def loop(run: RunFiles) -> Claims:
     for name, stored, made in (on_model, (NOISE_FREE, kept.noise_free, again.noise_free)):
         if stored is not None or made is not None:
             yield agreement(name, of_rollouts(stored, made), ITERATED, "stored model and gains give it")
-    same = loop_on == ("plant" if spec.plant else "identified model")
-    yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
-    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
 
 
 def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:

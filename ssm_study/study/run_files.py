@@ -51,7 +51,8 @@ class RunFiles:
     @cached_property
     def data(self) -> DataSet:
         """Simulated or read anew."""
-        spec = self.specification
+        spec, real = self.specification, getattr(self.specification.plant, "real", False)
+        require(not real, "plant", type(spec.plant).__name__, "is a device, which is not run again", "keep its records")
         build: Any = spec.data.build
         records: DataSet = build(spec.seed) if spec.plant is None else build(spec.plant, spec.excitation, spec.seed)
         return replace(records, trials=(*records.trials, *repeated(spec, self.path)))
@@ -96,7 +97,7 @@ class RunFiles:
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
         """`DataSet.applied`, from the files of the run."""
-        return [*self.inputs, self.model.scale.input_equilibrium[None]]
+        return self.model.scale.with_rest(self.inputs)
 
     @property
     def loop(self) -> Loop:

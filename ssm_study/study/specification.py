@@ -76,6 +76,7 @@ class Specification:
         )
         found.refuse_sizes()
         found.refuse_feedthrough()
+        found.refuse_fast_modes()
         return found
 
     def refuse_feedthrough(self) -> None:
@@ -87,6 +88,14 @@ class Specification:
         problem, remedy = "the loop samples the output before the input acts", "identify with model.feedthrough=false"
         require(not (loops and known.get("feedthrough")), "model.feedthrough", True, problem, remedy)
 
+    def refuse_fast_modes(self) -> None:
+        """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is known beforehand."""
+        words, step_s = getattr(self.synthesis, "modes", ()), getattr(self.plant or self.data, "step_s", None)
+        if words and step_s:
+            from ssm_study.synthesis.theorems.integral_action import internal_model
+
+            internal_model(words, step_s, outputs=1)
+
     def refuse_sizes(self) -> None:
         """Raise `BadRequest` for what no memory holds, and for more states than there are, before any is allocated."""
         order, kept = self.configuration["model"].get("order"), self.reduction.truncate_to
@@ -95,6 +104,9 @@ class Specification:
         if self.plant is None:
             return
         assert isinstance(self.data, SimulatedData)
+        one = not self.plant.real or (self.loop.initial_conditions == 1 and not self.data.trials)
+        problem, remedy = "a device runs one case, from where it is", "use loop.initial_conditions=1 +data.trials=false"
+        require(one, "plant", type(self.plant).__name__, problem, remedy)
         samples = self.loop.initial_conditions * self.loop.samples(self.plant.step_s)
         counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
         for field, count in (counts | {"loop.initial_conditions * horizon_s / step_s": samples}).items():

@@ -7,7 +7,7 @@ what its jobs compute nor the keys under which they keep it.
 import importlib
 import pkgutil
 import re
-from collections.abc import Set
+from collections.abc import Iterator, Set
 from contextlib import suppress
 
 import numpy as np
@@ -28,15 +28,21 @@ HEAVY = {
 }
 
 
-def warm(again: Set[str]) -> None:
-    """Everything that this module speaks of, in the process that jobs are forked from; `again` as in `Task.warm`."""
+def modules_for(again: Set[str]) -> Iterator[str]:
+    """The modules of our rooms that jobs import, without what only stages other than `again` take."""
     left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
-                if not any(modules.match(module.name) for modules in left):
-                    importlib.import_module(module.name)
+            if not any(modules.match(module.name) for modules in left):
+                yield module.name
+
+
+def warm(again: Set[str]) -> None:
+    """Everything that this module speaks of, in the process that jobs are forked from; `again` as in `Task.warm`."""
+    for name in modules_for(again):
+        with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
+            importlib.import_module(name)
     # The motor's compiled step, from its cache on disk: a third of a second that each job would spend on its own.
     constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
     advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)

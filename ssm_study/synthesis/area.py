@@ -3,13 +3,15 @@
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in docs/theory.md.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.systems import Pair, StateSpace
+from ssm_study.systems import Pair, StateSpace, feed, held
 
 CASES = 12  # states the model is released from, evenly spaced along the validation record
 LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
@@ -25,7 +27,7 @@ AT_ONCE = 256  # designs simulated together: as many as stay in the processor's 
 def release(
     model: Model, validation: Trajectories, loaded: bool
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
-    """States `x0` let go at sample 0, the load added to `S_u(u)` ever after, and the horizon in samples.
+    """States `x0` let go at sample 0, the load to be added to `S_u(u)`, and the horizon in samples.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest under loads. Not
     states in which a constant input would hold the model: a model may have a mode so slow that no record ever filled
@@ -60,6 +62,15 @@ def at_rest(model: Model) -> StateSpace:
     return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
 
 
+def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:
+    """A load over time, up to one, that the internal model makes: constant, a ramp, sines, or their mean."""
+    one = modes[::outputs, ::outputs]  # of one output
+    if not len(one):
+        return np.ones(horizon)
+    made = np.stack([np.linalg.matrix_power(one, k).sum(axis=1) for k in range(horizon)])
+    return np.asarray((made / np.abs(made).max(axis=0)).mean(axis=1))
+
+
 def relative_areas(
     model: Model, gains: Pair, validation: Trajectories, limits: Ends | None = None
 ) -> Float[np.ndarray, "P"]:
@@ -67,14 +78,14 @@ def relative_areas(
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the area hardly sees a
     faint tail, on which the time to settle turns; the time does not see what lies beyond the horizon. Observers start
-    from zero. Gains of width `s = n + p` act on integrators too, and are also judged by how soon they remove constant
-    loads. No noise, scaled units, inputs within `limits`, where integrators are held. Below one is faster than none.
+    from zero. Gains with an internal model are also judged by how soon they remove loads that it makes, constant ones
+    with integrators. No noise, scaled units, inputs within `limits`, where it is `held`. Below one is faster than none.
     """
-    start = *release(model, validation, loaded=gains.k.shape[-1] > model.order), limits or (-LARGEST, LARGEST)
-    alone = _areas(model, Pair(k=0 * gains.k[:1], l=0 * gains.l[:1]), *start)[0]
+    start = *release(model, validation, loaded=len(gains.modes) > 0), limits or (-LARGEST, LARGEST)
+    alone = _areas(model, replace(gains, k=0 * gains.k[:1], l=0 * gains.l[:1], l_z=None), *start)[0]
     counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
     split = [[None] * parts if g is None else np.array_split(g, parts) for g in (gains.k, gains.l, gains.l_z)]
-    found = [_areas(model, Pair(k=k, l=l, l_z=l_z), *start) for k, l, l_z in zip(*split, strict=True)]  # noqa: E741
+    found = [_areas(model, replace(gains, k=k, l=l, l_z=l_z), *start) for k, l, l_z in zip(*split, strict=True)]  # noqa: E741
     return (np.concatenate(found)[:, counts] / alone[counts]).mean(axis=1)
 
 
@@ -86,7 +97,8 @@ def _areas(
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    n, k, l_ = model.order, gains.k.transpose(0, 2, 1), gains.l.transpose(0, 2, 1)
+    n, k, l_, modes = model.order, gains.k.transpose(0, 2, 1), gains.l.transpose(0, 2, 1), gains.modes
+    fed, shape = feed(modes, l_.shape[1]), _shape(modes, l_.shape[1], horizon)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
     x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
     x_hat, area, settled = np.zeros_like(x), np.zeros(x.shape[:2]), np.zeros(x.shape[:2])
@@ -95,13 +107,14 @@ def _areas(
         asked = x_hat @ k[:, :n] + z @ k[:, n:]
         u = np.clip(asked, *limits)
         lifted = model.scaffold_in(u)
-        y = model.read_scaled(x, lifted + load)
+        loaded = lifted + load * shape[sample]
+        y = model.read_scaled(x, loaded)
         innovation = model.read_scaled(x_hat, lifted) - y
         size = np.linalg.norm(y, axis=2)
         area, settled = area + size, np.where(size > SETTLED, sample + 1.0, settled)
         free = (u == asked).all(axis=2, keepdims=True)
-        z = np.clip(z + np.where(free, y[..., : z.shape[2]], 0.0), -LARGEST, LARGEST)
-        x = model.advance(x, lifted + load)
+        z = np.clip(np.where(free, z @ modes.T + y @ fed.T, z @ held(modes).T), -LARGEST, LARGEST)
+        x = model.advance(x, loaded)
         injected = () if l_z is None else (innovation @ l_z,)
         x_hat = np.clip(model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST)
     return area + settled

@@ -31,13 +31,14 @@ from ssm_study.synthesis.prediction import predict, worst
 from ssm_study.synthesis.problem import NoSolution, Solution, dual
 from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, with_integrators
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, frequencies, internal_model, with_modes
 from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 ATTEMPTS = 20  # how many candidates are verified exactly before the search gives up: each costs two exact certificates
 LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
+WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, where none are given
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
 LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is what Welch's estimate alone scatters by
 
@@ -46,7 +47,7 @@ Found = tuple[RiccatiSynthesis, Solution]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Gains on the grid, and the specification that gives each of them back; `integral` holds 0 for no integrators."""
+    """Gains on the grid, and the specification of each; `integral` is the internal model's weight, 0 without one."""
 
     feedback: tuple[RiccatiSynthesis, ...]
     integral: tuple[float, ...]
@@ -54,18 +55,22 @@ class Candidates:
     observing: tuple[RiccatiSynthesis, ...]
     ls: Float[np.ndarray, "O n p"]
     l_zs: Float[np.ndarray, "O q p"] | None = None
+    modes: tuple[str, ...] = ()
+    internal: Float[np.ndarray, "z z"] | None = None
     unsolved: int = 0
 
     def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Pair:
         """The gains of one pair, or of many."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
-        return Pair(k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs)
+        return Pair(k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis | IntegralSynthesis:
         feedback, observing, weight = self.feedback[pair[0]], self.observing[pair[1]], self.integral[pair[0]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
         chosen = replace(feedback, **{name: getattr(observing, name) for name in names})
-        return IntegralSynthesis(synthesis=chosen, integral_weight=weight) if weight else chosen
+        if not weight:
+            return chosen
+        return IntegralSynthesis(synthesis=chosen, integral_weight=weight, internal_model=self.modes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,9 +81,9 @@ class Auto:
     model always leaves a cautious choice) and of the stretch from there to the exact limit; for the observer, whose
     limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. `rate` stands
     for each side that is left at "auto"; a number is kept. When no candidate passes, the one with the largest margin is
-    returned and `solver_status` says so. `integral_weights` (of integrators of the tracking error) are one more axis.
-    `limits` of the input, scaled, are set by the run (`within`). With `invert_input` the law undoes the input map
-    (`synthesis.commanded`), and `shown` is relative to what it commands.
+    returned and `solver_status` says so. With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its
+    states are one more axis; weights alone are of integrators. `limits` of the input, scaled, are set by the run.
+    With `invert_input` the law undoes the input map (`synthesis.commanded`), and `shown` is relative to its commands.
     """
 
     rate: float | str = "auto"
@@ -91,6 +96,7 @@ class Auto:
     input_weights: Sequence[float] = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     output_noises: Sequence[float] = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     integral_weights: Sequence[float] = ()
+    internal_model: Sequence[str] = ()
     state_weight: float = 1e-6
     state_noise: float = 1e-4
     limits: Ends | None = None
@@ -112,6 +118,16 @@ class Auto:
             grid = getattr(self, name)
             above = (len(grid) > 0 or name == "integral_weights") and all(0 < value < np.inf for value in grid)
             require(above, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
+        frequencies(self.internal_model)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The internal model's words."""
+        return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
+
+    @property
+    def _weights(self) -> Sequence[float]:
+        return self.integral_weights or (WEIGHTS if self.internal_model else (0.0,))
 
     def design(
         self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
@@ -128,7 +144,7 @@ class Auto:
         left_out = f" ({candidates.unsolved} of the grid have no solution)" if candidates.unsolved else ""
         shown = shown or mismatch(model, validation)
         weights, ks, ls = shown.at(GRID_ANGLES), candidates.ks, candidates.ls
-        peaks = peaks_on_grid(model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs)
+        peaks = peaks_on_grid(model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs, candidates.internal)
         for pair in self._in_order(model, candidates, balls, peaks, validation, shown):
             design = candidates.specification(pair).design(model, balls)
             if design.certified and predict(model, design.pair, balls, shown).keeps_the_plant(self.margin):
@@ -153,8 +169,8 @@ class Auto:
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         grids = {}
-        for weight in self.integral_weights or (0.0,):
-            controlled = with_integrators(model, weight) if weight else model.system
+        for weight in self._weights:
+            controlled = with_modes(model, self.modes, weight) if weight else model.system
             grids[weight] = self._solved(controlled, balls.input, observes=False)
         feedback = [(made, weight, found) for weight, (solved, _) in grids.items() for made, found in solved]
         observing, unsolved = self._solved(model.system, balls.output, observes=True)
@@ -169,6 +185,8 @@ class Auto:
             observing=tuple(specification for specification, _ in observing),
             ls=np.stack([found.k.T for _, found in observing]),
             l_zs=None if injected[0] is None else np.stack([k_w.T for k_w in injected if k_w is not None]),
+            modes=self.modes,
+            internal=internal_model(self.modes, model.step_s, model.scale.outputs) if self.modes else None,
         )
 
     def _solved(self, system: System, ball: JacobianBall, observes: bool) -> tuple[list[Found], int]:
@@ -245,10 +263,11 @@ class Auto:
         rates = (self._asked(self.rate_controller), self._asked(self.rate_observer))
         asked = [1e-3 if rate == "auto" else float(rate) for rate in rates]
         specification = self._specification(rate_controller=asked[0], rate_observer=asked[1])
-        if not self.integral_weights:
+        if not self.modes:
             return specification.design(model, balls)
-        integral = IntegralSynthesis(synthesis=specification, integral_weight=self.integral_weights[0])
-        return integral.design(model, balls)
+        weight = self._weights[0]
+        internal = IntegralSynthesis(synthesis=specification, integral_weight=weight, internal_model=self.modes)
+        return internal.design(model, balls)
 
     def _reported(self, design: Design, status: str) -> Design:
         """The parts under this method's name, with what the search found."""

@@ -49,8 +49,15 @@ def shown_behind(model: Model, records: Trajectories, start_up_samples: int, tri
 
 def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch:
     """What the records show relative to what a design, or a specification, commands; `shown` is relative to u."""
-    behind = law.inverts if isinstance(law, Design) else law.invert_input
-    return shown_behind(model, data.validation, data.start_up_samples, data.trials) if behind else shown
+    undone = law.inverts if isinstance(law, Design) else law.invert_input
+    return shown_behind(model, data.validation, data.start_up_samples, data.trials) if undone else shown
+
+
+def measured(
+    design: Design, model: Model, records: Trajectories, start_up_samples: int, trials: Trajectories
+) -> Mismatch:
+    """What the records show relative to what the design commands."""
+    return (shown_behind if design.inverts else mismatch)(model, records, start_up_samples, trials)
 
 
 def inverting(design: Design) -> Design:

@@ -4,7 +4,7 @@ All are about the very gains that are deployed: `theorems/deployed_rate.py`, `to
 `unlimited_start.py`; THEORY section 8.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -57,7 +57,7 @@ def as_deployed(
     feedback, observer = design.state_feedback, design.observer
     linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
     if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
-        controlled = controlled_system(model, feedback.k)
+        controlled = controlled_system(model, feedback)
         known = Known(system=model.system, controlled=controlled, balls=balls, gains=design.gains)
         weights = {"tolerance": np.eye(len(feedback.k))}
         if shown.rests:  # a plant that does not rest by itself shows no gain that a weight could cover
@@ -98,15 +98,24 @@ class WithinLimits:
     upper: Outputs
     everywhere: LimitedFeedback | None
 
+    @classmethod
+    def of(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
+        """As the parts of a certificate have it; None where they have no set of starts."""
+        if SETS not in parts or not isinstance(model, SSM):
+            return None
+        low, high = outputs_of(model, parts[SETS].starts)
+        return cls(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
+
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
     """Both, for limits in physical units; `BadRequest` for an infeasible design or limits without room around rest."""
     design.parts()
     parts, limits = with_limits(model, design, lower, upper), (lower.tolist(), upper.tolist())
     problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"
-    require(SETS in parts, "input limits", limits, problem, remedy)
-    low, high = outputs_of(model, parts[SETS].starts)
-    return WithinLimits(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
+    found = WithinLimits.of(model, parts)
+    require(found is not None, "input limits", limits, problem, remedy)
+    assert found is not None
+    return found
 
 
 def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:

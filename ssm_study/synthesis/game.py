@@ -1,7 +1,7 @@
 """The game Riccati equation of a structured model and the search over its multipliers.
 
 The equation, its conditions and its gradient: `theorems.structured_riccati`; doubling: Chu, Fan, Lin & Wang 2004.
-Compiled, with the small matrices' products and eliminations written out: NumPy's calls took a tenfold of the sums.
+Compiled, with the eliminations of small matrices written out: the calls of NumPy took ten times as long as the sums.
 """
 
 from typing import NamedTuple, no_type_check
@@ -47,18 +47,6 @@ class Saddle(NamedTuple):
     x: Matrix
     h: Matrix
     toward: Matrix
-
-
-@compiled
-@no_type_check
-def times(a, b):
-    """`a b`."""
-    out = np.zeros((a.shape[0], b.shape[1]))
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            for j in range(b.shape[1]):
-                out[i, j] += a[i, k] * b[k, j]
-    return out
 
 
 @compiled
@@ -130,13 +118,13 @@ def _doubled(a, g, h):
     """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises `LinAlgError` where there is none."""
     n = len(a)
     for _ in range(DOUBLINGS):
-        both = solved(np.eye(n) + times(g, h), np.hstack((a, g)))
+        both = solved(np.eye(n) + g @ h, np.hstack((a, g)))
         left, right = both[:, :n].copy(), both[:, n:].copy()
-        ended = _grown(h, times(times(turned(a), h), left))
+        ended = _grown(h, turned(a) @ h @ left)
         if ended:
             break
-        _grown(g, times(times(a, right), turned(a)))
-        a = times(a, left)  # the closed-loop matrix is squared: after k steps 2^k samples are summed
+        _grown(g, a @ right @ turned(a))
+        a = a @ left  # the closed-loop matrix is squared: after k steps 2^k samples are summed
     if ended != 1:
         raise np.linalg.LinAlgError("the doubling has no limit")
     return h
@@ -147,10 +135,10 @@ def _doubled(a, g, h):
 def _summed(a, source):
     """`P = a P a' + source`; raises `LinAlgError` unless a is stable."""
     for _ in range(DOUBLINGS):
-        ended = _grown(source, times(times(a, source), turned(a)))
+        ended = _grown(source, a @ source @ turned(a))
         if ended:
             break
-        a = times(a, a)  # Smith's squaring: as many terms again in each step
+        a = a @ a  # Smith's squaring: as many terms again in each step
     if ended != 1:
         raise np.linalg.LinAlgError("not stable")
     return source
@@ -168,8 +156,8 @@ def _matrices(game, logs):
         scaled[i] = game.f[i] * weights[i] / 2
         b[:, inputs + i] = game.e[:, i] / (2 * r)
         own[inputs + i, inputs + i] = -weights[i] / (2 * r * r)  # |v_i| <= |z_i|, weighed by Lambda
-    drive = game.b + times(game.e, game.g) / 2  # w = (z + v) / 2: half of each neuron is linear
-    seen = times(turned(scaled), game.g)
+    drive = game.b + game.e @ game.g / 2  # w = (z + v) / 2: half of each neuron is linear
+    seen = turned(scaled) @ game.g
     for i in range(inputs):
         move = game.alpha if i < m else game.beta
         b[:, i], s[:, i] = move * drive[:, i % m] / r, move * seen[:, i % m] / r**2
@@ -179,8 +167,8 @@ def _matrices(game, logs):
         own[i, i] += (game.input_weight if i < m else 0.0) / r**2
         if inputs > m:  # lambda_p: |p|^2 <= |u|^2
             own[i, i] += (1.0 if i < m else -1.0) * np.exp(logs[q]) / r**2
-    cost = (game.state_weight + times(turned(scaled), game.f)) / r**2
-    return (game.a + times(game.e, game.f) / 2) / r, b, cost, own, s
+    cost = (game.state_weight + turned(scaled) @ game.f) / r**2
+    return (game.a + game.e @ game.f / 2) / r, b, cost, own, s
 
 
 @compiled
@@ -206,19 +194,19 @@ def _saddle(game, logs, barrier):
     (n, m), q, size = game.b.shape, game.e.shape[1], len(own)
     inverse = solved(own, np.hstack((turned(s), turned(b))))
     to_a, to_b = inverse[:, :n].copy(), inverse[:, n:].copy()
-    x = _doubled(a - times(b, to_a), times(b, to_b), cost - times(s, to_a))
+    x = _doubled(a - b @ to_a, b @ to_b, cost - s @ to_a)
     log_det(x)
-    into = times(turned(b), x)
-    h, toward = own + times(into, b), times(into, a) + turned(s)
+    into = turned(b) @ x
+    h, toward = own + into @ b, into @ a + turned(s)
     t = _constraint(game, h)
-    room = -times(times(turned(t), h), t)  # the maximising players' curvature: positive, or no saddle exists
+    room = -turned(t) @ h @ t  # the maximising players' curvature: positive, or no saddle exists
     goal = np.log(np.trace(x)) - barrier * (log_det(room) - logs[:q].sum())
     if size > m + q:
         goal += barrier * m * logs[q]
     saddle = -solved(h, toward)
-    shadow = times(t, solved(room, turned(t)))  # T (T'(-H)T)^{-1} T'
-    source = np.eye(n) / np.trace(x) + barrier * times(times(b, shadow), turned(b))
-    reach = _summed(a + times(b, saddle), source)
+    shadow = t @ solved(room, turned(t))  # T (T'(-H)T)^{-1} T'
+    source = np.eye(n) / np.trace(x) + barrier * b @ shadow @ turned(b)
+    reach = _summed(a + b @ saddle, source)
     return Saddle(goal, _gradient(game, logs, barrier, saddle, reach, shadow), x, h, toward)
 
 
@@ -232,61 +220,55 @@ def _gradient(game, logs, barrier, saddle, reach, shadow):
     fixed[:, :m] = game.alpha * game.g
     if inputs > m:
         p, fixed[:, m:inputs] = saddle[m:inputs].copy(), game.beta * game.g
-    z = game.f + times(game.g, game.alpha * u + game.beta * p)  # what drives each neuron there
+    z = game.f + game.g @ (game.alpha * u + game.beta * p)  # what drives each neuron there
     gradient, v = np.empty(len(logs)), saddle[inputs:].copy()
-    flow = (times(z, reach) * z - times(v, reach) * v).sum(axis=1)
-    still = (times(fixed, shadow) * fixed).sum(axis=1)
+    flow = (z @ reach * z - v @ reach * v).sum(axis=1)
+    still = (fixed @ shadow * fixed).sum(axis=1)
     for i in range(q):
         still[i] -= shadow[inputs + i, inputs + i]
         gradient[i] = np.exp(logs[i]) * (flow[i] + barrier * still[i]) / (2 * r2) + barrier
     if inputs > m:
-        both = (times(u, reach) * u - times(p, reach) * p).sum()
+        both = (u @ reach * u - p @ reach * p).sum()
         for i in range(m):
             both += barrier * (shadow[i, i] - shadow[m + i, m + i])
         gradient[q] = np.exp(logs[q]) * both / r2 + m * barrier
     return gradient
 
 
-@compiled
-@no_type_check
-def evaluate(game, logs, barrier):
+def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
     """The saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite where they admit none.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the second term keeps
     the search off the edge of what is admissible, where the gradient of the first one leads.
     """
     try:
-        found = _saddle(game, logs, barrier)
-    except Exception:
+        found: Saddle = _saddle(game, logs, barrier)
+    except (np.linalg.LinAlgError, ArithmeticError):
         none = np.empty((0, 0))
         found = Saddle(np.inf, np.empty(0), none, none, none)
     return found
 
 
-@compiled
-@no_type_check
-def descend(game, logs, barrier, evaluations):
-    """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The best logs found."""
-    at, size = evaluate(game, logs, barrier), len(logs)
-    metric, left, gained = np.eye(size), evaluations, np.inf
+def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
+    """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The best logs found.
+
+    Not compiled, like `evaluate`: the compiler would optimise all of the equation again in each, for half a minute.
+    """
+    at, metric, left, gained = evaluate(game, logs, barrier), np.eye(len(logs)), evaluations, np.inf
     while np.isfinite(at.goal) and left > 0 and gained >= FLAT:
-        step = -(metric * at.gradient).sum(axis=1)
+        step = -(metric @ at.gradient)
         step *= min(1.0, STRIDE / max(np.abs(step).max(), 1e-300))
         there, lower = at, False
         while left > 0 and not lower and np.abs(step).max() > 1e-6:
             left -= 1
             there = evaluate(game, logs + step, barrier)
-            lower = there.goal < at.goal + 1e-4 * (step * at.gradient).sum()  # Armijo's condition
+            lower = bool(there.goal < at.goal + 1e-4 * (step @ at.gradient))  # Armijo's condition
             step = step if lower else step / 3
         if not lower:
             break
         logs, change, gained = logs + step, there.gradient - at.gradient, at.goal - there.goal
-        along, at = (step * change).sum(), there
+        along, at = step @ change, there
         if along > 1e-12:  # BFGS's curvature condition: without it the metric would lose definiteness
-            turn = np.eye(size)
-            for i in range(size):
-                turn[i] -= step[i] * change / along
-            metric = times(times(turn, metric), turned(turn))
-            for i in range(size):
-                metric[i] += step[i] * step / along
+            turn = np.eye(len(logs)) - np.outer(step, change) / along
+            metric = turn @ metric @ turn.T + np.outer(step, step) / along
     return logs

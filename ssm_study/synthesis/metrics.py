@@ -6,16 +6,14 @@ Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 from typing import Any
 
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
-from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
 from ssm_study.synthesis.commanded import of_commands
-from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of
+from ssm_study.synthesis.deployed import SETS, WithinLimits
 from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
@@ -101,13 +99,13 @@ def design_facts(
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
     """What is proved within input limits; the tightest of several inputs, outputs. Empty where nothing is."""
-    known, everywhere = design.beside.get(SETS), design.beside.get(EVERYWHERE)
-    if not isinstance(known, UnlimitedStart) or not isinstance(model, SSM):
+    if (found := WithinLimits.of(model, design.beside)) is None:
         return {}
-    (lower, upper), (low, high) = model.scale.physical_input(known.limits.T), outputs_of(model, known.starts)
+    limits: Any = design.beside[SETS]
+    lower, upper = model.scale.physical_input(limits.limits.T)
     facts = {"limit_lower": float(lower.max()), "limit_upper": float(upper.min())}
-    facts |= {"unlimited_from": float(low.max()), "unlimited_to": float(high.min())}
-    return facts | {"limited_rate": getattr(everywhere, "rate", None)}
+    facts |= {"unlimited_from": float(found.lower.max()), "unlimited_to": float(found.upper.min())}
+    return facts | {"limited_rate": found.everywhere and found.everywhere.rate}
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:

@@ -4,21 +4,21 @@ With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians
 
     x+  = (A + B J_u K) x + B J_u K eps,     eps+ = (A + L J_y C) eps - L e,     u = K (x + eps).
 
-With integral action `u = K_x (x + eps) + K_z z` and `z+ = z + J_y C x + e`, the measured output being what is
-integrated (here D is taken as zero). The Jacobians are taken constant, at the ends and the centre of their balls, and
-so are the slopes of neurons, at zero and one: a loop whose neurons switch is not among them.
+With an internal model `u = K_x (x + eps) + K_z z` and `z+ = A_z z + E (J_y C x + e)`, driven by the measured output
+(here D is taken as zero); integrators have `A_z = I`. The Jacobians are taken constant, at the ends and the centre of
+their balls, and so are the slopes of neurons, at zero and one: a loop whose neurons switch is not among them.
 Source: THEORY section 5.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
+from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System, feed
 
 PEAK_TOLERANCE = 1e-8  # relative: the returned gain is attained, and no frequency exceeds it by more than this
 # Relative: how near the imaginary axis an eigenvalue counts as a crossing. Rounding moves them by up to 1e-6 (seen);
@@ -115,26 +115,26 @@ def ends(system: System, pair: Pair, balls: Balls, at: Float[np.ndarray, "k q"] 
 
 
 def sensitivity(linear: StateSpace, pair: Pair, slope_in: float, slope_out: float) -> StateSpace:
-    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`; `s = n`, or `n + p` with integrators."""
+    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
     k, (n, p) = pair.k, pair.l.shape
-    on_state, on_integral = k[:, :n], k[:, n:]
-    drive, integral = slope_in * linear.b @ on_state, slope_in * linear.b @ on_integral
-    seen, count = slope_out * linear.c[: on_integral.shape[1]], on_integral.shape[1]
-    rows = [[linear.a + drive, drive, integral]]  # x, for `u` reads the estimate `x + eps`
-    rows += [[np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, np.zeros((n, count))]]  # eps, driven by e
-    rows += [[seen, np.zeros((count, n)), np.eye(count)]]  # z sums what is measured
-    entry, read = [np.zeros((n, p)), -pair.l, np.eye(count, p)], [on_state, on_state, on_integral]
+    on_state, on_internal, modes = k[:, :n], k[:, n:], pair.modes
+    drive, internal = slope_in * linear.b @ on_state, slope_in * linear.b @ on_internal
+    fed, none = feed(modes, p), np.zeros((len(modes), n))
+    rows = [[linear.a + drive, drive, internal]]  # x, for `u` reads the estimate `x + eps`
+    rows += [[np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, none.T]]  # eps, driven by e
+    rows += [[slope_out * fed @ linear.c[:p], none, modes]]  # z is driven by what is measured
+    entry, read = [np.zeros((n, p)), -pair.l, fed], [on_state, on_state, on_internal]
     return StateSpace(a=np.block(rows), b=np.vstack(entry), c=np.hstack(read), d=np.zeros((len(k), p)))
 
 
 def sensitivity_peak(system: System, pair: Pair, balls: Balls) -> float:
     """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is unstable."""
     found = ends(system, pair, balls)
-    return max(hinf_norm(sensitivity(linear, Pair(k=pair.k, l=l), *slope)) for linear, l, *slope in found)  # noqa: E741
+    return max(hinf_norm(sensitivity(linear, replace(pair, l=l), *slope)) for linear, l, *slope in found)  # noqa: E741
 
 
 def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of each controller by itself, the largest over the slopes, its integrators left out.
+    """Spectral radius of each controller by itself, the largest over the slopes, its internal model left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the controller runs alone:
     `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest is unstable for every plant that holds
@@ -153,8 +153,9 @@ def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndar
 class Responses:
     """`T_ue` of pairs of many controllers and observers at `angles`; what pairs share is computed once.
 
-    `T_ue = (I - J_u F G)^{-1} (K_z / (z - 1) - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z J_y C / (z - 1)`,
-    `G = (z I - A)^{-1} B`, separates a pair into two factors: of the observer, and of the controller, G is common.
+    `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
+    `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair into two factors: of
+    the observer, and of the controller, G is common.
     """
 
     angles: Float[np.ndarray, "F"]
@@ -169,13 +170,17 @@ class Responses:
         return self.known[key]
 
     def of(
-        self, linear: StateSpace, k: Float[np.ndarray, "m s"], ls: list[Float[np.ndarray, "n p"]], *slope: float
+        self,
+        linear: StateSpace,
+        k: Float[np.ndarray, "m s"],
+        modes: Float[np.ndarray, "z z"],
+        ls: list[Float[np.ndarray, "n p"]],
+        *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
-        """Of one controller with each of these observers, at slopes of `S_u` and `S_y`."""
-        (slope_in, slope_out), n = slope, linear.order
-        summed = k[:, n:] / (np.exp(1j * self.angles) - 1)[:, None, None]
-        seen = slope_out * linear.c[: k.shape[1] - n]
-        loop = (k[:, :n] + summed @ seen) @ self.to_state(linear.a, linear.b)
+        """Of one controller with its internal model and each of these observers, at slopes of `S_u` and `S_y`."""
+        (slope_in, slope_out), n, p = slope, linear.order, ls[0].shape[1]
+        summed = k[:, n:] @ self.to_state(modes, feed(modes, p))
+        loop = (k[:, :n] + slope_out * summed @ linear.c[:p]) @ self.to_state(linear.a, linear.b)
         observed = np.stack([self.to_state(linear.a + slope_out * l @ linear.c, l) for l in ls])  # noqa: E741
         through = -np.einsum("mn,ofnp->ofmp", k[:, :n], observed)
         if k.shape[1] > n:
@@ -191,6 +196,7 @@ def peaks_on_grid(
     angles: Float[np.ndarray, "F"],
     weights: Float[np.ndarray, "F"] | float = 1.0,
     l_zs: Float[np.ndarray, "O q p"] | None = None,
+    internal: Float[np.ndarray, "z z"] | None = None,
 ) -> Float[np.ndarray, "C O"]:
     """The largest `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0, 1/2 and 1, all alike.
 
@@ -198,10 +204,10 @@ def peaks_on_grid(
     """
     some = None if isinstance(system, StateSpace) else np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
     responses, peaks = Responses(angles=angles), np.zeros((len(ks), len(ls)))
-    observers = Pair(k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs)  # the ends depend on no controller
+    observers = Pair(k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs, internal=internal)  # of no controller
     for linear, frozen, *slope in ends(system, observers, balls, some):
         for k, peak in zip(ks, peaks, strict=True):
-            size = sizes(responses.of(linear, k, list(frozen), *slope))
+            size = sizes(responses.of(linear, k, observers.modes, list(frozen), *slope))
             np.maximum(peak, (weights * size).max(axis=1), out=peak)
     return peaks
 

@@ -7,22 +7,20 @@ import lightning.pytorch as pl
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy import linalg
 
-from ssm_study.models.contracting import Core, in_metric, parameters, projected
-from ssm_study.models.spec import arx, impulse_response, realise, scaled
+from ssm_study.models.spec import scaled
 from ssm_study.models.structured import StructuredSSM, slopes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Descent, Residuals, Theta, loss, step
+from ssm_study.training.structured_start import contracting_start, linear_start, screened_poles, with_neurons
 
 SETTLED = 1e-4  # relative gain of a step below which a starting phase ends
 IDLE = 1e-3  # relative change of the output below which a neuron does nothing
-ARX_LAGS = 10
-SLOWEST = 0.998  # a starting pole outside is pulled inside this radius
-SMALL = 0.05  # of E: the neurons start as a perturbation of the linear fit
-RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
+START_SAMPLES = 2000  # of which a start is made: the training goes on with all
+RACE = 5  # steps of each draw inside the contracting set
+TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random poles come below
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 
 
@@ -86,27 +84,47 @@ class StructuredFit(pl.LightningModule):
         self.damping.fill_(at.damping)
 
     def _started(self) -> Theta:
-        """Linear fit, S_u, free model, and the nearest contracting one: each phase from the end of the one before."""
+        """On few samples: linear fit, S_u, then neurons drawn at random race and the best draw starts the training."""
         spec, rng = self.spec, np.random.default_rng(self.seed)
-        steps, linear = spec.start_steps, replace(self.problem, neurons=(), rate=None)
-        theta = linear_start(linear, int(spec.order), spec.feedthrough, rng)
+        short = replace(self.problem, records=self.problem.records.cut(START_SAMPLES))
+        linear = replace(short, neurons=(), rate=None)
         matrices = ("a", "b", "c", *(("d",) if spec.feedthrough else ()), *(("x0",) if self.estimates else ()))
-        theta = self._descended(linear, theta, matrices, steps[0])  # phase 1: the linear fit
-        if spec.knots or spec.output_knots:
-            theta = self._descended(linear, theta, (*matrices, "scaffold_in", "scaffold_out"), steps[1])
-        free = replace(self.problem, rate=None)
-        theta = with_neurons(free, theta, spec.neurons, rng)
-        theta = self._descended(free, theta, self._free(CORE, spec.input_path == "free"), steps[2])
-        return theta if spec.rate is None else contracting_start(free, theta, spec.rate)
 
-    def _descended(self, problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Theta:
+        def settled(theta: Theta) -> Descent:  # phase 1: the linear fit
+            return self._descended(linear, theta, matrices, spec.start_steps[0])
+
+        begun = linear_start(linear, int(spec.order), spec.feedthrough, rng)
+        at = settled(begun)
+        if not spec.integrated:
+            screened = settled(screened_poles(linear, begun, self.estimates, rng))
+            at = screened if screened.loss < TRUSTED * at.loss else at
+        theta = at.theta
+        if spec.knots or spec.output_knots:
+            maps = (*matrices, "scaffold_in", "scaffold_out")
+            theta = self._descended(linear, theta, maps, spec.start_steps[1]).theta
+        best = min((self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss)
+        x0 = np.zeros(self._shapes()["x0"])  # records that the start has not seen begin at rest
+        x0[: len(best.theta["x0"])] = best.theta["x0"]
+        return best.theta | {"x0": x0}
+
+    def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
+        """Random neurons, a few steps without the constraint, the nearest contracting model, a few steps as one."""
+        spec, free = self.spec, replace(short, rate=None)
+        theta = with_neurons(free, theta, spec.neurons, rng)
+        at = self._descended(free, theta, self._free(CORE, spec.input_path == "free"), spec.start_steps[2])
+        if spec.rate is None:
+            return at
+        theta = contracting_start(free, at.theta, spec.rate)
+        return self._descended(short, theta, self._free(FREE_CORE, spec.input_path == "free"), RACE)
+
+    def _descended(self, problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
         ridge = self._ridge(free)
         at = Descent(theta=theta, loss=loss(problem, theta, ridge))
         for _ in range(most):
             before, at = at.loss, step(problem, at, free, ridge)
             if not at.loss < before * (1.0 - SETTLED):
                 break
-        return at.theta
+        return at
 
     def _free(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:  # The blocks that a phase moves
         spec = self.spec
@@ -174,52 +192,3 @@ def _without(model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]
     for name, axis in {"e": 1, "f": 0, "g": 0, "h": 1, "bias": 0}.items():
         parts[name] = np.delete(getattr(model, name), i, axis)
     return replace(model, **parts, neurons=model.neurons[:i] + model.neurons[i + 1 :])
-
-
-def linear_start(problem: Residuals, order: int, feedthrough: bool, rng: np.random.Generator) -> Theta:
-    """ARX by least squares, a balanced realisation of its impulse response, its poles inside the unit circle; q = 0."""
-    u, y, _ = problem.records
-    pairs = [(a[there], b[there]) for a, b, there in zip(u, y, problem.records.scored, strict=True)]
-    samples = [np.concatenate(side) for side in zip(*pairs, strict=True)]
-    if problem.integrated:
-        pairs = [(u[:-1], np.diff(y, axis=0)) for u, y in pairs]
-    lags = min(ARX_LAGS, min(len(u) for u, _ in pairs) // 4)
-    system = realise(impulse_response(*arx(pairs, lags, feedthrough)), order, rng)
-    radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
-    (n, m), p = system.b.shape, len(system.c)
-    shapes = {"e": (n, 0), "f": (0, n), "g": (0, m), "h": (p, 0), "bias": (0,)}  # no neurons yet
-    shapes |= {"x0": (len(u), n + p * problem.integrated)}
-    return {name: np.zeros(shape) for name, shape in shapes.items()} | {
-        "a": system.a * min(1.0, SLOWEST / radius),
-        "b": system.b,
-        "c": system.c,
-        "d": system.d if feedthrough else np.zeros((p, m)),
-        "scaffold_in": problem.lift.start(samples[0]),
-        "scaffold_out": problem.read.start(samples[1]),
-    }
-
-
-def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Generator) -> Theta:
-    """States of unit size, then F and the bias random, so that neurons bend within the data, E small, G and H zero."""
-    states = problem.simulated(theta)[2][:, :-1][problem.records.scored]
-    size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9  # root mean square of each state
-    n, m, p = len(size), theta["b"].shape[1], len(theta["c"])
-    x0, b = theta["x0"].copy(), theta["b"] / size[:, None]
-    x0[:, :n] /= size
-    f = rng.normal(size=(count, n))
-    f *= rng.uniform(0.7, 3.0, (count, 1)) / np.linalg.norm(f, axis=1, keepdims=True)
-    e, bias = SMALL * rng.normal(size=(n, count)) * np.linalg.norm(b), RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
-    turned = {"a": theta["a"] * size / size[:, None], "b": b, "c": theta["c"] * size, "x0": x0}
-    return theta | turned | {"e": e, "f": f, "g": np.zeros((count, m)), "h": np.zeros((p, count)), "bias": bias}
-
-
-def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
-    """The nearest model on the path of `contracting.projected`, in its metric's coordinates and free parameters."""
-    (v, _, states), scored = problem.simulated(theta), problem.records.scored
-    z = states[:, :-1][scored] @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
-    found = projected(Core(*(theta[name] for name in CORE)), slopes(problem.neurons, z).mean(axis=0), rate)
-    free, n = parameters(in_metric(found), rate), len(theta["a"])
-    x0 = theta["x0"].copy()
-    x0[:, :n] = x0[:, :n] @ found.t.T
-    moved = {"b": found.t @ theta["b"], "c": linalg.solve(found.t.T, theta["c"].T).T, "x0": x0}
-    return theta | moved | free._asdict() | {"log_d": np.log(found.d)}

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ssm_study.models.contracting import Free, derivative, explicit
 from ssm_study.models.structured import codes
@@ -32,6 +32,11 @@ class Batch(NamedTuple):
         (u, y), whole = padded(pairs), np.concatenate([y for _, y in pairs])
         there = np.arange(u.shape[1])[None, :, None] < np.array([len(one) for one, _ in pairs])[:, None, None]
         return cls(u=u, y=y, weight=there / np.linalg.norm(whole - whole.mean(axis=0)))
+
+    def cut(self, samples: int) -> "Batch":
+        """The first records, whole, of so many samples together; of one that is longer, its beginning."""
+        count = max(1, samples // self.u.shape[1])
+        return Batch(*(part[:count, :samples] for part in self))
 
     @property
     def scored(self) -> np.ndarray:
@@ -84,8 +89,11 @@ class Residuals:
 
     def linearised(
         self, theta: Theta, free: tuple[str, ...]
-    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R P"]]:
-        """Residual and its Jacobian by the blocks `free`, each flattened by rows."""
+    ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R K"], Float[np.ndarray, "K P"]]:
+        """Residual `r`, `J` and `turn`: `J turn` is the Jacobian by the blocks `free`, each flattened by rows.
+
+        `turn` is the chain rule through `contracting.explicit`: cheap behind `J'J`, not on every sample.
+        """
         u, target, weight = self.records
         v, _, moved = self.lift.derivatives(theta["scaffold_in"], u)  # S_u, and what its parameters do to it
         (x0, begun), k = self.starts(theta), self.matrices(theta)
@@ -100,23 +108,24 @@ class Residuals:
             y, slope, bent = self.read.derivatives(theta["scaffold_out"], y)
             columns = {name: slope[..., None] * part for name, part in columns.items()}
             columns["scaffold_out"] = bent[..., None, :] * (self.read.owners == np.arange(p)[:, None])
-        if self.rate is not None:
-            columns |= self._by_free_core(theta, columns)
         if "x0" in free:
             columns["x0"] = self._by_start(columns["x0"])
-        jacobian = np.concatenate([columns[name] for name in free], axis=-1)
+        own = [name for name in free if name not in FREE_CORE]
+        turn = np.eye(sum(columns[name].shape[-1] for name in own))
+        if len(own) < len(free):
+            own, turn = [*CORE, *own], block_diag(self._by_free_core(theta), turn)
+        jacobian = np.concatenate([columns[name] for name in own], axis=-1)
         jacobian *= weight[..., None]  # in place: it is the largest array of a training
-        return (weight * (y - target)).ravel(), jacobian.reshape(target.size, -1)
+        return (weight * (y - target)).ravel(), jacobian.reshape(target.size, -1), turn
 
-    def _by_free_core(self, theta: Theta, columns: Columns) -> Columns:
-        """The chain rule through `contracting.explicit`, one direction per free parameter."""
+    def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
+        """What each free parameter does to A, E and F, in columns."""
         free = {name: theta[name] for name in FREE_CORE}
         shapes = {name: part.shape for name, part in free.items()}
         unit = split(shapes, np.eye(sum(part.size for part in free.values())))
         change = Free(**{name: part.reshape(-1, *shapes[name]) for name, part in unit.items()})
-        turned = derivative(Free(**free), change, self.rate or 1.0)  # dA, dE, dF by each free parameter
-        chain = np.concatenate([part.reshape(len(part), -1) for part in turned], axis=1).T
-        return split(shapes, np.concatenate([columns[name] for name in CORE], axis=-1) @ chain)
+        turned = derivative(Free(**free), change, self.rate or 1.0)
+        return np.concatenate([part.reshape(len(part), -1) for part in turned], axis=1).T
 
     def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
         """Every record has a start of its own, and with `integrated` an output it begins at."""
@@ -154,9 +163,12 @@ def loss(problem: Residuals, theta: Theta, ridge: dict[str, float]) -> float:
 
 def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str, float]) -> Descent:
     """One accepted step in the blocks `free`, or none; `R = diag(ridge)`."""
-    r, j = problem.linearised(at.theta, free)
+    r, j, turn = problem.linearised(at.theta, free)
     flat, weights = pack(at.theta, free), pack({n: np.full_like(at.theta[n], ridge.get(n, 0.0)) for n in free}, free)
-    normal, gradient = j.T @ j, j.T @ r + weights * flat  # Gauss-Newton: second derivatives of r are left out
+    normal, gradient = (
+        turn.T @ (j.T @ j) @ turn,
+        turn.T @ (j.T @ r) + weights * flat,
+    )  # Gauss-Newton: second derivatives of r are left out
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)

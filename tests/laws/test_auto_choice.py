@@ -19,7 +19,7 @@ from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import Prediction, predict
-from ssm_study.synthesis.theorems.integral_action import with_integrators
+from ssm_study.synthesis.theorems.integral_action import with_modes
 from ssm_study.systems import JacobianBall, Pair
 
 SMALL = Auto(
@@ -245,7 +245,7 @@ def test_with_integral_action_an_impossible_request_says_why():
     design = asked.design(motor_model(), BALLS, (motor_record(),))
     assert design.state_feedback.proved
     assert design.state_feedback.rate == 0.9
-    limit = controller_frontier(with_integrators(motor_model()), INPUT_BALL).rate_limit
+    limit = controller_frontier(with_modes(motor_model()), INPUT_BALL).rate_limit
     assert design.state_feedback.rate_limit == limit < controller_frontier(motor_model().linear, INPUT_BALL).rate_limit
     assert design.observer.certified  # the easiest request is made of the side that was left open
     assert design.state_feedback.solver_status.startswith("nothing on the grid is feasible")

@@ -16,6 +16,7 @@ from ssm_study.engine.launcher import warm
 from ssm_study.engine.records import read_record
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.store import Store
+from ssm_study.study.warm import modules_for
 from ssm_study.table.gather import gather
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,10 +93,18 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
     assert asked == [{"model"}, {"data", "model"}, set()]
 
 
-@pytest.mark.parametrize(("again", "there"), [("", []), ("'synthesis', 'model'", ["cvxpy", "torch", "lightning"])])
-def test_a_sweep_imports_what_its_jobs_take(again: str, there: list[str]) -> None:
-    heavy = ["cvxpy", "torch", "lightning"]
-    program = f"import sys; from ssm_study.study.warm import warm; warm({{{again or '*()'}}}); "
-    program += f"print([name for name in {heavy} if name in sys.modules])"
+def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
+    program = "import sys; from ssm_study.study.warm import warm; warm(set()); "
+    program += "print({'cvxpy', 'torch', 'lightning'} & set(sys.modules))"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
-    assert ended.stdout.strip() == str(there)
+    assert ended.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize(("again", "solver", "trainer"), [(set(), 0, 0), ({"synthesis"}, 1, 0), ({"model"}, 0, 1)])
+def test_what_solves_and_what_trains_is_imported_where_several_jobs_do(
+    again: set[str], solver: int, trainer: int
+) -> None:
+    asked = list(modules_for(again))
+    assert asked.count("ssm_study.synthesis.lmi") == solver
+    assert asked.count("ssm_study.training.fit") == trainer
+    assert asked.count("ssm_study.loop.rollout") == 1

@@ -85,3 +85,9 @@ def test_a_run_without_certificate_shows_why() -> None:
 def test_an_infeasible_run_shows_the_rate_that_was_possible() -> None:
     text = printed(a_run("infeasible") | {"controller_rate_limit": 0.0987})
     assert "at most 0.0987: infeasible" in text
+
+
+def test_with_neurons_it_says_that_nothing_is_proved_of_the_limits() -> None:
+    record = a_run("ok") | {"neurons": 3, "controller_certified": True}
+    assert "nothing is proved: the theorems on limits know no" in printed(record)
+    assert "know no neurons" not in printed(record | {"neurons": 0})

@@ -17,7 +17,8 @@ from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training import structured_choice
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.structured_fit import StructuredFit, pruned
-from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Residuals, Theta, pack, unpack
+from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Residuals, Theta, loss, pack, unpack
+from ssm_study.training.structured_start import linear_start, screened_poles
 from ssm_study.training.training import Training
 
 SIZES = {"seed": st.integers(0, 2**31), "n": st.integers(1, 5), "q": st.integers(0, 4), "rate": st.floats(0.3, 1.0)}
@@ -102,12 +103,38 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: boo
     one, theta = problem(3, rate, integrated)
     free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
     flat = pack(theta, free)
-    r, j = one.linearised(theta, free)
+    r, j, turn = one.linearised(theta, free)
     np.testing.assert_allclose(r, one.residual(theta), atol=1e-13)
     steps = 1e-6 * np.eye(len(flat))
     ahead, behind = ([one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1))
     differences = (np.stack(ahead) - np.stack(behind)).T / 2e-6
-    np.testing.assert_allclose(j, differences, atol=2e-7)
+    np.testing.assert_allclose(j @ turn, differences, atol=2e-7)
+
+
+def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input() -> None:
+    """Time constants of 40 and 25 samples, noise as large as a sample's change, a start far from rest."""
+    rng = np.random.default_rng(0)
+    u, x, y = rng.normal(size=(600, 1)), np.array([20.0, 10.0]), []
+    for v in u:
+        y.append([x[0] + rng.normal()])
+        x = np.array([0.975 * x[0] + 0.05 * x[1], 0.96 * x[1] + v[0]])
+    y = np.array(y) / np.std(y)
+    maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
+    one = Residuals(records=Batch.padded([(u, y)]), neurons=(), **maps)  # type: ignore[arg-type]
+    begun = linear_start(one, 2, False, rng)
+    found = screened_poles(one, begun, True, rng)
+    assert loss(one, begun, {}) > 0.5
+    assert loss(one, found, {}) < 0.1
+    for mode, true in zip(sorted(np.abs(np.linalg.eigvals(found["a"]))), (0.96, 0.975), strict=True):
+        assert mode == pytest.approx(true, abs=0.03)
+
+
+def test_the_projection_leaves_slow_modes_slow() -> None:
+    """A model inside the rate already keeps its A; one outside is pulled in by what it must and a percent."""
+    slow = Core(np.diag([0.985, 0.5]), np.full((2, 1), 1e-4), np.ones((1, 2)))
+    np.testing.assert_allclose(projected(slow, np.full(1, 0.5), 0.999).core.a, slow.a, atol=1e-12)
+    fast = projected(replace_a(slow, 1.1), np.full(1, 0.5), 0.999)
+    assert np.abs(np.linalg.eigvals(fast.core.a)).max() == pytest.approx(0.989, abs=2e-3)
 
 
 def recorded(model: StructuredSSM, seed: int) -> DataSet:
@@ -201,7 +228,7 @@ def test_sizes_are_chosen_by_folds_that_never_hold_a_test_sample(
     monkeypatch.setattr(structured_choice, "ORDERS", (1, 2))
     monkeypatch.setattr(structured_choice, "NEURONS", (1,))
     spoiled = tuple(replace(record, y=np.full_like(record.y, 1e6)) for record in data.test)
-    asked = StructuredSpec(order="auto", neurons=1, knots=0, starts=1, start_steps=(5, 1, 8))
+    asked = StructuredSpec(order="auto", neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1)
     chosen, table = structured_choice.choose(asked, replace(data, test=spoiled, validation=spoiled), 0)
     assert chosen.order == 2
     assert [row["chosen"] for row in table].count(True) == 1

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_cases import compiled, written
-from report_runs import KINDS, random_run
+from report_runs import KINDS, random_run, write_recordings
 from structured_cases import model as structured
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.device import Device
-from ssm_study.export.targets import deployed_rates, export, load
+from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.structured import NEURONS, model_from_json
 from ssm_study.synthesis.certificate import Design
@@ -88,22 +88,24 @@ def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     return control.input_output_response(system, np.arange(len(y)) * system.dt, y.T, squeeze=False).outputs.T
 
 
-@pytest.mark.parametrize(("replay", "tolerance"), [(c_replay, 1e-9), (onnx_replay, 1e-6), (control_replay, 1e-9)])
+REPLAYS: dict[Replay, float] = {c_replay: 1e-9, onnx_replay: 1e-6, control_replay: 1e-9}  # tolerances
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("channels", "integral"), [(1, False), (2, False), (1, True), (2, True)])
-def test_export_replays_the_python_loop(
-    tmp_path: Path, kind: str, channels: int, integral: bool, replay: Replay, tolerance: float
-) -> None:
+def test_export_replays_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool) -> None:
     run = random_run(tmp_path / "run", kind=kind, channels=channels, seed=channels, integral=integral)
     export(run, tmp_path / "out")
     y = 3 + 5 * np.random.default_rng(7).standard_normal((SAMPLES, channels))
     expected = python_loop(run, y)
     assert np.ptp(expected) > 0.01  # a controller that does nothing would agree with anything
-    assert np.abs(replay(tmp_path / "out", y) - expected).max() <= tolerance * max(1.0, float(np.abs(expected).max()))
+    for replay, tolerance in REPLAYS.items():
+        replayed, size = replay(tmp_path / "out", y), max(1.0, float(np.abs(expected).max()))
+        assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
 
 
 def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> None:
-    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=True)
+    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=["step", "sine(5Hz)"])
     export(run, tmp_path / "out")
     y = 40 * np.sign(np.sin(2 * np.pi * np.arange(SAMPLES) / 60))[:, None]
     limited = python_loop(run, y, limit=3.0)
@@ -132,9 +134,28 @@ def structured_run(folder: Path, kinds: tuple[str, ...], seen: float) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("replay", "tolerance"), [(c_replay, 1e-9), (onnx_replay, 1e-6), (control_replay, 1e-9)])
+def test_with_neurons_the_header_says_what_is_not_there(tmp_path: Path) -> None:
+    """No set points, so no word of them; nothing proved of the limits, so that is said."""
+    run = write_recordings(structured_run(tmp_path / "run", ("relu",), 0.0))
+    header = c_sources(run, prefix="drive")["drive.h"]
+    assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
+    assert "drive_init" not in header
+    assert "drive_track" not in header
+    assert "drive_clamp(u), apply, drive_advance" in header
+
+
+def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:
+    run = write_recordings(random_run(tmp_path / "run", kind="linear", channels=1, seed=0))
+    stored = json.loads((run / "model.json").read_text())
+    for rest in (-7.5, 9.0):
+        (run / "model.json").write_text(json.dumps(stored | {"input_equilibrium": [rest]}))
+        lower, upper = (float(end[0]) for end in limits(run))
+        assert rest in (lower, upper)
+        assert lower < -4 < 4 < upper
+
+
 @pytest.mark.parametrize("kinds", [*((kind,) for kind in NEURONS), tuple(NEURONS)])
-def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], replay: Replay, tolerance: float) -> None:
+def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...]) -> None:
     """Far from rest, so that every neuron bends; a controller without them would not agree."""
     run = structured_run(tmp_path / "run", kinds, 0.02 * (len(kinds) > 1))
     export(run, tmp_path / "out")
@@ -143,8 +164,10 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], replay: Re
     assert np.ptp(expected) > 0.01
     bare = json.loads((run / "model.json").read_text())
     (run / "model.json").write_text(json.dumps(bare | {"e": (0 * np.array(bare["e"])).tolist()}))
-    assert np.abs(python_loop(run, y) - expected).max() > 100 * tolerance * np.abs(expected).max()
-    assert np.abs(replay(tmp_path / "out", y) - expected).max() <= tolerance * max(1.0, float(np.abs(expected).max()))
+    assert np.abs(python_loop(run, y) - expected).max() > 100 * max(REPLAYS.values()) * np.abs(expected).max()
+    for replay, tolerance in REPLAYS.items():
+        replayed, size = replay(tmp_path / "out", y), max(1.0, float(np.abs(expected).max()))
+        assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

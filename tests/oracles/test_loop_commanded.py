@@ -46,7 +46,7 @@ def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file
     plain = replace(ASKED, invert_input=False).design(stand, balls).state_feedback
     assert design.state_feedback.rate_limit > plain.rate_limit
     content = json.loads(json.dumps(design.to_json()))
-    controlled = controlled_system(stand, design.pair.k)
+    controlled = controlled_system(stand, design.state_feedback)
     assert broken_claims(content, stand.system, balls, controlled) == []
     assert Design.from_json(content).inverts
     content["state_feedback"]["theorem"] = content["state_feedback"]["theorem"].replace(
@@ -66,7 +66,7 @@ def test_a_map_that_may_turn_gives_no_claim(made: tuple) -> None:
     content = json.loads(json.dumps(design.to_json()))
     assert any(
         "alpha, beta" in claim
-        for claim in broken_claims(content, stand.system, wide, controlled_system(stand, design.pair.k))
+        for claim in broken_claims(content, stand.system, wide, controlled_system(stand, design.state_feedback))
     )
 
 

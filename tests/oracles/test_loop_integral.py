@@ -21,7 +21,7 @@ from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.sensitivity import gains, peaks_on_grid, sensitivity
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system, with_integrators
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system, with_modes
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import Pair
 
@@ -44,7 +44,7 @@ def design() -> Design:
 
 def test_the_augmented_pair_is_the_equations_written_out():
     model = random_model(1, inputs=2, outputs=2)
-    system, rng = with_integrators(model), np.random.default_rng(0)
+    system, rng = with_modes(model), np.random.default_rng(0)
     x, z, v = rng.standard_normal(4), rng.standard_normal(2), rng.standard_normal(2)
     after = system.a @ np.concatenate([x, z]) + system.b @ v
     np.testing.assert_allclose(after[:4], model.linear.a @ x + model.linear.b @ v)
@@ -52,7 +52,7 @@ def test_the_augmented_pair_is_the_equations_written_out():
 
 
 def test_the_certificate_is_the_theorem_on_the_augmented_pair(design):
-    part, system = design.state_feedback, controlled_system(motor_model(), design.state_feedback.k)
+    part, system = design.state_feedback, controlled_system(motor_model(), design.state_feedback)
     assert system.order == motor_model().order + 1
     np.testing.assert_array_equal(part.a, system.a)
     ball = {"alpha": INPUT_BALL.alpha, "beta": INPUT_BALL.beta}
@@ -76,7 +76,7 @@ def test_an_integrator_costs_rate_as_the_frontier_says():
 
 
 def _pair(model):
-    system = with_integrators(model)
+    system = with_modes(model)
     return system.a, system.b
 
 
@@ -159,8 +159,8 @@ def test_auto_chooses_with_integral_action():
 
 
 def test_more_outputs_than_inputs_are_refused():
-    with pytest.raises(BadRequest, match="an input is needed for every integrated output"):
-        with_integrators(random_model(0, inputs=1, outputs=2))
+    with pytest.raises(BadRequest, match="an input is needed for every controlled output"):
+        with_modes(random_model(0, inputs=1, outputs=2))
 
 
 def test_a_gain_of_the_wrong_width_is_refused():
@@ -179,7 +179,7 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     model = random_model(1, inputs=2, outputs=2)
     rng = np.random.default_rng(0)
     x, z = rng.standard_normal(4), rng.standard_normal(2)
-    cost = (with_integrators(model, 0.09).c @ np.concatenate([x, z])) ** 2
+    cost = (with_modes(model, weight=0.09).c @ np.concatenate([x, z])) ** 2
     assert cost.sum() == pytest.approx((model.read_scaled(x, np.zeros(2)) ** 2).sum() + 0.09 * (z**2).sum())
     weights = (1e-5, IntegralSynthesis(synthesis=inner()).integral_weight, 1e-1)
     gains_on_z = [

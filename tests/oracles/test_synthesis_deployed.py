@@ -230,7 +230,7 @@ def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)
     assert all(part.certified for part in whole.beside.values())
     content = json.loads(json.dumps(whole.to_json()))
-    assert broken_claims(content, model.linear, MOTOR_BALLS, controlled_system(model, design.pair.k)) == []
+    assert broken_claims(content, model.linear, MOTOR_BALLS, controlled_system(model, design.state_feedback)) == []
 
 
 def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> None:

@@ -125,7 +125,7 @@ def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
 
 def test_integrators_are_states_like_others() -> None:
     """An integrator of the output is certified at a rate that the plant alone, with its mode at one, cannot have."""
-    system = augmented(drawn(9, h=0.1), np.eye(1), 1.0)
+    system = augmented(drawn(9, h=0.1), np.eye(1), np.eye(1))
     problem = asked(system, "state_feedback", WIDE, 0.02)
     found = least_cost(problem)
     assert holds(problem, found)

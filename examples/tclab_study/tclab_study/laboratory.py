@@ -1,4 +1,5 @@
-"""One heater of the temperature control laboratory (Arduino): radiation makes its gain fall with the temperature."""
+"""One heater of the temperature control laboratory (Arduino), its model or the board itself: radiation makes the gain
+of a hot one fall."""
 
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from ssm_study.plants.integration import runge_kutta
 from ssm_study.plants.plant import Equilibrium, Plant, check_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
+from tclab_study import board
 
 STEFAN_BOLTZMANN = 5.67e-8  # W/(m^2 K^4)
 ZERO_C_K = 273.15
@@ -24,6 +26,9 @@ class TemperatureLab(Plant):
     State `(T, T_s)` in degrees C, input the heater's duty Q (%), output T_s, disturbance a heat flow (W).
     `transfer_w_per_m2k` U, `emissivity` eps (pure), `heater_w_per_percent` a; `settling_band` in K. Source:
     Oliveira & Hedengren, An APMonitor temperature lab PID control experiment for undergraduate students, ETFA 2019.
+
+    With `hardware` every sample is one of the board (`board.Board`), in real time: one case after another from where it
+    is; both states read its sensor, no disturbance acts but its own, and `air_c` must be the room's.
     """
 
     inputs = (Channel(name="heater", unit="%"),)
@@ -46,11 +51,20 @@ class TemperatureLab(Plant):
     temperature_noise_variance: float
     step_s: float
     settling_band: float
+    hardware: bool = False
 
     def __post_init__(self) -> None:
-        may_be_zero = ("air_c", "emissivity", "temperature_noise_variance")
-        check_signs(self, tuple(name for name in vars(self) if name not in may_be_zero), may_be_zero[1:])
+        may_be_zero = ("hardware", "air_c", "emissivity", "temperature_noise_variance")
+        check_signs(self, tuple(name for name in vars(self) if name not in may_be_zero), may_be_zero[2:])
         require(self.rest_percent <= 100, "rest_percent", self.rest_percent, "the heater ends at 100 %", "use 30")
+
+    @property
+    def real(self) -> bool:
+        return self.hardware
+
+    def stop(self) -> None:
+        if self.hardware:
+            board.release()
 
     @property
     def initial_range(self) -> tuple[float, float]:
@@ -66,7 +80,7 @@ class TemperatureLab(Plant):
 
     @property
     def noise_variance(self) -> tuple[float, ...]:
-        return (self.temperature_noise_variance,)
+        return (0.0 if self.hardware else self.temperature_noise_variance,)  # the board's own is in what it reads
 
     def equilibrium(self) -> Equilibrium:
         heated = self.heater_w_per_percent * self.rest_percent
@@ -76,12 +90,33 @@ class TemperatureLab(Plant):
         return Equilibrium(u=np.array([self.rest_percent]), x=np.array([hot, hot]), y=np.array([hot]))
 
     def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
-        """Transistor and sensor as warm as each other."""
+        """Transistor and sensor as warm as each other; of the board as warm as it is."""
+        if self.hardware:
+            y0 = np.full((len(y0), 1), board.attached().read())
         return np.concatenate([y0, y0], axis=1)
+
+    def simulate(
+        self,
+        u: Float[np.ndarray, "N T 1"],
+        x0: Float[np.ndarray, "N 2"] | None = None,
+        d: Float[np.ndarray, "N T 1"] | None = None,
+    ) -> tuple[Float[np.ndarray, "N T 2"], Float[np.ndarray, "N T 1"]]:
+        """On the board one record after another, each from where the one before left it."""
+        if not self.hardware:
+            return super().simulate(u, x0, d)
+        try:
+            found = [super(TemperatureLab, self).simulate(one[None], self.states_at(np.zeros((1, 1)))) for one in u]
+        finally:
+            self.stop()
+        x, y = zip(*found, strict=True)
+        return np.concatenate(x), np.concatenate(y)
 
     def advance(
         self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
     ) -> Float[np.ndarray, "N 2"]:
+        if self.hardware:
+            require(len(x) == 1, "loop.initial_conditions", len(x), "a board runs one case at a time", "use 1")
+            return np.full((1, 2), board.attached().hold(float(u[0, 0]), self.step_s))
         heat = self.heater_w_per_percent * np.clip(u[:, 0], 0.0, 100.0) + d[:, 0]
         return runge_kutta(lambda z: self._rate(z, heat), x, self.step_s, substeps=4)
 

@@ -1,16 +1,21 @@
-"""Integral action: the model with an integrator of the tracking error, under the same theorems.
+"""Internal models: the model with the modes of what shall be rejected or followed, under the same theorems.
 
-Problem. Remove constant errors: `y = y*` at rest, whatever constant disturbance acts, with a certified rate.
+Problem. Remove errors that constants, ramps or sines of known frequency cause, as disturbances or as references, with a
+certified rate. Integral action is the constant's case.
 
-Hypotheses. Those of `state_feedback`; a linear output map `S_y(v) = G v`, and an input for every integrated output.
+Hypotheses. Those of `state_feedback`; a linear output map `S_y(v) = G v`, an input for every controlled output, and no
+transmission zero of the model at a mode.
 
-Statement. With `z+ = z + (y - y*) / s_y = z + G (C x + D S_u(u)) - y* / s_y` and `u = u* + K_x (xh - x*) + K_z z`,
+Statement. With `z+ = A_z z + E (y - y*) / s_y`, `A_z` holding for each output the modes asked for, 1 for a constant, a
+double 1 for a ramp, `e^{+-j 2 pi f step_s}` for a sine, and `u = u* + K_x (xh - x*) + K_z z`,
 
-    (x, z)+ = [A 0; G C I] (x, z) + [B; G D] S_u(u)
+    (x, z)+ = [A 0; E G C A_z] (x, z) + [B; E G D] S_u(u)
 
 is again a linear recurrence behind `S_u`, so the inequality of `state_feedback` with this `(A, B)`, `[(1 - rate) P -
-sigma B B^T, ...] > 0`, its frontier (the integrators are modes at 1) and its verdict hold as they stand; z is known
-exactly, so the observer is unchanged. The loop contracts, so z converges, which it does only where `y = y*`.
+sigma B B^T, ...] > 0`, its frontier and its verdict hold as they stand; z is known exactly, so the observer is
+unchanged. The loop contracts: under a disturbance of period T every trajectory tends to one of period T, z too, which
+is bounded only if the error has no component at the modes: exactly, whatever `S_u`. Behind a linear `S_u` nothing else
+of a sine is left; a curved one leaves harmonics, to which modes of their own can be given.
 
 When not to use it. With a nonlinear output map, fewer inputs than outputs, or inputs that saturate for long.
 
@@ -22,85 +27,151 @@ Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second
 >>> import numpy as np
 >>> from ssm_study.systems import StateSpace
 >>> model = StateSpace(a=np.array([[0.9]]), b=np.ones((1, 1)), c=np.array([[0.5]]), d=np.zeros((1, 1)))
->>> print(augmented(model, gain=np.eye(1), weight=1.0).a.tolist())
+>>> print(augmented(model, gain=np.eye(1), modes=np.eye(1)).a.tolist())
 [[0.9, 0.0], [0.5, 1.0]]
+>>> print(internal_model(["ramp", "sine(0.25Hz)"], step_s=1.0, outputs=1).round(9).tolist())
+[[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0], [0.0, 0.0, 1.0, 0.0]]
 """
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from ssm_study.models.structured import Model
 from ssm_study.refusal import positive, require
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.area import at_rest
+from ssm_study.synthesis.certificate import Design, StateFeedback
 from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.mismatch import Mismatch
-from ssm_study.systems import Balls, StateSpace, StructuredSystem, System
+from ssm_study.synthesis.sensitivity import frequency_response
+from ssm_study.systems import Balls, StateSpace, StructuredSystem, System, feed
+
+FIELD = "synthesis.internal_model"
+BLOCKED = 1e-6  # of the model's largest gain: an output that the inputs move by less at a mode cannot be held there
+ANGLES = np.geomspace(1e-3, np.pi, 100)  # where that gain is looked for (rad/sample)
+NUDGE = 1e-9  # a pole on the circle has a gain, too
+SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
-def with_integrators(model: Model, weight: float = 1.0) -> System:
-    """`a = [[A, 0], [G C, I]],  b = [B; G D]`; `c` reads the scaled output and `sqrt(weight) z`, for a cost on both.
+def frequencies(words: Sequence[str]) -> dict[float, int]:
+    """How many modes there are at each frequency (Hz): `step` one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
 
-    Raises `BadRequest` for a nonlinear output map, or for more outputs than inputs, which could not steer them all.
+    Raises `BadRequest` for other words, and for the frequency zero.
     """
-    gain, inputs = output_gain(model), model.linear.b.shape[1]
-    problem, remedy = "an input is needed for every integrated output", "use a synthesis without integral action"
-    require(len(gain) <= inputs, "synthesis.integral", f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
-    return augmented(model.system, gain, weight)
+    found: dict[float, int] = {}
+    for word in words:
+        sine, ramp = SINE.fullmatch(word), word == "ramp"
+        hertz = float(sine[1]) if sine else 0.0
+        known = hertz > 0 if sine else word in ("step", "ramp")
+        require(known, FIELD, word, "is no internal model", "use step, ramp, or a sine such as sine(0.5Hz)")
+        found[hertz] = max(found.get(hertz, 0), 1 + ramp)
+    return dict(sorted(found.items()))  # modes at one come first, as the exported code has them
 
 
-def augmented(system: System, gain: Float[np.ndarray, "p k"], weight: float) -> System:
+def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
+    """`A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for too fast ones."""
+    blocks, nyquist = [], 0.5 / step_s
+    for hertz, count in frequencies(words).items():
+        problem = f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
+        require(hertz < nyquist, FIELD, f"sine({hertz:g}Hz)", problem, "name a slower sine, or sample faster")
+        angle = 2 * np.pi * hertz * step_s
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        blocks.append(turn if hertz else np.tril(np.ones((count, count))))
+    return np.kron(scipy.linalg.block_diag(*blocks), np.eye(outputs))
+
+
+def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1.0) -> System:
+    """The recurrence of `(x, z)`; its `c` reads the scaled output and `sqrt(weight) z`, for a cost on both.
+
+    Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not steer them all, and
+    where the inputs do not move every output at a mode.
+    """
+    gain, inputs, linear = output_gain(model), model.linear.b.shape[1], at_rest(model)
+    linear = replace(linear, a=linear.a * (1 - NUDGE))
+    problem, remedy = "an input is needed for every controlled output", "use a synthesis without an internal model"
+    require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
+    hertz = np.array(list(frequencies(words)))
+    modes = internal_model(words, model.step_s, len(gain))
+    moved = gain @ frequency_response(linear, np.concatenate([2 * np.pi * hertz * model.step_s, ANGLES]))
+    sizes = np.linalg.svd(moved, compute_uv=False)[:, len(gain) - 1]  # of the output that is moved least
+    shares = sizes[: len(hertz)] / sizes[len(hertz) :].max()
+    problem = f"at {hertz[shares.argmin()]:g} Hz the model passes {shares.min():.0e} of its largest gain"
+    remedy = "leave this mode out: no controller holds the output there"
+    require(bool(shares.min() > BLOCKED), FIELD, list(words), problem, remedy)
+    return augmented(model.system, gain, modes, weight)
+
+
+def augmented(
+    system: System, gain: Float[np.ndarray, "p k"], modes: Float[np.ndarray, "z z"], weight: float = 1.0
+) -> System:
     """The recurrence of `(x, z)`; its output is what a cost weighs. Neurons drive both and see x alone."""
-    (n, m), p = system.b.shape, len(gain)
+    (n, m), p, z = system.b.shape, len(gain), len(modes)
+    fed = feed(modes, p) @ gain
     linear = {
-        "a": np.block([[system.a, np.zeros((n, p))], [gain @ system.c, np.eye(p)]]),
-        "b": np.vstack([system.b, gain @ system.d]),
-        "c": np.block([[gain @ system.c, np.zeros((p, p))], [np.zeros((p, n)), np.sqrt(weight) * np.eye(p)]]),
-        "d": np.vstack([gain @ system.d, np.zeros((p, m))]),
+        "a": np.block([[system.a, np.zeros((n, z))], [fed @ system.c, modes]]),
+        "b": np.vstack([system.b, fed @ system.d]),
+        "c": np.block([[gain @ system.c, np.zeros((p, z))], [np.zeros((z, n)), np.sqrt(weight) * np.eye(z)]]),
+        "d": np.vstack([gain @ system.d, np.zeros((z, m))]),
     }
     if isinstance(system, StateSpace):
         return StateSpace(**linear)
     return StructuredSystem(
         **linear,
-        e=np.vstack([system.e, gain @ system.h]),
-        f=np.hstack([system.f, np.zeros((system.neurons, p))]),
+        e=np.vstack([system.e, fed @ system.h]),
+        f=np.hstack([system.f, np.zeros((system.neurons, z))]),
         g=system.g,
-        h=np.vstack([gain @ system.h, np.zeros((p, system.neurons))]),
+        h=np.vstack([gain @ system.h, np.zeros((z, system.neurons))]),
     )
 
 
 def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
     """`G` of `S_y(v) = G v`. Raises `BadRequest` for any other output map."""
     found = model.scaffold_out.portable()
-    problem = "integral action needs a linear output map, so that the integrator is part of the recurrence"
+    problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"
-    require(found.network is None, "synthesis.integral", model.scaffold_out.kind, problem, remedy)
+    require(found.network is None, FIELD, model.scaffold_out.kind, problem, remedy)
     return found.linear
 
 
-def controlled_system(model: Model, k: Float[np.ndarray, "m s"]) -> System:
-    """What a state feedback of this width is certified for: the model's recurrence, or the one with integrators."""
-    return model.system if k.shape[1] == model.order else with_integrators(model)
+def controlled_system(model: Model, feedback: StateFeedback) -> System:
+    """What a state feedback is certified for: the model's recurrence, with the internal model that it states, if any.
+
+    The verifier holds this statement beside what was asked for.
+    """
+    n = model.order
+    if feedback.a.shape[0] <= n:
+        return model.system
+    return augmented(model.system, output_gain(model), feedback.a[n:, n:])
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntegralSynthesis:
-    """Any synthesis, with integral action: its controller for the augmented model, its observer for the model.
+    """Any synthesis with an internal model: its controller for the augmented model, its observer for the model.
 
     `integral_weight` is the cost of `|z|^2` beside `output_weight |y|^2`, both scaled; larger removes errors sooner.
     """
 
     synthesis: Synthesis
     integral_weight: float = 1e-3
+    internal_model: Sequence[str] = ("step",)
 
     method: ClassVar[str] = "integral"
 
     def __post_init__(self) -> None:
         positive("synthesis.integral_weight", self.integral_weight, "try 1e-3")
+        frequencies(self.internal_model)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The internal model's words, as `Auto` has them."""
+        return tuple(self.internal_model)
 
     def design(
         self,
@@ -112,7 +183,8 @@ class IntegralSynthesis:
         if self.invert_input:
             plain = replace(self, synthesis=replace(self.synthesis, invert_input=False))
             return designed(plain, model, validation, shown)
-        feedback = self.synthesis.state_feedback(with_integrators(model, self.integral_weight), balls.input)
+        controlled = with_modes(model, self.internal_model, self.integral_weight)
+        feedback = self.synthesis.state_feedback(controlled, balls.input)
         return Design(state_feedback=feedback, observer=self.synthesis.observer(model.system, balls.output))
 
     @property

@@ -11,7 +11,7 @@ Statement. With `xi = (x, eps, x_W)`, `eps = xh - x`, `C_u = [K, K_x, 0]`, `C_W 
     A_xi = [A + alpha B K, alpha B K_x, 0; 0, A_x + alpha_out L C, 0; B_W K, B_W K_x, A_W],
     B_p = [B; 0; 0],    B_e = [E; -L; 0]
 
-(x with its integrators, which E feeds e to), if `P > 0`, `lambda_p > 0` and `s > 0` satisfy
+(x with its internal model, which E feeds e to), if `P > 0`, `lambda_p > 0` and `s > 0` satisfy
 
     diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I ) - [A_xi B_p B_e]^T P [A_xi B_p B_e]  >  0
 
@@ -47,7 +47,7 @@ from jaxtyping import Float
 from ssm_study.synthesis.modes import doubled
 from ssm_study.synthesis.sensitivity import frequency_response
 from ssm_study.synthesis.theorem import Blocks, Known, Theorem, stacked
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, StateSpace, feed
 
 # Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again around the worst.
 ANGLES = np.concatenate([[0.0], np.geomspace(1e-4, np.pi, 400)])
@@ -132,7 +132,8 @@ def loop_matrices(of: Any) -> tuple[Any, Any]:
     k_x, none = of.k[:, :n], np.zeros((s, w))
     a_w, b_w = of.weight[:w, :w], of.weight[:w, w:]
     closed, observed = of.a + of.alpha * (of.b @ of.k), of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
-    top = [closed, of.alpha * (of.b @ k_x), none, of.b, np.eye(s, p, -n)]
+    fed = np.vstack([np.zeros((n, p)), feed(np.eye(s - n), p)])  # E
+    top = [closed, of.alpha * (of.b @ k_x), none, of.b, fed]
     middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
     bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
     return stacked([top, middle, bottom]), stacked([[of.k, k_x, np.zeros((m, w))]])

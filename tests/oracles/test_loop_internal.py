@@ -1,0 +1,175 @@
+"""Internal models: modes, certificate and frequency responses by two routes; loads and references on the true motor."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
+
+from ssm_study.cli.request import quoted
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.metrics import certified
+from ssm_study.loop.reference import RampReference, StepReference
+from ssm_study.loop.regulation import Loop
+from ssm_study.loop.rollout import Rollouts
+from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
+from ssm_study.refusal import BadRequest
+from ssm_study.study.specification import part
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import (
+    IntegralSynthesis,
+    controlled_system,
+    internal_model,
+    with_modes,
+)
+from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.systems import StateSpace
+
+HERTZ, STEP_S = 0.5, 0.01
+LOADS = {
+    ("step", "sine(0.5Hz)"): PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ),
+    ("ramp",): RampDisturbance(slope_per_s=0.002, from_s=1.0, until_s=100.0),
+}
+TURNING = {"reference": StepReference(before=0.0, after=8.0, at_s=0.0)}
+QUIET = {"initial_conditions": 1, "horizon_s": 8.0, "measurement_noise_variance": 0.0}
+
+
+def made(*words: str) -> Design:
+    inner = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=1.0, output_noise=0.1)
+    return IntegralSynthesis(synthesis=inner, integral_weight=1e-4, internal_model=words).design(motor_model(), BALLS)
+
+
+def simulated(loop: Loop, design: Design) -> Rollouts:
+    return loop.simulate(motor(), ObserverFeedback.of(motor_model(), design), *loop.draw(motor(), seed=0))
+
+
+def test_the_modes_are_those_of_the_signals():
+    """Free, each copy makes the signals that it is for: `w[k+1] = A_z w[k]` annihilates nothing else."""
+    modes, k = internal_model(["sine(0.5Hz)", "ramp", "step"], STEP_S, outputs=2), np.arange(60)
+    angle = 2 * np.pi * HERTZ * STEP_S
+    roots = [1, 1, np.exp(1j * angle), np.exp(-1j * angle)]
+    np.testing.assert_allclose(np.poly(modes[::2, ::2]), np.poly(roots).real, atol=1e-12)
+    free = np.stack([np.linalg.matrix_power(modes, int(i))[::2, ::2].sum(axis=1) for i in k])
+    signals = np.stack([np.ones(60), k, np.cos(angle * k), np.sin(angle * k)], axis=1)
+    fitted = signals @ np.linalg.lstsq(signals, free, rcond=None)[0]
+    assert np.abs(fitted - free).max() < 1e-9
+    assert np.linalg.matrix_rank(free) == 4
+
+
+@pytest.mark.parametrize("words", LOADS)
+def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
+    design, model = made(*words), motor_model()
+    part_, system = design.state_feedback, with_modes(model, words)
+    np.testing.assert_array_equal(part_.a, system.a)
+    numbers = {name: getattr(part_, name) for name in ("rate", "p", "y", "k", "sigma")}
+    assert part_.certified
+    assert StateFeedbackOfBall.holds(a=system.a, b=system.b, alpha=INPUT_BALL.alpha, beta=INPUT_BALL.beta, **numbers)
+    assert broken_claims(design.to_json(), model.linear, BALLS, controlled_system(model, part_)) == []
+    other = replace(design, state_feedback=replace(part_, a=part_.a + 1e-6 * np.eye(len(part_.a))))
+    assert broken_claims(other.to_json(), model.linear, BALLS, controlled_system(model, other.state_feedback))
+
+
+@pytest.mark.parametrize(("words", "load"), LOADS.items())
+def test_on_the_motor_the_load_is_removed_and_without_its_mode_it_is_not(words, load):
+    """Route one: the true motor at 8 rad/s."""
+    left = {}
+    for law in (words, ("step",)):
+        run = simulated(Loop(**QUIET, **TURNING, disturbance=load), made(*law))
+        left[law] = np.abs(run.y - run.reference)[:, -200:].max()
+    assert left[words] < 1e-3 * (5 if len(words) == 2 else 1e-3)
+    assert left[("step",)] > 0.02
+
+
+def test_at_its_frequency_the_model_passes_no_load():
+    """Route two: the linear loop from a load at the input to the output, at constant slopes of S_u, by hand."""
+    model, angle = motor_model(), np.array([2 * np.pi * HERTZ * STEP_S])
+    passed = {}
+    for words in (("step", "sine(0.5Hz)"), ("step",)):
+        pair, found = made(*words).pair, []
+        n, z = model.order, len(pair.modes)
+        for slope in (INPUT_BALL.lower, INPUT_BALL.upper):
+            a, b, c = model.linear.a, slope * model.linear.b, model.linear.c
+            fed = np.ones((z, 1)) @ c
+            rows = [[a, b @ pair.k[:, :n], b @ pair.k[:, n:]]]
+            rows += [[-pair.l @ c, a + b @ pair.k[:, :n] + pair.l @ c, b @ pair.k[:, n:]]]
+            rows += [[fed, np.zeros((z, n)), pair.modes]]
+            into, read = np.vstack([b, np.zeros((n + z, 1))]), np.hstack([c, np.zeros((1, n + z))])
+            loop = StateSpace(a=np.block(rows), b=into, c=read, d=np.zeros((1, 1)))
+            assert loop.spectral_radius < 1
+            found.append(float(np.abs(frequency_response(loop, angle)).max()))
+        passed[len(words)] = max(found)
+    assert passed[2] < 1e-9
+    assert passed[1] > 0.01
+
+
+def test_the_margin_by_two_routes():
+    model, pair, angles = motor_model(), made("ramp", "sine(0.5Hz)").pair, np.geomspace(1e-3, np.pi, 200)
+    slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
+    by_space = max(gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes)
+    by_factors = peaks_on_grid(model.linear, pair.k[None], pair.l[None], BALLS, angles, internal=pair.internal)
+    assert by_factors[0, 0] == pytest.approx(by_space, rel=1e-9)
+
+
+def test_a_ramp_that_meets_a_limit_does_not_wind_up():
+    """Held at the limit on the way, then free: where the loop without limits is."""
+    rising = RampReference(slope_per_s=2.0, from_s=1.0, until_s=4.0)
+    free = Loop(**(QUIET | {"horizon_s": 9.0}), reference=rising)
+    limited = replace(free, input_lower=-0.8, input_upper=1.6)
+    run, other = (simulated(loop, made("ramp")) for loop in (limited, free))
+    assert (run.u == -0.8).sum() > 3
+    assert other.u.min() < -1.0
+    assert np.abs(run.y - other.y)[:, -50:].max() < 0.05
+
+
+def test_the_certified_bound_holds_with_a_sine():
+    run, design = Loop(initial_conditions=3, horizon_s=2.0), made("step", "sine(0.5Hz)")
+    assert certified(run.run(motor(), motor_model(), design, seed=1), design)["certified_bound_violations"] == 0
+
+
+def test_auto_takes_the_words_and_weighs_what_they_make():
+    asked = Auto(internal_model=("step", "sine(0.5Hz)"))
+    assert asked.modes == ("step", "sine(0.5Hz)")
+    assert Auto().modes == ()
+    assert Auto(integral_weights=(1e-3,)).modes == ("step",)
+
+
+@pytest.mark.parametrize(
+    "word", ["sine", "sine(0.5)", "sine(0Hz)", "cosine(1Hz)", "Step", "", "sine(-1Hz)", "sine(1e9Hz)x"]
+)
+def test_a_word_that_is_no_internal_model_is_refused(word):
+    with pytest.raises(BadRequest, match="is no internal model; use step, ramp, or a sine such as sine"):
+        Auto(internal_model=("step", word))
+
+
+def test_a_sine_beyond_half_the_sampling_rate_is_refused():
+    with pytest.raises(BadRequest, match="half the sampling rate is 50 Hz"):
+        made("sine(50Hz)")
+
+
+def test_a_mode_at_a_zero_of_the_model_is_refused():
+    """`x+ = 0.9 x + ...` behind a notch at 2 Hz: nothing that the input does shows in the output there."""
+    angle, poles = 2 * np.pi * 2.0 * STEP_S, np.poly([0.9, 0.5, 0.3])
+    numerator = np.array([[1.0, -2 * np.cos(angle), 1.0]])
+    a = np.vstack([-poles[1:], np.eye(2, 3)])
+    linear = StateSpace(a=a, b=np.eye(3, 1), c=numerator, d=np.zeros((1, 1)))
+    model = replace(random_model(0), linear=linear, step_s=STEP_S)
+    assert with_modes(model, ["sine(2.1Hz)"]).order == 5
+    with pytest.raises(BadRequest, match=r"at 2 Hz the model passes .* leave this mode out"):
+        with_modes(model, ["step", "sine(2Hz)"])
+
+
+def test_a_gain_of_another_internal_model_is_refused():
+    pair = made("ramp").pair
+    with pytest.raises(BadRequest, match=r"needs a gain of shape \(1, 5\)"):
+        ObserverFeedback(model=motor_model(), gains=replace(pair, internal=np.eye(3)))
+
+
+def test_the_command_takes_a_sine_without_quotes():
+    words = ["synthesis.internal_model=[step,sine(0.5Hz)]", 'synthesis.internal_model=["sine(1Hz)"]', "seed=range(3)"]
+    assert quoted(words) == ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
+    found = part("synthesis", {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]})
+    assert found.modes == ("ramp",)
