@@ -95,6 +95,8 @@ def portable(model: Model, design: Design) -> PortableController:
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
             raise BadRequest(f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run")
+    problem, remedy = "the law undoes the input map, which no target computes", "export a run without it"
+    require(not design.inverts, "synthesis.invert_input", True, problem, remedy)
     pair = design.pair
     k, l, modes = pair.k, pair.l, pair.modes  # noqa: E741 - the paper's letter
     linear, n, p = model.linear, model.order, model.scale.outputs

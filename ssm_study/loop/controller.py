@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.bounds.inverse import Inverse, inverse_of
 from ssm_study.loop.trajectory import Plan, Reference, feasible_trajectory, guided_trajectory, set_points
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
@@ -88,6 +89,7 @@ class EstimateFeedback(Controller):
 
     model: Model
     gains: Pair
+    inverse: Inverse | None = None  # of S_u, where the law undoes it
 
     @property
     def step_s(self) -> float:  # type: ignore[override]  # a plain field elsewhere; here the model knows it
@@ -123,6 +125,7 @@ class ObserverFeedback(EstimateFeedback):
     With a wider K the law has an internal model: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
     `z+ = A_z z + E (y - y*) / s_y`. So that it does not wind up, no error enters while a limit keeps the input from
     what was asked: integrators rest, oscillators go on (`systems.held`).
+    With `inverse` the scaled input is `S_u^{-1}(S_u(u*) + K ...)` in either law.
     """
 
     def __post_init__(self) -> None:
@@ -136,12 +139,18 @@ class ObserverFeedback(EstimateFeedback):
     @classmethod
     def of(cls, model: Model, design: Design) -> "ObserverFeedback":
         """The loop of a design; raises `BadRequest` if one of its parts is infeasible."""
-        return cls(model=model, gains=design.pair)
+        return cls(
+            model=model, gains=design.pair, inverse=inverse_of(model.scaffold_in.portable()) if design.inverts else None
+        )
+
+    def asked(self, u: Float[np.ndarray, "*batch m"], moved: Float[np.ndarray, "*batch m"]) -> np.ndarray:
+        """`u* + K (...)`, scaled; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`."""
+        return u + moved if self.inverse is None else self.inverse(self.model.scaffold_in(u) + moved)
 
     def targets(self, reference: Reference) -> Plan:
         n = self.model.order
         if isinstance(self.model, StructuredSSM):
-            plan = guided_trajectory(self.model, self.gains.k[:, :n], reference)
+            plan = guided_trajectory(self.model, self.gains.k[:, :n], reference, self.asked)
         else:
             plan = feasible_trajectory(self.model, reference)
         return np.concatenate([plan, self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))], axis=1)
@@ -153,7 +162,8 @@ class ObserverFeedback(EstimateFeedback):
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         n, m = self.model.order, self.model.scale.inputs
         error = np.concatenate([memory[:, :n] - target[:n], memory[:, n:]], axis=1)  # the internal model aims at zero
-        return self.model.scale.physical_input(target[n : n + m] + times(self.gains.k, error))
+        u = np.broadcast_to(target[n : n + m], (len(error), m))
+        return self.model.scale.physical_input(self.asked(u, times(self.gains.k, error)))
 
     def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
         x_hat, z, modes = super().advance(memory, u, y, target), memory[:, self.model.order :], self.gains.modes

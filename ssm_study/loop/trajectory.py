@@ -92,16 +92,19 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     return np.concatenate([plan[:, :n], inverse(model.scaffold_in, plan[:, n:])], axis=1)
 
 
-def guided_trajectory(model: StructuredSSM, k: Float[np.ndarray, "m n"], reference: Reference) -> Plan:
+def guided_trajectory(
+    model: StructuredSSM, k: Float[np.ndarray, "m n"], reference: Reference, law: Callable[..., Vector] = np.add
+) -> Plan:
     """A trajectory `(x*[k], u*[k])` of a model with neurons that its own feedback leads to each set point in turn.
 
     `u* = us + K (x* - xs)` from the model's equilibrium, `(xs, us)` the rest point of the reference's value: it gets
-    there at the certified rate. A reference at rest gives zeros.
+    there at the certified rate; `law(us, K (x* - xs))` is the input where it is not the sum. A reference at rest gives
+    zeros.
     """
     points, n = set_points(model, reference), model.order
     x, plan = np.zeros(n), np.empty_like(points)
     for i, point in enumerate(points):
-        u = point[n:] + k @ (x - point[:n])
+        u = law(point[n:], k @ (x - point[:n]))
         plan[i] = np.concatenate([x, u])
         x = model.advance(x, model.scaffold_in(u[None])[0])
     return plan

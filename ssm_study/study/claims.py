@@ -34,9 +34,9 @@ from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
+from ssm_study.synthesis.commanded import measured
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
@@ -208,7 +208,7 @@ def certificate(run: RunFiles) -> Claims:
     pairs = {label: (part.limits, ends) for label, part in told.items()}
     yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
     kept = run.simulated.validation
-    shown = mismatch(run.model, kept.records, kept.start_up_samples, run.trials)
+    shown = measured(design, run.model, kept.records, kept.start_up_samples, run.trials)
     facts = design_facts(design, run.model, balls, shown)
     yield Derived(withheld(facts, run.record.get("evidence")))
 

@@ -86,7 +86,8 @@ class Study(Task["Specification"]):
         judged = stages.take(EVIDENCE, {}, {}, data, bounded, shown)
         settings, parts = request.select("synthesis")
         limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
-        limits["applied"] = request.plant is None or any(end is not None for end in limits.values())
+        bounded_law = request.plant is None or request.synthesis.invert_input  # to what the records visited
+        limits["applied"] = bounded_law or any(end is not None for end in limits.values())
         settings, parts = settings | {"limits": limits}, parts | {"limits": limits}
         design = stages.take(SYNTHESIS, settings, parts, data, bounded, shown, judged)
         return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)

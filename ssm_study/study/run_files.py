@@ -103,7 +103,7 @@ class RunFiles:
     def loop(self) -> Loop:
         """The experiment; without a plant within the limits of the log."""
         loop = self.specification.loop
-        return loop if self.specification.plant else loop.within(self.applied)
+        return loop if self.specification.plant and not self.design.inverts else loop.within(self.applied)
 
     @property
     def plant(self) -> Plant:

@@ -31,6 +31,7 @@ from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.commanded import shown_to
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
 from ssm_study.training.metrics import mean_fit, training_facts
@@ -198,8 +199,8 @@ def compute_synthesis(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import as_deployed
 
-    chosen_by: Synthesis | Auto = synthesis
-    model, balls = bounded.model, certified_balls(bounded.model)
+    chosen_by: Any = synthesis
+    model, balls, shown = bounded.model, certified_balls(bounded.model), shown_to(synthesis, bounded.model, data, shown)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
@@ -213,10 +214,10 @@ def read_design(folder: Path) -> Design:
     return Design.load(folder / "certificate.json")
 
 
-def measure_synthesis(design: Design, _: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement) -> Facts:
+def measure_synthesis(design: Design, data: DataSet, bounded: Simulated, shown: Mismatch, judged: Judgement) -> Facts:
     """The columns of the design and of its prediction."""
     model, balls = bounded.model, certified_balls(bounded.model)
-    facts = design_facts(design, model, balls, shown)
+    facts = design_facts(design, model, balls, shown_to(design, model, data, shown))
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 
@@ -237,7 +238,7 @@ def compute_loop(
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on, loop_on = (twin, "identified model") if plant is None else (plant, "device" if plant.real else "plant")
-    fitted = (loop.within(data.applied) if plant is None else loop).fitted(model)
+    fitted = (loop.within(data.applied) if plant is None or design.inverts else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
     if fitted.comparison is not None:
@@ -262,9 +263,8 @@ def read_loop(folder: Path) -> Experiment | None:
     return recordings.read_experiment(folder) if (folder / "closed_loop.mcap").is_file() else None
 
 
-def measure_loop(experiment: Experiment | None, data: DataSet, bounded: Simulated, design: Design) -> Facts:
+def measure_loop(experiment: Experiment | None, _data: DataSet, _bounded: Simulated, design: Design) -> Facts:
     """The columns of the closed loop; none without a loop."""
-    del data, bounded
     if experiment is None:
         return {}
     closed, loop_on = experiment

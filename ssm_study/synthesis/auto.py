@@ -13,7 +13,7 @@ that any optimism of g lets through. Nothing of the closed-loop test enters. Sou
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +23,7 @@ from ssm_study.refusal import require
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.area import relative_areas
 from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
@@ -82,6 +83,7 @@ class Auto:
     for each side that is left at "auto"; a number is kept. When no candidate passes, the one with the largest margin is
     returned and `solver_status` says so. With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its
     states are one more axis; weights alone are of integrators. `limits` of the input, scaled, are set by the run.
+    With `invert_input` the law undoes the input map (`synthesis.commanded`), and `shown` is relative to its commands.
     """
 
     rate: float | str = "auto"
@@ -98,6 +100,7 @@ class Auto:
     state_weight: float = 1e-6
     state_noise: float = 1e-4
     limits: Ends | None = None
+    invert_input: bool = False
 
     method: ClassVar[str] = "auto"
 
@@ -133,6 +136,8 @@ class Auto:
 
         The mismatch `shown` is that of the validation records unless given.
         """
+        if self.invert_input:
+            return designed(replace(self, invert_input=False), model, validation, shown)
         candidates = self.candidates(model, balls)
         if candidates is None:
             return self._reported(self._slowest(model, balls), "nothing on the grid is feasible")
@@ -213,7 +218,7 @@ class Auto:
         return self.rate if own == "auto" else own
 
     def _specification(self, **chosen: float) -> RiccatiSynthesis:
-        asked = {"rate_controller": 0.5, "rate_observer": 0.5} | chosen
+        asked: Any = {"rate_controller": 0.5, "rate_observer": 0.5} | chosen
         return RiccatiSynthesis(state_weight=self.state_weight, state_noise=self.state_noise, **asked)
 
     def _in_order(

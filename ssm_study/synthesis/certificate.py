@@ -186,8 +186,7 @@ class Infeasible:
 
 
 SIDES = ("state_feedback", "observer")
-# Parts of the file that are another part's theorem once more: the same gain at the largest rate that is proved for it,
-# the tolerance under a weight that follows what the records show, and the gain with limited inputs.
+# Parts of the file that are another part's theorem once more: at the largest rate, under another weight, with limits.
 BESIDE = {f"{side}_deployed": side for side in SIDES} | {"tolerance_by_frequency": "tolerance"}
 OF_LIMITS = {"state_feedback_limited": "limited_input", "state_feedback_unlimited": "unlimited_start"}  # by theorem
 BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
@@ -197,7 +196,7 @@ BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
 class Design:
     """Controller and observer of one model; either may be missing, with its reason.
 
-    `beside` holds what is proved of the pair as it is deployed (`synthesis.deployed`).
+    `beside` holds what is proved of the pair as deployed.
     """
 
     state_feedback: StateFeedback | Infeasible
@@ -227,6 +226,11 @@ class Design:
         n, l_z = len(observer.l), getattr(observer, "l_z", None)
         internal = feedback.a[n:, n:] if len(feedback.a) > n else None
         return Pair(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
+
+    @property
+    def inverts(self) -> bool:
+        """Whether the law undoes the input map: `u = S_u^{-1}(K xh)`."""
+        return "inverted_input" in str(getattr(self.state_feedback, "theorem", type(self.state_feedback)))
 
     @property
     def content(self) -> dict[str, Theorem | Infeasible]:

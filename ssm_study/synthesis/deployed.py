@@ -17,6 +17,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
 from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
+from ssm_study.synthesis.commanded import of_commands
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.problem import NoSolution, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem
@@ -44,7 +45,10 @@ def as_deployed(
     design: Design, model: Model, balls: Balls, shown: Mismatch, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
     """The design with what is proved of its very gains beside it: rates, tolerances and what input `limits` (physical)
-    leave, each exactly verified."""
+    leave, each exactly verified. Of a law that undoes the input map no limits: they are not those of what it commands.
+    """
+    model, balls = of_commands(design, model, balls)
+    limits = None if design.inverts else limits
     beside: dict[str, Theorem] = {}
     for side, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         again = None if isinstance(part, Infeasible) or not part.certified else within_reach(part.at_largest_rate)

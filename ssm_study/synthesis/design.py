@@ -113,6 +113,8 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
         design = Design.from_json(content)
     except BadRequest as malformed:
         return [str(malformed)]
+    if design.inverts and balls.input.relative_radius < 1:  # S_u has an inverse, and the law applies it
+        balls = replace(balls, input=JacobianBall(alpha=1.0, beta=0.0))
     known = Known(system=linear, controlled=controlled or linear, balls=balls, gains=design.gains)
     broken = [
         f"{part}.digest: the stored numbers are not those that were written"
@@ -168,7 +170,8 @@ class Synthesis(ABC):
 
     Weights, in scaled units: the controller minimises the guaranteed cost of
     `output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`; the observer is tuned as if `B` carried noise of
-    variance `input_noise`, every state `state_noise`, and the output `output_noise`.
+    variance `input_noise`, every state `state_noise`, and the output `output_noise`. With `invert_input` the law is
+    `u = S_u^{-1}(K xh)` (`synthesis.commanded`).
     """
 
     rate_controller: float
@@ -179,6 +182,7 @@ class Synthesis(ABC):
     input_noise: float = 1.0
     state_noise: float = 1e-4
     output_noise: float = 1.0
+    invert_input: bool = False
 
     method: ClassVar[str]
     feedback_theorem: ClassVar[type[StateFeedback]] = StateFeedbackOfBall
@@ -201,10 +205,14 @@ class Synthesis(ABC):
         self,
         model: Any,
         balls: Balls,
-        validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
-        shown: Mismatch | None = None,  # noqa: ARG002
+        validation: Trajectories = (),
+        shown: Mismatch | None = None,
     ) -> Design:
         """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
+        if self.invert_input:
+            from ssm_study.synthesis.commanded import designed  # which designs by this module
+
+            return designed(replace(self, invert_input=False), model, validation, shown)
         system = getattr(model, "system", model.linear)
         feedback, observer = self.state_feedback(system, balls.input), self.observer(system, balls.output)
         return Design(state_feedback=feedback, observer=observer)

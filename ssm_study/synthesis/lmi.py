@@ -197,8 +197,8 @@ def paper_lmi(
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for every record. A
     certificate, certified or not; `Infeasible` without matrices.
     """
-    rates = {"rate_controller": rate, "rate_observer": rate}
-    method, started = LmiSynthesis(**rates, objective="feasibility", full=True, solver=solver), time.perf_counter()
+    asked: Any = {"rate_controller": rate, "rate_observer": rate, "objective": "feasibility", "full": True}
+    method, started = LmiSynthesis(**asked, solver=solver), time.perf_counter()
     limit = Frontier(contraction_limit=0.0, decided_by="not asked")
     request = Request(theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started)
     try:

@@ -8,6 +8,7 @@ from typing import Any
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
 from ssm_study.models.structured import Model
 from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.synthesis.commanded import of_commands
 from ssm_study.synthesis.deployed import SETS, WithinLimits
 from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.prediction import predict
@@ -70,7 +71,11 @@ def design_facts(
     balls: Balls,
     shown: Mismatch,
 ) -> dict[str, Any]:
-    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant."""
+    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant.
+
+    `shown` is relative to what the law commands (`synthesis.commanded.shown_behind`).
+    """
+    model, balls = of_commands(design, model, balls)
     feedback, observer = design.state_feedback, design.observer
     facts = part_facts("controller", feedback) | part_facts("observer", observer)
     facts |= {"controller_certified_rate": design.certified_rate("state_feedback")}
@@ -107,6 +112,7 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
     """What the two LMIs of [Z26], solved by Clarabel at the same rates, have to say: information, not the verdict."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
+    model, balls = of_commands(design, model, balls)
     feedback, observer = design.state_feedback, design.observer
     neurons = isinstance(getattr(model, "system", None), StructuredSystem)  # of which [Z26] says nothing
     if neurons or isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):

@@ -25,18 +25,18 @@ from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 
 # Where the first multipliers do not hold, the search starts slower by this factor a step, up to the second.
 SLOWER, SLOWEST = 1.5, 1e3
-# Weight of the barrier, and evaluations, at each rate on the way; the second where the first gets stuck.
-TRIES = ((3.0, 4), (30.0, 16))
+# Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r, below which the
+# search has come to its end; each where the one before gets stuck.
+TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
 LAST, AT_LAST = 1e-3, 30  # the same at the asked rate, where the cost decides
-SHORTEST = 0.02  # share of the way, in log r, below which the search has come to its end
 BALL_SLACK = 1e-9  # of the metric: what a multiplier without effect may take of it, where the ball has no radius
 
 
 def least_cost(problem: Problem) -> Solution:
     """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck before the rate."""
     game = game_of(problem)
-    for centred, per_rate in TRIES:
-        logs, reached = searched(game, centred, per_rate)
+    for effort in TRIES:
+        logs, reached = searched(game, *effort)
         if reached <= game.r:
             return solution(problem, game, logs)
     raise NoSolution(f"multipliers found down to a factor {reached:.4f} a sample")
@@ -57,7 +57,7 @@ def game_of(problem: Problem) -> Game:
 
 
 def searched(
-    game: Game, centred: float = TRIES[0][0], per_rate: int = TRIES[0][1]
+    game: Game, centred: float = 3.0, per_rate: int = 4, shortest: float = 0.02
 ) -> tuple[Float[np.ndarray, "s"], float]:
     """Log multipliers, and the factor they hold at: from a slow rate to the asked one, centred on the way."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's step
@@ -73,7 +73,7 @@ def searched(
         logs = descend(slow, logs, centred, per_rate)
         while np.isinf(evaluate(_between(game, slow, share), logs, 0.0).goal):
             share /= 2
-            if share < SHORTEST:
+            if share < shortest:
                 return logs, slow.r
         slow, share = _between(game, slow, share), min(1.0, 4 * share)
     return descend(game, logs, LAST, AT_LAST), game.r

@@ -47,6 +47,7 @@ from ssm_study.refusal import positive, require
 from ssm_study.signals import Trajectories
 from ssm_study.synthesis.area import at_rest
 from ssm_study.synthesis.certificate import Design, StateFeedback
+from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.sensitivity import frequency_response
@@ -176,12 +177,19 @@ class IntegralSynthesis:
         self,
         model: Model,
         balls: Balls,
-        validation: Trajectories = (),  # noqa: ARG002  for specifications that choose by a record
-        shown: Mismatch | None = None,  # noqa: ARG002
+        validation: Trajectories = (),
+        shown: Mismatch | None = None,
     ) -> Design:
+        if self.invert_input:
+            plain = replace(self, synthesis=replace(self.synthesis, invert_input=False))
+            return designed(plain, model, validation, shown)
         controlled = with_modes(model, self.internal_model, self.integral_weight)
         feedback = self.synthesis.state_feedback(controlled, balls.input)
         return Design(state_feedback=feedback, observer=self.synthesis.observer(model.system, balls.output))
+
+    @property
+    def invert_input(self) -> bool:
+        return self.synthesis.invert_input
 
 
 Synthesis.register(IntegralSynthesis)
