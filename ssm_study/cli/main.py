@@ -11,7 +11,7 @@ from typing import Any
 
 from ssm_study import __version__
 from ssm_study.extensions import taken_from
-from ssm_study.refusal import BadRequest
+from ssm_study.refusal import BadRequest, require
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
 Command = Callable[[argparse.Namespace], int | None]
@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     told = "write an input for your own plant: several amplitudes, each period twice, then rest"
     excited = commands.add_parser("excite", help=told, description=told[0].upper() + told[1:] + ".")
     for words, settings in EXCITE.items():
-        excited.add_argument(words, required="default" not in settings, **settings)
+        excited.add_argument(words, **settings)
     excited.set_defaults(command=_excite)
     for name, (action, subject, told) in ACTIONS.items():
         command = commands.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".")
@@ -125,8 +125,17 @@ def _new(options: argparse.Namespace) -> None:
 def _excite(options: argparse.Namespace) -> None:
     from ssm_study.data.excitations.own_plant import OwnPlantRecord
 
-    settings = {name: value for name, value in vars(options).items() if name not in ("command", "to")}
-    print(OwnPlantRecord(**settings).write(options.to))
+    known: dict[str, float] = {}
+    if options.after is not None:
+        from ssm_study.study.run_files import RunFiles
+        from ssm_study.table.folders import run_folder
+
+        known = RunFiles(path=run_folder(options.after), record={}).excitation
+    settings = known | {name: value for name, value in vars(options).items() if value is not None}
+    for name in OwnPlantRecord.__dataclass_fields__:
+        words = f"--{name.replace('_', '-')}"
+        require(name in settings, words, "not given", "no record is known", "give it, or --after RUN of a first log")
+    print(OwnPlantRecord(**{name: settings[name] for name in OwnPlantRecord.__dataclass_fields__}).write(options.to))
 
 
 # Each command imports what it takes when it is given, so that `--help` and refusals load no library of numerics.
@@ -219,7 +228,8 @@ ACTIONS: dict[str, tuple[Command, str, str]] = {
     "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
 }
 EXCITE: dict[str, dict[str, Any]] = {
-    "--to": {"type": Path, "metavar": "FILE", "help": "the CSV file to write: time_s, input"},
+    "--to": {"type": Path, "metavar": "FILE", "required": True, "help": "the CSV file to write: time_s, input"},
+    "--after": {"type": Path, "metavar": "RUN", "help": "the run of a first log: what is not given below is its own"},
     "--lower": {"type": float, "metavar": "U", "help": "smallest input, in its unit"},
     "--upper": {"type": float, "metavar": "U", "help": "largest input"},
     "--rest": {"type": float, "metavar": "U", "help": "the input at which the plant rests"},

@@ -15,7 +15,7 @@ from ssm_study.evidence.judgement import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
-from ssm_study.signals import DataSet, Trajectories
+from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.recordings import read_cases, read_trials, signal
 from ssm_study.study.specification import Specification
@@ -24,6 +24,7 @@ from ssm_study.study.trials import repeated
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.mismatch import mismatch
 
+LEFT_AT_REST = 0.02  # share of the summed impulse response that is left when a plant counts as at rest
 CONFIGURATION, OVERRIDES = ".hydra/config.yaml", ".hydra/overrides.yaml"
 
 
@@ -98,6 +99,17 @@ class RunFiles:
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
         """`DataSet.applied`, from the files of the run."""
         return self.model.scale.with_rest(self.inputs)
+
+    @property
+    def excitation(self) -> dict[str, float]:
+        """What a next record (`OwnPlantRecord`) takes, by this one: its inputs with rest, its model's response, s."""
+        problem, remedy = "has several inputs", "give --lower and the others for each"
+        require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
+        (lower,), (upper,) = input_limits(None, None, self.applied)
+        lasts = self.model.linear.response_samples(remainder=LEFT_AT_REST) * self.model.step_s
+        rest = float(self.model.scale.input_equilibrium[0])
+        found = {"lower": lower, "upper": upper, "rest": rest, "step_s": self.model.step_s, "settle_s": lasts}
+        return {name: float(value) for name, value in found.items()}
 
     @property
     def loop(self) -> Loop:
