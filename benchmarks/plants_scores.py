@@ -6,6 +6,8 @@
 takes on each record, for each model, the seed whose model fits its training record best (never the test record), and
 writes `scores.csv` (ours, our baselines, the published rows of `published.csv`) and `scores_by_run.csv` (every run).
 Runs of further seeds in the same study count: `ssm-study run -m experiment=benchmarks model=ssm seed=1,2`.
+Runs of structured models go to `structured_by_seed.csv`, and their medians and ranges over the seeds are printed:
+`ssm-study run -m experiment=benchmarks data=cascaded_tanks,ced model=structured seed=0,1,2,3,4`.
 """
 
 import argparse
@@ -14,6 +16,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from omegaconf import OmegaConf
 
 REFERENCE = Path(__file__).resolve().parents[1] / "results" / "reference" / "benchmarks"
@@ -23,6 +26,7 @@ COLUMNS = {
     "ced": ("ced_low_ticks_per_s", "ced_high_ticks_per_s"),
 }
 SCORES = [column for columns in COLUMNS.values() for column in columns]
+SILVERBOX = {"silverbox": tuple(f"silverbox_{part}_mv" for part in ("multisine", "arrow", "no_extrapolation"))}
 MODELS = {
     "ssm": "SSM of this project, one layer, certified",
     "linear": "linear state space, our run",
@@ -48,9 +52,10 @@ def run_of(folder: Path) -> dict[str, Any]:
     config = OmegaConf.load(folder / ".hydra" / "config.yaml")
     asked = dict(str(word).split("=", 1) for word in OmegaConf.load(folder / ".hydra" / "overrides.yaml"))
     benchmark = str(config.data.benchmark)
-    scores = [record.get(f"score_test_{i + 1}") for i in range(len(COLUMNS[benchmark]))]
+    columns = (COLUMNS | SILVERBOX)[benchmark]
+    scores = [record.get(f"score_test_{i + 1}") for i in range(len(columns))]
     known = {"benchmark": benchmark, "model": asked.get("model", "ssm"), "epochs_allowed": config.training.max_epochs}
-    return record | known | dict(zip(COLUMNS[benchmark], scores, strict=True))
+    return record | known | dict(zip(columns, scores, strict=True))
 
 
 def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
@@ -79,6 +84,16 @@ def why_not(run: dict[str, Any]) -> str:
     return "diverges in free run" if diverged else said
 
 
+def write_structured(out: Path, runs: list[dict[str, Any]]) -> None:
+    """Every seed of the structured models, and what the seeds make of each score."""
+    columns = [*SCORES, *SILVERBOX["silverbox"]]
+    write_table(out / "structured_by_seed.csv", [*TOLD, *columns], runs)
+    for column in columns:
+        if seen := sorted(run[column] for run in runs if isinstance(run.get(column), float)):
+            told = f"median {np.median(seen):.3g}, {seen[0]:.3g} to {seen[-1]:.3g}"
+            print(f"{column}, {len(seen)} seeds: {told}")
+
+
 def write_table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
     with path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
@@ -91,9 +106,14 @@ def main() -> None:
     parser.add_argument("study", type=Path, help="the folder of the study, e.g. results/benchmarks")
     parser.add_argument("--out", type=Path, default=REFERENCE)
     options = parser.parse_args()
-    runs = sorted(
-        every_run(options.study), key=lambda run: (run["benchmark"], [*MODELS].index(run["model"]), run["seed"])
-    )
+    found = every_run(options.study)
+    structured = [run for run in found if run["model"] == "structured"]
+    if structured:
+        write_structured(options.out, sorted(structured, key=lambda run: (run["benchmark"], run["seed"])))
+    runs = [run for run in found if run["model"] != "structured"]
+    runs.sort(key=lambda run: (run["benchmark"], [*MODELS].index(run["model"]), run["seed"]))
+    if structured and not runs:
+        return
     if not runs:
         raise SystemExit(f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmarks")
     with (REFERENCE / "published.csv").open(newline="") as stream:

@@ -22,6 +22,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.training.metrics import mean_fit
+from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = ROOT / "results" / "reference" / "training" / "structured_plants.csv"

@@ -36,16 +36,18 @@ def bound_facts(model: Any) -> dict[str, Any]:
 
     Beside the slopes of `S_u` the paper's figure from spectral norms (unsound below). Local controllability and
     observability hold along any trajectory, with the bounds of [Z26] on the Gramians; those are of a recurrence
-    without neurons.
+    without neurons. A recurrence that integrates has no Hankel values.
     """
-    hankel, facts = hankel_singular_values(model.linear), dict[str, Any]()
+    facts = dict[str, Any]()
     bounds = {"input": jacobian_ball(model.scaffold_in), "output": jacobian_ball(model.scaffold_out)}
     for side, bound in bounds.items():
         facts |= {f"{side}_slope_lower": bound.lower, f"{side}_slope_upper": bound.upper}
     norms = jacobian_ball(model.scaffold_in, method="spectral")
     facts |= {"input_slope_lower_spectral": norms.lower, "input_slope_upper_spectral": norms.upper}
     facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
-    facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
+    if model.linear.spectral_radius < 1:
+        hankel = hankel_singular_values(model.linear)
+        facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
     facts |= {"spectral_radius": model.linear.spectral_radius}
     if not isinstance(getattr(model, "system", None), StructuredSystem):
         balls = certified_balls(model)

@@ -11,6 +11,7 @@ from ssm_study.refusal import require
 from ssm_study.signals import DataSet, Trajectory, rmse
 
 SCORES = ("rmse", "rmse_mm", "rmse_milli", "position_mm")  # rmse_mm: of an output in m; rmse_milli: of any unit
+# Of the input's range: fewer hide a gap between levels, more are empty for a few dozen levels.
 BINS = 20
 RANK_TOLERANCE = 4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding
 SAMPLES_FOR_ORDER = 2000

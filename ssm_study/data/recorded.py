@@ -1,12 +1,13 @@
 """Data from files: one or several logs, each cut into training, validation and test."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ssm_study.data.assembly import Parts, assemble
+from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
 from ssm_study.data.readers.reader import has_columns
 from ssm_study.data.recording import Columns, Names, listed
 from ssm_study.data.splits import BLOCKS, FEWEST, Pieces, by_fold, by_intervals, by_time, end_is_unlike, in_blocks
@@ -81,7 +82,8 @@ class RecordedData(Columns, AroundRest):
     `path` names one log or several (of any lengths); `output_path` as many files for their outputs, where these stand
     apart (of one log `path` may name both, if no column of one is called like one of the other). `input`, `output` and
     `time` name columns. `test_path` (and `test_output_path`) give separate test logs, and nothing is then cut for the
-    test.
+    test. Of logs made in a closed loop `reference` names the columns of the set point, or `controller` the PI, by its
+    gain (input per output) and integral time (s): the input is then what the set point makes of it (`closed_loop`).
     """
 
     path: Names
@@ -93,6 +95,8 @@ class RecordedData(Columns, AroundRest):
     test: list[list[float]] | None = None
     validation_fraction: float = 0.2
     test_fraction: float = 0.2
+    reference: Names | None = None
+    controller: list[float] | None = None
 
     def __post_init__(self) -> None:
         Columns.__post_init__(self)
@@ -111,6 +115,11 @@ class RecordedData(Columns, AroundRest):
         free = self.fold is None or (self.split == "auto" and named == (None, None) and not tested)
         problem, remedy = "the parts are named too", "leave out data.split, validation, test and test_path"
         require(free, "data.fold", self.fold, problem, remedy)
+        problem, remedy = "one is enough", "name the set point alone"
+        known = self.reference is not None and self.controller is not None
+        require(not known, "data.reference, data.controller", (self.reference, self.controller), problem, remedy)
+        pi = self.controller is None or (len(self.controller) == 2 and self.controller[0] != 0 < self.controller[1])
+        require(pi, "data.controller", self.controller, "is no PI", "give [gain, integral time in seconds]")
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
         self.files_of("path", "output_path")
         self.files_of("test_path", "test_output_path")
@@ -134,11 +143,14 @@ class RecordedData(Columns, AroundRest):
         return paths
 
     def build(self, seed: int) -> DataSet:
-        cuts, split = self._split(self._logs("path", "output_path"))
+        logs, share = self._known_loop(self._logs("path", "output_path"), "path", "output_path")
+        cuts, split = self._split(logs)
         training, validation, test = ([piece for pieces in cuts for piece in pieces[k]] for k in range(3))
         if self.test_path is not None:
-            test = self._logs("test_path", "test_output_path")
+            tested = "test_path", "test_output_path"
+            test = self._known_loop(self._logs(*tested), *tested)[0]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
+        about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         return self.assembled((training, validation, test), self.inputs, self.outputs, **about)
 
     def _logs(self, field: str, outputs: str) -> list[Trajectory]:
@@ -149,6 +161,16 @@ class RecordedData(Columns, AroundRest):
             alone = has_columns(first, listed(self.output)) or not has_columns(first, listed(self.input))
             logs = logs if alone or not has_columns(second, listed(self.output)) else [(first, second)]
         return [self.read_from(*log) for log in logs]
+
+    def _known_loop(self, logs: list[Trajectory], field: str, outputs: str) -> tuple[list[Trajectory], float | None]:
+        """The logs with the input that the set point makes, and its share, where set point or PI are known."""
+        if self.controller is not None:
+            gain, integral_s = self.controller
+            return from_set_points(logs, [set_point_of_pi(log, gain, integral_s) for log in logs])
+        if self.reference is None:
+            return logs, None
+        known = replace(self, input=self.reference, input_unit="", reference=None)
+        return from_set_points(logs, [log.u for log in known._logs(field, outputs)])
 
     def _split(self, logs: list[Trajectory]) -> tuple[list[Pieces], str]:
         """The pieces of every log, and in words how they were cut."""

@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+# Waits for the disk overlap in threads; more of them than a disk's queue holds gain nothing.
 SYNCED_AT_ONCE = 8
 LARGEST = 2**27  # bytes of a file that is read at once
 FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ssm_study.evidence.finding import Case, Finding, doubt
+from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.models.spec import arx
 from ssm_study.signals import DataSet
 
@@ -26,23 +26,33 @@ FORESEEN = 1e-4  # share of an input's power that its past must leave: what a mu
 FEWEST, SHORTEST = 300, 6  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
 SCATTER = 20  # over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
 ROUNDING = 1e-9
+LEAST_SHARE = 0.2  # of the input's power, below which the set point hardly moves a known loop
 LAGS, UNSTABLE, ALIKE = (3, 5, 8), 1.01, 0.02  # models that must agree on a mode outside the circle
 Rows = Float[np.ndarray, "_ _"]
 
 
 def findings(case: Case) -> Iterator[Finding]:
     """One doubt at most, and whether what the loop held runs away without it."""
-    samples = sum(len(record) for record in case.data.training)
+    samples, share = sum(len(record) for record in case.data.training), case.data.metadata.get("by_set_point")
     chance = SCATTER / samples
+    if share is not None:
+        told = f"The input is what the set point of the log's loop makes of it, {100 * float(share):.0f} % of its power"
+        yield note(f"{told}.") if float(share) >= LEAST_SHARE else doubt(f"{told}: move the set point more.")
+        yield from runs_away(case)
     if samples >= FEWEST and max(fed_back(case.data, 1) - EARLIER, fed_back(case.data, 0) - PRESENT) >= chance:
         told = f"What is new in the output explains {100 * fed_back(case.data, 0):.0f} % of what is new in the input"
-        yield doubt(f"{told}, as in a closed-loop log: record with the loop open.")
-        modes = [own_mode(case.data, lags) for lags in LAGS]
-        if min(modes) > UNSTABLE and np.ptp(modes) < ALIKE:
-            told = (
-                f"The plant runs away by itself (a mode at {np.median(modes):.3g} a sample), and models here are stable"
-            )
-            yield Finding(level="cannot judge", sentence=f"{told}: log its loop with the set point as the input.")
+        remedy = "check data.reference or data.controller" if share else "name its set point, data.reference, or PI"
+        yield doubt(f"{told}, as in a closed-loop log: {remedy}, or record with the loop open.")
+        if share is None:
+            yield from runs_away(case)
+
+
+def runs_away(case: Case) -> Iterator[Finding]:
+    """Whether what the loop held runs away without it."""
+    modes = [own_mode(case.data, lags) for lags in LAGS]
+    if min(modes) > UNSTABLE and np.ptp(modes) < ALIKE:
+        told = f"The plant runs away by itself (a mode at {np.median(modes):.3g} a sample), and models here are stable"
+        yield Finding(level="cannot judge", sentence=f"{told}: log its loop with the set point as the input.")
 
 
 def own_mode(data: DataSet, lags: int) -> float:

@@ -196,6 +196,7 @@ def _rounded_loop(run: Path, device: Device) -> tuple[str, ...]:
     return (f"Rounding to {device.real} moves the loop on the model by at most {apart:.1e} output scales.",)
 
 
+# As long as the replay of the C code: both loops have come to rest by then, or drift visibly.
 LOOP_SAMPLES = 200
 HALVINGS = 12  # of the rate, where the stored one does not survive rounding: to a 4000th of it
 

@@ -15,6 +15,7 @@ from ssm_study.synthesis.problem import NoSolution, Problem
 from ssm_study.synthesis.theorem import margin
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 
+# After k steps 2^k samples are summed: where 60 do not suffice the closed loop is on the unit circle for floats.
 MOST_STEPS = 60
 CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
 RESIDUAL_SHARE = 1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows

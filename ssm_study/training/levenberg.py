@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.func import jvp, vmap
 
 Residual = Callable[[Float[Tensor, "P"]], Float[Tensor, "N"]]
+# Below the first a step is Gauss-Newton's up to rounding; above the second it is shorter than rounding.
 DAMPING_RANGE = (1e-12, 1e12)
 
 

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 SEAL_BYTES = hashlib.sha256().digest_size
 LAST, BEST = "last.ckpt", "best.ckpt"
 FITS = ("fit_training_percent", "fit_validation_percent")
+# One epoch without a change may be a line search that started over; two cannot leave a kink.
 STILL_EPOCHS = 2
 
 

@@ -165,10 +165,8 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str
     """One accepted step in the blocks `free`, or none; `R = diag(ridge)`."""
     r, j, turn = problem.linearised(at.theta, free)
     flat, weights = pack(at.theta, free), pack({n: np.full_like(at.theta[n], ridge.get(n, 0.0)) for n in free}, free)
-    normal, gradient = (
-        turn.T @ (j.T @ j) @ turn,
-        turn.T @ (j.T @ r) + weights * flat,
-    )  # Gauss-Newton: second derivatives of r are left out
+    with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
+        normal, gradient = turn.T @ (j.T @ j) @ turn, turn.T @ (j.T @ r) + weights * flat
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)

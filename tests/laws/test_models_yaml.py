@@ -30,6 +30,7 @@ PACKAGES = {
     "arx": "sysidentpy",
     "dynonet": "dynonet",
 }  # the extra "baselines"
+FEWER = {"structured": ("model.starts=1", "model.draws=2")}
 
 
 def read(group: str, choice: str, *overrides: str) -> Any:
@@ -46,7 +47,7 @@ def brief(**changes: Any) -> Training:
 def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path) -> None:
     if choice in PACKAGES:
         pytest.importorskip(PACKAGES[choice])
-    data, spec = data_set(noise=0.02, samples=120, records=2), read("model", choice)
+    data, spec = data_set(noise=0.02, samples=120, records=2), read("model", choice, *FEWER.get(choice, ()))
     assert isinstance(spec, ModelSpec)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
     assert np.isfinite(found.fit_training_percent)

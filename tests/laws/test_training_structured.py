@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ssm_study.bounds.metrics import bound_facts
 from ssm_study.models.contracting import Core, Free, explicit, in_metric, metric, parameters, projected
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import StructuredSSM
@@ -243,5 +244,6 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
     model = fit.stored()
     assert model.order == 3
     assert np.abs(np.linalg.eigvals(model.a)).max() == pytest.approx(1.0)
+    assert "hankel_largest" not in bound_facts(model)  # no infinite-horizon Gramian: withheld, and no refusal
     y = fit.problem.output(fit.theta)[0]
     np.testing.assert_allclose(data.scale.scaled_output(model.simulate(data.training[0].u)), y, atol=1e-9)

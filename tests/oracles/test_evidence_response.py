@@ -131,7 +131,7 @@ def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_
     u, y = in_loop(REFERENCES[reference], 0.03, delay)
     (found,) = feedback.findings(case(u, y))
     assert found.level == "doubt"
-    assert "closed-loop log: record with the loop open" in found.sentence
+    assert "as in a closed-loop log: name its set point" in found.sentence
     assert not list(feedback.findings(case(u, answer(u, noise=0.03))))
 
 
