@@ -23,9 +23,10 @@ from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import predict
 
-# radians, up to 2; the spring pulls 7.5 times as hard at the end of its range as its stiffness at rest would
+# radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at rest would
 PLANTS: dict[str, dict[str, float]] = {"pendulum": {"amplitude": 0.85, "reach": 1.8}, "hardening": {"amplitude": 2.0}}
-MODELS = {"pendulum": ("ssm", "structured"), "hardening": ("ssm", "structured model.kinds=clipped_cubic")}
+NEURONS = "structured model.neurons=4"
+MODELS = {"pendulum": ("ssm", NEURONS), "hardening": ("ssm", f"{NEURONS} model.kinds=clipped_cubic")}
 
 
 def row(name: str, plant: Plant, model: str, seed: int) -> str:

@@ -26,8 +26,8 @@ from ssm_study.synthesis.theorems import structured_observer, structured_state_f
 Rows = Float[np.ndarray, "_ _"]
 
 INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
-FLOOR = 1e-5  # directions that no signal reaches keep this share of the mean: with less the solver fails
-LEAST_BALL = 1e-4  # radius whose multiplier is scaled as this one's; without any it has next to no effect
+FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
+LEAST_BALL = 1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
 INSIDE = 1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
 RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 

@@ -21,6 +21,7 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.structured import NEURONS, model_from_json
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 
 SAMPLES = 300
 Replay = Callable[[Path, np.ndarray], np.ndarray]
@@ -121,12 +122,11 @@ def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     assert "NOT certified" in (tmp_path / "out" / "controller.h").read_text()  # its numbers prove nothing
 
 
-def structured_run(folder: Path, kinds: tuple[str, ...], seen: float) -> Path:
+def structured_run(folder: Path, kinds: tuple[str, ...], seen: float, integral: bool = False) -> Path:
     """A certified pair of a model with these neurons, which the output sees directly where `seen` is not zero."""
     made = replace(structured(kinds, seed=2), h=np.full((1, len(kinds)), seen))
-    design = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5, input_weight=0.1).design(
-        made, certified_balls(made)
-    )
+    asked = RiccatiSynthesis(rate_controller=0.05 if integral else 0.5, rate_observer=0.5, input_weight=0.1)
+    design = (IntegralSynthesis(synthesis=asked) if integral else asked).design(made, certified_balls(made))
     assert design.certified
     folder.mkdir(parents=True)
     (folder / "model.json").write_text(json.dumps(made.to_json()))
@@ -154,10 +154,12 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
         assert lower < -4 < 4 < upper
 
 
-@pytest.mark.parametrize("kinds", [*((kind,) for kind in NEURONS), tuple(NEURONS)])
-def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    ("kinds", "integral"), [*(((kind,), kind == "tanh") for kind in NEURONS), (tuple(NEURONS), False)]
+)
+def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: bool) -> None:
     """Far from rest, so that every neuron bends; a controller without them would not agree."""
-    run = structured_run(tmp_path / "run", kinds, 0.02 * (len(kinds) > 1))
+    run = structured_run(tmp_path / "run", kinds, 0.02 * (len(kinds) > 1), integral)
     export(run, tmp_path / "out")
     y = 1 + 20 * np.random.default_rng(7).standard_normal((SAMPLES, 1))
     expected = python_loop(run, y)

@@ -1,13 +1,21 @@
 """The loop around a model with neurons: rest points, plans and the observer, each by another route."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from structured_cases import model
 
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.reference import StepReference
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.trajectory import equilibrium, guided_trajectory
 from ssm_study.models.structured import StructuredSSM
+from ssm_study.plants.disturbance import NoDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 from ssm_study.systems import Pair
 
 
@@ -36,6 +44,22 @@ def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None
     np.testing.assert_allclose(replayed, planned, atol=1e-10)
     assert planned[399, 0] == pytest.approx(1.8, abs=1e-6)
     assert not guided_trajectory(stand, k, np.ones((5, 1))).any()
+
+
+@pytest.mark.parametrize("undone", [False, True])
+def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool) -> None:
+    """Certified with an integrator, on the model itself with a load that the model does not know of."""
+    stand, balls = model(), certified_balls(model())
+    asked = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.3, input_weight=0.1, invert_input=undone)
+    design = IntegralSynthesis(synthesis=asked, integral_weight=0.1).design(stand, balls)
+    assert design.certified
+    load = StepDisturbance(size=0.1, at_s=0.5)
+    steps = StepReference(before=0.0, after=0.6, at_s=1.0)
+    loop = Loop(initial_conditions=2, horizon_s=6.0, measurement_noise_variance=0.0, reference=steps, disturbance=load)
+    runs = loop.run(IdentifiedPlant.of(stand), stand, design, 0)
+    assert runs.controlled.y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
+    without = replace(loop, disturbance=NoDisturbance()).run(IdentifiedPlant.of(stand), stand, design, 0)
+    assert np.abs(without.controlled.u[:, -1] - runs.controlled.u[:, -1]).max() > 0.1, "the load asks for an input"
 
 
 @pytest.mark.parametrize("injects", [True, False])
