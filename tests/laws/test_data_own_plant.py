@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.cli.main import main
-from ssm_study.data.excitations.own_plant import AMPLITUDES, PERIODS, OwnPlantRecord
+from ssm_study.data.excitations.own_plant import AMPLITUDES, PERIOD_IN_SETTLINGS, PERIODS, OwnPlantRecord
 from ssm_study.refusal import BadRequest
+from ssm_study.study.run_files import RunFiles
 
 LEVEL = st.floats(-1e3, 1e3)
 
@@ -44,6 +45,24 @@ def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert list(table) == ["time_s", "input"]
     assert np.allclose(np.diff(table["time_s"]), 0.5)
     assert "rest 40" in capsys.readouterr().out
+
+
+def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) -> None:
+    """Its own range with rest, its sampling time, and holds that its model's response asks for."""
+    file, known = tmp_path / "input.csv", RunFiles(path=smoke_run, record={}).excitation
+    assert main(["excite", "--to", str(file), "--after", str(smoke_run)]) == 0
+    table = pd.read_csv(file)
+    assert known["lower"] <= table["input"].min() < known["rest"] < table["input"].max() <= known["upper"]
+    assert np.allclose(np.diff(table["time_s"]), known["step_s"])
+    settlings = 2 + len(AMPLITUDES) * (PERIODS * PERIOD_IN_SETTLINGS + 2)
+    assert len(table) == settlings * round(known["settle_s"] / known["step_s"])
+    assert main(["excite", "--to", str(file), "--after", str(smoke_run), "--upper", "1"]) == 0
+    assert pd.read_csv(file)["input"].max() <= 1
+
+
+def test_without_a_log_each_number_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["excite", "--to", str(tmp_path / "input.csv"), "--lower", "0", "--rest", "1"]) == 2
+    assert "--upper = not given: no record is known; give it, or --after RUN" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

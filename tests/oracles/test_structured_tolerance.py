@@ -1,6 +1,7 @@
 """Mismatch tolerated by a model with neurons: the limit without them, frozen slopes, simulated loops, a forged file."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from structured_cases import drawn, model
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.synthesis.certificate import Design, digest
-from ssm_study.synthesis.deployed import as_deployed
+from ssm_study.synthesis.deployed import as_deployed, within_reach
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.mismatch import ANGLES
 from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
@@ -144,3 +145,13 @@ def test_a_nonlinear_output_map_gets_none() -> None:
         largest_tolerance(Known(system=known.system, controlled=known.system, balls=bent, gains=known.gains), np.eye(1))
         is None
     )
+
+
+def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
+    """At rest and at slope one half `x+ = 0.2 x + 2 phi(x) - 0.25 x` decays, at slope one it grows."""
+    one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
+    matrices = {"a": 0.2 * one, "b": one, "c": one, "d": 0 * one, "e": 2 * one, "f": one, "g": 0 * one, "h": 0 * one}
+    system = StructuredSystem(**matrices)
+    gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
+    known = Known(system=system, controlled=system, balls=balls, gains=gains)
+    assert within_reach(partial(largest_tolerance, known, one)) is None
