@@ -166,7 +166,7 @@ def largest_mismatch(loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: f
         return state.T @ p @ state - step.T @ p @ step + sectors + sectors.T + supply
 
     solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
-    if not mu.value > 0:  # below zero the mismatch would have to help
+    if not float(np.asarray(mu.value)) > 0:  # below zero the mismatch would have to help
         raise NoSolution("the loop is not proved to rest without any mismatch")
     deepest, left = cp.Problem(cp.Maximize(t), [room(given) >> t * one]), np.linalg.inv(right)
     for share in INSIDE_LARGEST:
