@@ -49,7 +49,6 @@ SMALL_OPTIONS = {
     "synthesis_agreement.py": "--count 2",
     "synthesis_certified.py": "--count 2 --gaps 0.1 -0.01",
     "synthesis_paper_lmi.py": "--minutes 0.01",
-    "synthesis_structured.py": "1",
     "synthesis_times.py": "--orders 2",
     "training_optimisers.py": "1",
 }
@@ -89,6 +88,7 @@ ELSEWHERE = {  # what a test cannot have, by name
     "hydra/launcher=slurm": "needs a Slurm cluster",
     "hydra/launcher=ray": "needs a Ray cluster",
     "-m benchmarks.adversarial": "ten seconds a line; its table is committed",
+    "synthesis_structured.py": "a second a model; its table is committed",
     "-m benchmarks.nonlinear_plants": "half a minute a line; its table is committed",
     "ssm-study watch": "serves until it is stopped; tests/laws/test_report_live.py asks it",
 }
