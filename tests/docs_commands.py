@@ -43,9 +43,7 @@ SMALL = {
 SMALL_OPTIONS = {
     "loop_batch.py": "--cases 3 --samples 20 --one-by-one 1",
     "loop_margin.py run": "--order 2 --seed 0",
-    "report_page.py": "--runs 60 --rounds 1",
     "results_gather.py": "--runs 20",
-    "start_up.py": "--runs 4",
     "synthesis_agreement.py": "--count 2",
     "synthesis_certified.py": "--count 2 --gaps 0.1 -0.01",
     "synthesis_paper_lmi.py": "--minutes 0.01",
@@ -64,7 +62,6 @@ SMALL_SOURCE = {  # pattern: what stands in its place
         r"^PART = .*": "PART = 20",
         r"^ROUNDS = .*": "ROUNDS = 1",
     },
-    "report_page.py": {r"^FRAME_S, REST_S = .*": "FRAME_S, REST_S = 0.001, 0.05"},
     "synthesis_bounds.py": {r"^COUNT, STARTS = .*": "COUNT, STARTS = 1, 1"},
     "synthesis_maps.py": {
         r"^FLOORS = .*": "FLOORS = (0.1, 0.5)",
@@ -88,6 +85,8 @@ ELSEWHERE = {  # what a test cannot have, by name
     "hydra/launcher=slurm": "needs a Slurm cluster",
     "hydra/launcher=ray": "needs a Ray cluster",
     "-m benchmarks.adversarial": "ten seconds a line; its table is committed",
+    "benchmarks/closed_loop_log.py": "a minute; its numbers stand beside it",
+    "benchmarks/structured_plants.py": "minutes; its tables are committed",
     "synthesis_structured.py": "a second a model; its table is committed",
     "-m benchmarks.nonlinear_plants": "half a minute a line; its table is committed",
     "ssm-study watch": "serves until it is stopped; tests/laws/test_report_live.py asks it",

@@ -15,12 +15,13 @@ from ssm_study.report import figures
 from ssm_study.study.verify import verify
 
 TINY = ["experiment=smoke", "progress=false", "data.samples=300", "data.test_samples=300", "training.max_epochs=2"]
-QUICK = "synthesis=riccati"  # without the search over rates: the case is another part
+# Without the search over rates, and without trials: the case is another part.
+QUICK = ("synthesis=riccati", "+data.trials=false")
 
 
 OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
 EVERY = [
-    *[(QUICK, f"{option}={name}") for group, option in OPTIONS.items() for name in choices(group)],
+    *[(*QUICK, f"{option}={name}") for group, option in OPTIONS.items() for name in choices(group)],
     *[(f"synthesis={name}",) for name in choices("synthesis")],
     *[(f"experiment={path.stem}",) for folder in configurations() for path in folder.glob("experiment/*.yaml")],
 ]
