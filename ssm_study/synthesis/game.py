@@ -118,6 +118,7 @@ def _doubled(a, g, h):
     """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises `LinAlgError` where there is none."""
     n = len(a)
     for _ in range(DOUBLINGS):
+        # One elimination serves both: the closed-loop matrix, and what it adds to G.
         both = solved(np.eye(n) + g @ h, np.hstack((a, g)))
         left, right = both[:, :n].copy(), both[:, n:].copy()
         ended = _grown(h, turned(a) @ h @ left)
@@ -224,6 +225,7 @@ def _gradient(game, logs, barrier, saddle, reach, shadow):
     gradient, v = np.empty(len(logs)), saddle[inputs:].copy()
     flow = (z @ reach * z - v @ reach * v).sum(axis=1)
     still = (fixed @ shadow * fixed).sum(axis=1)
+    # At a saddle point the players' own changes count only in second order: the multipliers act on the cost alone.
     for i in range(q):
         still[i] -= shadow[inputs + i, inputs + i]
         gradient[i] = np.exp(logs[i]) * (flow[i] + barrier * still[i]) / (2 * r2) + barrier
