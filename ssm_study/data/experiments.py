@@ -9,6 +9,7 @@ from ssm_study.data.assembly import Parts
 from ssm_study.data.metrics import SCORES
 from ssm_study.data.recorded import AroundRest
 from ssm_study.data.recording import Recording
+from ssm_study.data.splits import without_fold
 from ssm_study.refusal import BadRequest, one_of, require
 from ssm_study.signals import DataSet, Trajectory
 
@@ -57,12 +58,9 @@ class RecordedExperiments(AroundRest):
         folder = self.located()
         if self.fold is None:
             return _read(folder, self.training), _read(folder, self.validation), _read(folder, self.test)
-        kept, held_out = [], []
-        for record in _read(folder, self.training):
-            start, end = (round(len(record) * k / self.folds) for k in (self.fold, self.fold + 1))
-            kept += [piece for piece in (record[:start], record[end:]) if len(piece)]
-            held_out.append(record[start:end])
-        return kept, kept, held_out
+        parts = [without_fold(record, self.fold, self.folds) for record in _read(folder, self.training)]
+        kept = [piece for pieces, _ in parts for piece in pieces]
+        return kept, kept, [piece for _, piece in parts]
 
     def located(self) -> Path:
         """The folder of the records; `BadRequest` where there is none."""

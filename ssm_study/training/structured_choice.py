@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ssm_study.data.splits import without_fold
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import DataSet
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_fit import StructuredFit
 
@@ -77,20 +78,11 @@ def held_out(data: DataSet) -> Iterator[DataSet]:
             kept = tuple(record for i, record in enumerate(data.training) if i % FOLDS != k)
             yield replace(data, training=kept, validation=kept, test=data.training[k::FOLDS])
         return
-    cuts = [[round(len(record) * i / FOLDS) for i in range(FOLDS + 1)] for record in data.training]
     unscored = data.start_up_samples or START_UP
     for k in range(FOLDS):
-        out, around = [], []
-        for record, at in zip(data.training, cuts, strict=True):
-            out.append(_part(record, at[k], at[k + 1]))
-            sides = ((0, at[k]), (at[k + 1], len(record)))
-            around += [_part(record, start, stop) for start, stop in sides if start < stop]
-        kept = tuple(around)
-        yield replace(data, training=kept, validation=kept, test=tuple(out), start_up_samples=unscored)
-
-
-def _part(record: Trajectory, start: int, stop: int) -> Trajectory:
-    return replace(record, u=record.u[start:stop], y=record.y[start:stop])
+        parts = [without_fold(record, k, FOLDS) for record in data.training]
+        kept, out = tuple(piece for pieces, _ in parts for piece in pieces), tuple(piece for _, piece in parts)
+        yield replace(data, training=kept, validation=kept, test=out, start_up_samples=unscored)
 
 
 def _fit(spec: StructuredSpec, fold: DataSet, seed: int) -> float:

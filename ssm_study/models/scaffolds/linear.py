@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +16,6 @@ from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, T
 class LinearScaffold(Scaffold, names=("linear",)):
     """`S(v) = gain v`, `gain (k, m)`; the identity when it stands for "no nonlinearity"."""
 
-    kind: ClassVar[str] = "linear"
     gain: Float[np.ndarray, "k m"]
 
     @classmethod

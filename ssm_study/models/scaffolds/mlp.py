@@ -1,7 +1,7 @@
 """The paper's scaffolding: a multilayer perceptron with leaky ReLU, minus its value at zero."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +28,6 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     Source: [Z26] section IV.
     """
 
-    kind: ClassVar[str] = "mlp"
     network: Network
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +23,6 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
     Source: THEORY section 3 (i); any piecewise-linear monotone map with h break points has this form.
     """
 
-    kind: ClassVar[str] = "monotone"
     breakpoints: Float[np.ndarray, "m h"]
     slopes: Float[np.ndarray, "m h1"]
 

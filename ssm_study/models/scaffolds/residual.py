@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +24,6 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     claim can be checked from these numbers alone. Source: THEORY section 3 (ii); Wang & Manchester (2023).
     """
 
-    kind: ClassVar[str] = "residual"
     alpha: float
     beta: float
     multipliers: tuple[Float[np.ndarray, "_"], ...]
