@@ -21,33 +21,25 @@ class SlopeBound:
     """`lower <= slope <= upper`, and the ball `J = alpha I + beta Delta` that holds every Jacobian.
 
     For a scalar map the numbers are slopes with sign; in several dimensions they are the ends `alpha -+ beta` of the
-    ball (singular values for the norm bounds). `sound_lower, sound_upper` say which side is proved, `exact` whether
-    both ends are attained. `ball` is None when the bound says nothing about where in the plane the Jacobians lie (norm
-    bounds): such a figure may be printed, never certified with.
+    ball (singular values for the norm bounds). `ball` is None when the bound says nothing about where in the plane the
+    Jacobians lie (norm bounds, whose lower end is unsound): such a figure may be printed, never certified with.
     """
 
     lower: float
     upper: float
     ball: JacobianBall | None
     method: str
-    sound_lower: bool = True
-    sound_upper: bool = True
-    exact: bool = False
-
-    @property
-    def sound(self) -> bool:
-        return self.sound_lower and self.sound_upper
 
 
-def bound_from_interval(lower: Fraction, upper: Fraction, method: str, exact: bool) -> SlopeBound:
+def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
     """Both ends rounded outwards to floats; the ball encloses the rational interval, not its rounded picture."""
     least, most, ball = _rounded_down(lower), -_rounded_down(-upper), enclosing_ball(lower, upper)
-    return SlopeBound(lower=least, upper=most, ball=ball, method=method, exact=exact)
+    return SlopeBound(lower=least, upper=most, ball=ball, method=method)
 
 
-def bound_from_ball(ball: JacobianBall, method: str, exact: bool = False) -> SlopeBound:
+def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
     """`lower, upper = alpha -+ beta`, with sign: `alpha < 0` is a decreasing map."""
-    return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method, exact=exact)
+    return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method)
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
@@ -83,7 +75,7 @@ def network_bound(network: Network, method: str) -> SlopeBound:
     if method == "spectral":
         return spectral_norm_bound(network)
     if method == "exact" or (method == "best" and network.inputs == 1):
-        return bound_from_interval(*slope_interval(network), "break_points", exact=True)
+        return bound_from_interval(*slope_interval(network), "break_points")
     if method == "interval":
         return interval_bound(network)
     from ssm_study.bounds.lipsdp import lipsdp_bound  # CVXPY takes a second to import
@@ -135,7 +127,7 @@ def spectral_norm_bound(network: Network) -> SlopeBound:
     for _, _, *both in network.hidden():
         slopes = np.abs(np.concatenate(both))
         lower, upper = lower * float(slopes.min()), upper * float(slopes.max())
-    return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm", sound_lower=False)
+    return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm")
 
 
 def jacobian_ball(scaffold: Any, method: str = "best") -> SlopeBound:
@@ -156,7 +148,7 @@ def certified_balls(model: Any) -> Balls:
     balls = []
     for name in ("scaffold_in", "scaffold_out"):
         bound = jacobian_ball(getattr(model, name))
-        if bound.ball is None or not bound.sound:
+        if bound.ball is None:
             raise BadRequest(name, bound.method, "no sound ball of Jacobians is known", "choose another scaffold")
         balls.append(bound.ball)
     return Balls(input=balls[0], output=balls[1])

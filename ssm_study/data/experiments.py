@@ -82,9 +82,8 @@ def benchmark_folder(benchmark: str) -> Path:
     problem = f"the {benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}"
     remedy = "give data.folder=PATH, or pip install 'ssm-study[benchmarks]' to download them"
     try:
-        found = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])(
-            data_file_locations=True
-        )
+        download = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])
+        found = download(data_file_locations=True)
     except (ImportError, KeyError) as error:
         raise BadRequest("data.folder", None, problem, remedy) from error
     except Exception as error:  # whatever the network and the archive readers raise (2026-11)

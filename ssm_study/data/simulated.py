@@ -90,16 +90,15 @@ def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[
     """
     rng, rest = np.random.default_rng([seed, 7]), plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
-    period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * np.array(plant.input_amplitude)
+    amplitude = np.array(plant.input_amplitude)
+    period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * amplitude
     whole = np.concatenate([period[-LEAD_IN:], period, period, np.zeros((REST, len(rest.u)))])
     driven = rest.u + np.array(SHARES)[:, None, None] * whole
     low, high = plant.initial_range
     share = np.array(DECAYS)[:, None] * np.ones(len(rest.y))
     starts = rest.y + np.where(share < 0, -low, high) * share
     still = np.tile(rest.u, (len(DECAYS), PERIOD, 1))
-    line = np.interp(np.arange(PERIOD), [PERIOD // 4, PERIOD // 2], [1.0, 0.0])[:, None] * np.array(
-        plant.input_amplitude
-    )
+    line = np.interp(np.arange(PERIOD), [PERIOD // 4, PERIOD // 2], [1.0, 0.0])[:, None] * amplitude
     found: list[Trajectory] = []
     for word, shares, u, x0 in (
         ("trial_at", SHARES, driven, None),

@@ -1,6 +1,7 @@
 """A plant around a plant: limits and dead time at its input, noise and rounding at its output, disturbances."""
 
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,11 +18,7 @@ Limit = float | tuple[float, ...] | list[float]
 
 
 def _inner(name: str) -> Any:  # A property that answers as the inner plant does
-
-    def read(wrapper: "Wrapper") -> Any:
-        return getattr(wrapper.plant, name)
-
-    return property(read)
+    return property(attrgetter(f"plant.{name}"))
 
 
 @dataclass(frozen=True, kw_only=True)

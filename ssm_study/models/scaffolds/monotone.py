@@ -49,7 +49,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 
     def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - the slopes are the parameters
         values = [Fraction(float(s)) for s in self.slopes.ravel()]
-        return bound_from_interval(min(values), max(values), "construction", exact=True)
+        return bound_from_interval(min(values), max(values), "construction")
 
     def centre(self) -> Square:
         return np.diag((self.slopes.max(axis=1) + self.slopes.min(axis=1)) / 2)

@@ -51,10 +51,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return
 
     def portable(self) -> PortableMap:
-        weights = (*self.network.weights[:-1], self.beta * self.network.weights[-1])
-        return PortableMap(
-            linear=self.alpha * np.eye(self.network.inputs), network=replace(self.network, weights=weights)
-        )
+        *inner, last = self.network.weights
+        network = replace(self.network, weights=(*inner, self.beta * last))
+        return PortableMap(linear=self.alpha * np.eye(network.inputs), network=network)
 
 
 @dataclass(frozen=True, kw_only=True)

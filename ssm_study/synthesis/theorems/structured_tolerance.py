@@ -88,7 +88,3 @@ class StructuredTolerance(Tolerance):
 
         for found in largest_mismatch(loop, into_u, seen, into_w, beta):
             yield {**found, "status": "inside the largest that the solver finds"}
-
-    @property
-    def claim(self) -> str:
-        return f"every trajectory comes to rest under every mismatch of gain up to {self.s:.6g} from rest"

@@ -153,15 +153,6 @@ class Tolerance(Theorem):
     def gain(self) -> Float[np.ndarray, "m s"]:
         return self.k
 
-    @property
-    def metric(self) -> Float[np.ndarray, "x x"]:
-        """`P`: the energy of a difference of two trajectories."""
-        return self.p
-
-    @property
-    def claim(self) -> str:
-        return f"differences of trajectories vanish under every mismatch of incremental gain up to {self.s:.6g}"
-
 
 def largest_tolerance(
     known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance", theorem: type[Tolerance] = Tolerance
