@@ -34,8 +34,13 @@ def assemble(
         require(len(records) > 0, f"data.{part}", "none", "a data set needs at least one record here", "add one")
         named.append(tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)))
     training, validation, test = named
+    step_s, window = training[0].step_s, f"no longer than the start-up window of {start_up_samples} samples"
     for record in (*training, *validation, *test):
-        _check(record, training[0].step_s, start_up_samples)
+        remedy = "use a longer record or a smaller data.start_up_samples"
+        require(len(record) > start_up_samples + 1, f"{record.name} (samples)", len(record), window, remedy)
+        same = abs(record.step_s - step_s) <= SAME_STEP * step_s
+        problem = f"differs from the {step_s:g} s of the first training record"
+        require(same, f"{record.name}.step_s", record.step_s, problem, "resample the records to one sampling time")
     scale = Scale(
         input_scale=_gains(np.concatenate([r.u for r in training]), rest[0], inputs),
         output_scale=_gains(np.concatenate([r.y for r in training]), rest[1], outputs),
@@ -53,15 +58,6 @@ def assemble(
         start_up_samples=start_up_samples,
         metadata=metadata,
     )
-
-
-def _check(record: Trajectory, step_s: float, start_up_samples: int) -> None:
-    problem = f"no longer than the start-up window of {start_up_samples} samples"
-    remedy = "use a longer record or a smaller data.start_up_samples"
-    require(len(record) > start_up_samples + 1, f"{record.name} (samples)", len(record), problem, remedy)
-    same = abs(record.step_s - step_s) <= SAME_STEP * step_s
-    problem = f"differs from the {step_s:g} s of the first training record"
-    require(same, f"{record.name}.step_s", record.step_s, problem, "resample the records to one sampling time")
 
 
 def _gains(

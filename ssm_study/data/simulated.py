@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ssm_study.data.assembly import assemble
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import at_least
 from ssm_study.signals import DataSet, Trajectory
 
 FEWEST_SAMPLES = 20
@@ -49,9 +49,7 @@ class SimulatedData:
         at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
         for name in ("samples", "validation_samples", "test_samples"):
             at_least(FEWEST_SAMPLES, f"data.{name}", getattr(self, name), "use 1000 or so")
-        noise, remedy = self.noise_variance, "use 0 for no noise, or null for the plant's own"
-        allowed = noise is None or 0 <= noise < np.inf
-        require(allowed, "data.noise_variance", noise, "a variance is never negative", remedy)
+        at_least(0, "data.noise_variance", self.noise_variance, "use 0 for no noise, or null for the plant's own")
         at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:

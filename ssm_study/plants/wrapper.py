@@ -140,9 +140,7 @@ class NoisyOutput(Wrapper):
     memory = (Channel(name="noise_stream", unit="1"),)
 
     def __post_init__(self) -> None:
-        variance = self.variance
-        good = variance is None or 0 <= variance < np.inf
-        require(good, "variance", variance, "a variance is never negative", "use 0 for no noise, or null")
+        at_least(0, "variance", self.variance, "use 0 for no noise, or null")
         at_least(0, "seed", self.seed, "use 0")
 
     @property

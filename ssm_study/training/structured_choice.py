@@ -1,7 +1,7 @@
 """Order, neurons, input path and ridge of a structured model from the training records alone: by held-out folds."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,33 +17,11 @@ ORDERS, NEURONS, PATHS, RIDGES = (2, 3, 4, 6), (2, 4), ("none", "staged"), (1e-6
 STEPS = 30  # inside the contracting set, each start of each fold
 START_UP = 20  # samples of a held-out piece that estimate its state, where a data set names none
 NEARLY = 0.3  # percent points: within so much of the best fit the smallest model is taken
+FIT = "fit_held_out_percent"
+Row = dict[str, Any]  # sizes that were tried, their fit over the held-out folds and on the worst of them
 
 
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """A size that was tried, and its fit on each held-out fold, percent."""
-
-    order: int
-    neurons: int
-    input_path: str
-    ridge: float
-    fits: tuple[float, ...]
-
-    @property
-    def fit(self) -> float:
-        return float(np.mean(self.fits))
-
-    @property
-    def sizes(self) -> dict[str, Any]:
-        return {name: value for name, value in asdict(self).items() if name != "fits"}
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """A line of the table of the choice."""
-        return self.sizes | {"fit_held_out_percent": self.fit, "fit_worst_fold_percent": min(self.fits)}
-
-
-def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSpec, list[dict[str, object]]]:
+def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSpec, list[Row]]:
     """The spec with its sizes chosen, and the table of the choice; no validation or test record is looked at.
 
     First order and neurons on a grid, then the input path, then the ridge. The fit is that of the free run over the
@@ -51,21 +29,27 @@ def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSp
     """
     folds = list(held_out(data))
 
-    def tried(**sizes: Any) -> Candidate:
-        return Candidate(**sizes, fits=tuple(_fit(replace(spec, **sizes), fold, seed) for fold in folds))
+    def tried(**sizes: Any) -> Row:
+        fits = [_fit(replace(spec, **sizes), fold, seed) for fold in folds]
+        return sizes | {FIT: float(np.mean(fits)), "fit_worst_fold_percent": min(fits)}
 
     given = {"input_path": spec.input_path, "ridge": spec.ridge}
     best = smallest(table := [tried(order=n, neurons=q, **given) for n in ORDERS for q in NEURONS])
     for name, values in (("input_path", PATHS), ("ridge", RIDGES)):
-        table += [tried(**best.sizes | {name: value}) for value in values if value != getattr(spec, name)]
+        table += [tried(**chosen(best) | {name: value}) for value in values if value != getattr(spec, name)]
         best = smallest(table)
-    return replace(spec, **best.sizes), [one.row | {"chosen": one is best} for one in table]
+    return replace(spec, **chosen(best)), [one | {"chosen": one is best} for one in table]
 
 
-def smallest(table: list[Candidate]) -> Candidate:
+def chosen(row: Row) -> Row:
+    """The sizes alone."""
+    return {name: row[name] for name in ("order", "neurons", "input_path", "ridge")}
+
+
+def smallest(table: list[Row]) -> Row:
     """Of those within `NEARLY` of the best."""
-    near = [one for one in table if one.fit >= max(c.fit for c in table) - NEARLY]
-    return min(near, key=lambda one: (one.order + one.neurons, one.input_path != "none", -one.fit))
+    near = [one for one in table if one[FIT] >= max(other[FIT] for other in table) - NEARLY]
+    return min(near, key=lambda one: (one["order"] + one["neurons"], one["input_path"] != "none", -one[FIT]))
 
 
 def held_out(data: DataSet) -> Iterator[DataSet]:

@@ -151,7 +151,7 @@ def test_a_decreasing_map_keeps_its_sign() -> None:
 
 def test_a_residual_scaffolding_fills_the_ball_it_was_built_with() -> None:
     inner = network(0, 2, (5,))
-    scale = 1 / lipsdp_ball(inner, scalar_centre=True).radius
+    scale = 1 / lipsdp_ball(inner, scalar_centre=True)[1]
     shrunk = replace(inner, weights=(inner.weights[0], inner.weights[1] * min(scale, 0.05)))
     scaffold = ResidualScaffold(alpha=0.6, beta=0.4, network=shrunk, multipliers=(np.ones(5),))
     bound = jacobian_ball(scaffold)

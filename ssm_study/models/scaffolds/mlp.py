@@ -42,7 +42,7 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     def centre(self) -> Square:
         from ssm_study.bounds.lipsdp import lipsdp_ball
 
-        return lipsdp_ball(self.network).centre
+        return lipsdp_ball(self.network)[0]
 
     def after(self, m: Square) -> "MlpScaffold":
         *inner, last = self.network.weights
