@@ -51,7 +51,7 @@ class RecordedExperiments(AroundRest):
         about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
         if self.fold is not None:
             about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
-        return self.assembled(self._parts(), self.training[0].inputs, self.training[0].outputs, **about)
+        return self.assembled(self._parts(), (self.training[0].inputs, self.training[0].outputs), **about)
 
     def _parts(self) -> Parts:
         """Training, validation and test; of a fold, what is kept also validates, as it does without folds."""

@@ -6,6 +6,7 @@ above its own band, or from where the loop starts. Source: THEORY section 7.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -70,15 +71,10 @@ class SimulatedData:
         validation = records(self.scoring_excitation, 1, self.validation_samples)
         test = records(self.scoring_excitation, 1, self.test_samples, self.test_noise)
         about = {"source": "simulated", "plant": type(plant).__name__, "excitation": excitation.kind}
-        return assemble(
-            (training, validation, test),
-            (rest.u, rest.y),
-            inputs=plant.inputs,
-            outputs=plant.outputs,
-            start_up_samples=self.start_up_samples,
-            metadata=about | {"seed": str(seed)},
-            trials=trials(plant, seed, deviation) if self.trials else (),
-        )
+        told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
+        told |= {"trials": trials(plant, seed, deviation)} if self.trials else {}
+        parts, channels = (training, validation, test), (plant.inputs, plant.outputs)
+        return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
 
 def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[Trajectory, ...]:
