@@ -32,8 +32,6 @@ ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 def lipsdp_bound(network: Network) -> SlopeBound:
     """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the solver fails."""
-    shape = (network.outputs, network.inputs)
-    require(shape[0] == shape[1], "scaffold", shape, "a ball around alpha I needs a square one", "use m outputs")
     centre, radius = lipsdp_ball(network, scalar_centre=True)
     return bound_from_ball(JacobianBall(alpha=float(centre[0, 0]), beta=radius), method="lipsdp")
 

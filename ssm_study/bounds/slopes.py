@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network, slope_interval
-from ssm_study.refusal import BadRequest, one_of, require
+from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Balls, JacobianBall
 
 # Interval bounds are computed in floats and widened by this share: a thousand additions err by less than 1e-12.
 ROUNDING_SHARE = 1e-12
-METHODS = ("best", "exact", "interval", "lipsdp", "spectral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,22 +65,12 @@ def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> Jac
     return JacobianBall(alpha=alpha, beta=distance + radius)
 
 
-def network_bound(network: Network, method: str) -> SlopeBound:
-    """`best` is exact for one channel, and otherwise the narrower of LipSDP and interval arithmetic.
-
-    `spectral` is the paper's figure for comparison: without a ball, its lower end unsound. Raises `BadRequest` for a
-    method that does not apply.
-    """
-    if method == "spectral":
-        return spectral_norm_bound(network)
-    if method == "exact" or (method == "best" and network.inputs == 1):
+def network_bound(network: Network) -> SlopeBound:
+    """Exact for one channel, otherwise the narrower of LipSDP and interval arithmetic."""
+    if network.inputs == 1:
         return bound_from_interval(*slope_interval(network), "break_points")
-    if method == "interval":
-        return interval_bound(network)
     from ssm_study.bounds.lipsdp import lipsdp_bound  # CVXPY takes a second to import
 
-    if method == "lipsdp":
-        return lipsdp_bound(network)
     interval = interval_bound(network)
     try:
         return min(interval, lipsdp_bound(network), key=_width)
@@ -115,7 +104,7 @@ def interval_bound(network: Network) -> SlopeBound:
 
 
 def spectral_norm_bound(network: Network) -> SlopeBound:
-    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: [Z26] section IV.
+    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure, [Z26] section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map, yet the product is
     positive. Neither says where the Jacobians lie, so there is no ball.
@@ -130,17 +119,16 @@ def spectral_norm_bound(network: Network) -> SlopeBound:
     return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm")
 
 
-def jacobian_ball(scaffold: Any, method: str = "best") -> SlopeBound:
+def jacobian_ball(scaffold: Any) -> SlopeBound:
     """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
 
-    `best` is the exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings),
-    the construction for residual ones, and otherwise the narrower of LipSDP and interval arithmetic. Raises
-    `BadRequest` for a scaffolding that is not square, an unknown method, or one that does not apply.
+    The exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings), the
+    construction for residual ones, and otherwise the narrower of LipSDP and interval arithmetic. Raises `BadRequest`
+    for a scaffolding that is not square.
     """
-    one_of(METHODS, "bound_method", method)
     shape = (scaffold.outputs, scaffold.inputs)
     require(shape[0] == shape[1], "scaffold", shape, "the theorems need a square scaffolding", "lift to m channels")
-    return scaffold.bound(method)
+    return scaffold.bound()
 
 
 def certified_balls(model: Any) -> Balls:

@@ -28,7 +28,7 @@ class LinearScaffold(Scaffold, names=("linear",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:  # noqa: ARG002 - the same everywhere
         return self.gain.copy()
 
-    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - by construction, whichever is asked
+    def bound(self) -> SlopeBound:
         if self.gain.shape == (1, 1):
             gain = Fraction(float(self.gain[0, 0]))
             return bound_from_interval(gain, gain, "construction")

@@ -36,8 +36,8 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
         return self.network.jacobian(v)
 
-    def bound(self, method: str) -> SlopeBound:
-        return network_bound(self.network, method)
+    def bound(self) -> SlopeBound:
+        return network_bound(self.network)
 
     def centre(self) -> Square:
         from ssm_study.bounds.lipsdp import lipsdp_ball

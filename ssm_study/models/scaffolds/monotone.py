@@ -47,7 +47,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         channels = zip(self.breakpoints, self.slopes, v, strict=True)
         return np.diag([s[np.searchsorted(t, x, side="right")] for t, s, x in channels])
 
-    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - the slopes are the parameters
+    def bound(self) -> SlopeBound:
         values = [Fraction(float(s)) for s in self.slopes.ravel()]
         return bound_from_interval(min(values), max(values), "construction")
 

@@ -43,7 +43,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
         return self.alpha * np.eye(self.network.inputs) + self.beta * self.network.jacobian(v)
 
-    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - by construction, whichever is asked
+    def bound(self) -> SlopeBound:
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def centre(self) -> None:

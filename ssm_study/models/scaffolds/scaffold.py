@@ -109,8 +109,8 @@ class Scaffold(Family, Explicit):
         """`dS/dv` at one point; at a break point, the slope to its right (of the pre-activation)."""
 
     @abstractmethod
-    def bound(self, method: str) -> SlopeBound:
-        """A ball `alpha I + beta Delta` of all Jacobians, with sign, by a method of `bounds.slopes.METHODS`."""
+    def bound(self) -> SlopeBound:
+        """A ball `alpha I + beta Delta` of all Jacobians, with sign."""
 
     @abstractmethod
     def centre(self) -> Square | None:
