@@ -31,16 +31,16 @@ SMALL = Auto(stretch_shares=(0.3,), observer_rates=(0.1, 0.3), input_weights=(1e
 
 
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
-    model, (gain, period_s) = motor_model(), ultimate(motor_model())
+    model, limit = motor_model(), ultimate(motor_model())
     plain = linearised(model)
     b = plain.linear.b @ plain.scaffold_in.jacobian(np.zeros(1))
-    scaled = gain * model.scale.output_scale[0] / model.scale.input_scale[0]
+    scaled = limit.gain * model.scale.output_scale[0] / model.scale.input_scale[0]
     for factor, stable in ((0.999, True), (1.001, False)):
         poles = np.linalg.eigvals(model.linear.a - factor * scaled * b @ model.linear.c)
         assert (np.abs(poles).max() < 1) == stable
     rule = tyreus_luyben(model)
-    assert rule.gain == pytest.approx(gain / 3.2)
-    assert rule.integral_s == pytest.approx(2.2 * period_s)
+    assert rule.gain == pytest.approx(limit.gain / 3.2)
+    assert rule.integral_s == pytest.approx(2.2 * limit.period_s)
 
 
 def test_pi_leaves_no_error_under_a_load():

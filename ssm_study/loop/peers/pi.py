@@ -2,6 +2,7 @@
 
 # ruff: noqa: ARG002 - every law is shown everything; some need less
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -47,11 +48,17 @@ class PI(Controller):
         return memory + np.where(free, self.step_s / self.integral_s * (target - y), 0.0)
 
 
-def ultimate(model: SSM) -> tuple[float, float]:
-    """Gain and period (s): `u = -gain y` puts the first pole (S_u by its mean slope) on the circle at `2 pi / period`.
+class Ultimate(NamedTuple):
+    """The proportional gain at which the linearised loop just oscillates, and the period: physical units, seconds."""
 
-    In physical units. Raises `BadRequest` for more than one input or output, or a loop that no gain up to 10^6 makes
-    oscillate.
+    gain: float
+    period_s: float
+
+
+def ultimate(model: SSM) -> Ultimate:
+    """`u = -gain y` puts the first pole of the model (S_u by its mean slope) on the unit circle, at `2 pi / period`.
+
+    Raises `BadRequest` for more than one input or output, or a loop that no gain up to 10^6 makes oscillate.
     """
     shape, outward = (model.scale.inputs, model.scale.outputs), model.scaffold_out
     require(shape == (1, 1), "model inputs, outputs", shape, "this rule tunes one loop", "compare other controllers")
@@ -71,7 +78,7 @@ def ultimate(model: SSM) -> tuple[float, float]:
     found = poles(limit)
     angle = float(np.abs(np.angle(found[np.argmax(np.abs(found))])))
     physical = sign * limit * float(model.scale.input_scale[0] / model.scale.output_scale[0])
-    return physical, 2 * np.pi / max(angle, 1e-6) * model.step_s
+    return Ultimate(gain=physical, period_s=2 * np.pi / max(angle, 1e-6) * model.step_s)
 
 
 def tyreus_luyben(model: SSM) -> PI:
