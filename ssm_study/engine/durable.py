@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
 # Waits for the disk overlap in threads; more of them than a disk's queue holds gain nothing.
 SYNCED_AT_ONCE = 8
 LARGEST = 2**27  # bytes of a file that is read at once
@@ -139,17 +140,10 @@ def _body_digest(body: dict[str, Any]) -> str:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the exclusive flock on `path`, waiting for it; the system lets go of it when the process dies."""
-    with locked_or_none(path, patience_s=math.inf):
-        yield
+def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
+    """Hold the exclusive flock on `path`, waiting for it; yields whether it was obtained.
 
-
-@contextmanager
-def locked_or_none(path: Path, patience_s: float = 1.0) -> Iterator[bool]:
-    """Try for the exclusive flock on `path`; yields whether it was obtained.
-
-    The patience covers readers, who hold it for an instant in `is_locked`.
+    The system lets go of it when the process dies.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # Every opening is a lock of its own, also within one process; a program that is executed does not inherit it.

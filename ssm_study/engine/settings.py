@@ -21,7 +21,6 @@ from ssm_study.refusal import BadRequest, require
 
 # Where a run is kept and how it is watched is no part of what it is.
 NOT_IDENTITY = frozenset({"hydra", "results_dir", "study", "run", "progress", "dry_run", "retry_failed", "strict"})
-RESOLVER = "run_name"
 
 
 class Settings(dict[str, Any]):
@@ -136,11 +135,9 @@ def entry(settings: Any, path: str) -> Any:
 
 def register_resolver() -> None:
     """Make `${run_name:word:key,...}` usable in configurations; harmless when repeated."""
-
-    def resolve(*shown: str, _root_: DictConfig) -> str:
-        return run_name(_root_, *shown)
-
-    OmegaConf.register_new_resolver(RESOLVER, resolve, replace=True, use_cache=False)
+    OmegaConf.register_new_resolver(
+        "run_name", lambda *shown, _root_: run_name(_root_, *shown), replace=True, use_cache=False
+    )
 
 
 class _Dumper(yaml.CSafeDumper):

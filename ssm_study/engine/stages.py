@@ -93,7 +93,9 @@ class Stages(ABC):
             value = stage.compute(folder, *(one.value for one in before), **given)
             computed.extend([] if value is None else [value])
 
-        note = note_of(stage, settings, before)
+        code = code_version(stage.compute, *sorted(targets(settings)))
+        known = [one.value_key for one in before]
+        note = {"stage": stage.name, "settings": settings, "before": known, "code": code}  # equal notes, equal results
         kept = Kept(stage, self.keyed(stage.name, digest(note), note, compute), tuple(computed))
         return replace(kept, facts=self.measured(kept, before))
 
@@ -108,12 +110,6 @@ class Stages(ABC):
     def aside(self) -> "Stages":
         """Takes the same stages, of which no run is told: what leads to its own."""
         return self
-
-
-def note_of(stage: Stage[Any], settings: Mapping[str, Any], before: Sequence[Kept[Any]]) -> Facts:
-    """What the key of a stage is made of: equal notes, equal results."""
-    code = code_version(stage.compute, *targets(settings))
-    return {"stage": stage.name, "settings": settings, "before": [kept.value_key for kept in before], "code": code}
 
 
 def measure_key(kept: Kept[Any], before: Sequence[Kept[Any]]) -> str:
