@@ -54,7 +54,8 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         yield Step(said=_told(child, proved, shown, outcome), config=config, failed=ended)
         if ended:
             return
-        if _same(files, child):
+        before, after = files.design.gains, child.design.gains
+        if before.keys() == after.keys() and all(np.array_equal(before[name], after[name]) for name in before):
             yield Step(said=f"Stopped: the choice no longer changes, although only {proved:.3g} is proved.")
             return
         files = child
@@ -102,11 +103,6 @@ def _next(files: RunFiles, log: Path | None) -> DictConfig:
     config["run"] = named(STUDY.settings(config), more)
     config["refine"] = more
     return config
-
-
-def _same(one: RunFiles, other: RunFiles) -> bool:
-    before, after = one.design.gains, other.design.gains
-    return before.keys() == after.keys() and all(np.array_equal(before[name], after[name]) for name in before)
 
 
 def _told(child: RunFiles, proved: float, shown: float, outcome: Outcome) -> str:

@@ -167,8 +167,8 @@ def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
     view = shown.views[0]
     lost = replace(view, by_frequency=np.full_like(view.rest, np.inf), linear=view.linear + complex(np.inf, 1.0))
     for one in (shown, replace(shown, loop=lost, left_at_rest=0.25, unexcited=(0.1, 3.0), stuck=(0.3,), farthest=2.5)):
-        write_mismatch(tmp_path / "mismatch.safetensors", one)
-        assert plain(read_mismatch(tmp_path / "mismatch.safetensors")) == plain(one)
+        write_mismatch(tmp_path, one)
+        assert plain(read_mismatch(tmp_path)) == plain(one)
 
 
 def plain(content):

@@ -65,7 +65,8 @@ def test_whatever_is_raised_is_one_sentence(
         if command in ACTIONS:
             monkeypatch.setitem(ACTIONS, command, (ends, *ACTIONS[command][1:]))
         else:
-            monkeypatch.setattr(cli, f"_{command}", ends)
+            named = {"new": "main.new", "excite": "main._excite", "run": "run.run"}[command]
+            monkeypatch.setattr(f"ssm_study.cli.{named}", ends)
         assert type(error).__name__ in one_sentence(words, capsys)
     monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")
     with pytest.raises(AssertionError):
