@@ -11,15 +11,12 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
-# Waits for the disk overlap in threads; more of them than a disk's queue holds gain nothing.
-SYNCED_AT_ONCE = 8
 LARGEST = 2**27  # bytes of a file that is read at once
 FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to
 
@@ -87,12 +84,6 @@ def sync(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
-
-
-def sync_together(paths: Iterable[Path]) -> None:
-    """Make many files and folders durable at once: their file system then commits them together, not one by one."""
-    with ThreadPoolExecutor(SYNCED_AT_ONCE) as pool:
-        list(pool.map(sync, paths))
 
 
 def opened(path: Path) -> io.BufferedReader:

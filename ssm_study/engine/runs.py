@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 import shutil
 import socket
 import time
@@ -56,14 +55,6 @@ class Run:
         for name in files:
             if (stage.path / name).is_file():
                 link_or_copy(stage.path / name, self.path / name)
-
-
-def run_folder(results_dir: Path | str, study: str, name: str) -> Path:
-    """`results_dir/study/name`; raises `BadRequest` for names that would leave the results folder."""
-    for label, part in (("study", study), ("run", name)):
-        is_plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", part) is not None
-        require(is_plain, label, part, "not a plain folder name", "use letters, digits, '.', '_' and '-'")
-    return Path(results_dir) / study / name
 
 
 def execute(

@@ -1,6 +1,7 @@
 """A task: what is done many times. These few questions are all that the engine knows of it."""
 
 import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from omegaconf import DictConfig
 from ssm_study.engine.durable import sha256_of_file
 from ssm_study.engine.plan import plan
 from ssm_study.engine.provenance import provenance
-from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, run_folder, standing
+from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, standing
 from ssm_study.engine.settings import Settings, digest, plain, yaml_text
 from ssm_study.engine.stages import Facts, Kept, Stages
 from ssm_study.engine.store import Store
@@ -145,9 +146,12 @@ class RunStages(Store):
 
 def folder_of(settings: Mapping[str, Any]) -> Path:
     """`results_dir/study/run`; raises `BadRequest` for names that would leave the results folder."""
-    for key in ("results_dir", "study", "run"):
-        require(isinstance(settings[key], str) and settings[key] != "", key, settings[key], "is no name", "give a text")
-    return run_folder(settings["results_dir"], settings["study"], settings["run"])
+    names = {key: settings[key] for key in ("results_dir", "study", "run")}
+    for key, name in names.items():
+        require(isinstance(name, str) and name != "", key, name, "is no name", "give a text")
+        is_plain = key == "results_dir" or re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", name) is not None
+        require(is_plain, key, name, "not a plain folder name", "use letters, digits, '.', '_' and '-'")
+    return Path(*names.values())
 
 
 def content_of(files: list[Path]) -> str:

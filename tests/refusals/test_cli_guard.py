@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ssm_study.cli import main as cli
 from ssm_study.cli.main import ACTIONS, main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
