@@ -79,18 +79,16 @@ class Stages(ABC):
         settings: Mapping[str, Any],
         parts: Mapping[str, Any] | None = None,
         *before: Kept[Any],
-        unkeyed: Mapping[str, Any] | None = None,
     ) -> Kept[T]:
         """The stage of these `settings`, which `compute` is given as `parts` (as they are where that is None).
 
-        `unkeyed` is given as well and is no part of the key: what changes no result. A plan has no files, so values may
-        be asked for only inside the functions of a stage.
+        Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A plan has no files,
+        so values may be asked for only inside the functions of a stage.
         """
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
-            given = dict(settings if parts is None else parts) | dict(unkeyed or {})
-            value = stage.compute(folder, *(one.value for one in before), **given)
+            value = stage.compute(folder, *(one.value for one in before), **(settings if parts is None else parts))
             computed.extend([] if value is None else [value])
 
         code = code_version(stage.compute, *sorted(targets(settings)))

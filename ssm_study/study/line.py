@@ -99,8 +99,9 @@ class Study(Task["Specification"]):
         plant = ("plant", "excitation") if request.plant else ()
         settings, parts = request.select("data", "seed", *plant)
         data = stages.take(DATASET, settings, parts)
-        unkeyed = {"progress": request.progress}  # a bar on the screen changes no number
-        model = stages.take(MODEL, *request.select("model", "training", "seed"), data, unkeyed=unkeyed)
+        settings, parts = request.select("model", "training", "seed")
+        parts |= {"progress": request.progress}  # in no key: a bar on the screen changes no number
+        model = stages.take(MODEL, settings, parts, data)
         if not request.model.gives_ssm:
             return data, model, stages.take(SCORE, {}, {}, data, model)
         return data, model, stages.take(BOUNDS, *request.select("reduction"), data, model)

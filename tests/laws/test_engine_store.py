@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from omegaconf import OmegaConf
 
 from ssm_study.engine.durable import is_locked
 from ssm_study.engine.plan import PlannedStages, forecast
@@ -54,9 +53,7 @@ def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
 
 
 def test_equal_meanings_have_equal_keys() -> None:
-    config = OmegaConf.create({"b": 2, "a": {"c": [1, 2.5], "d": "${b}"}})
-    plain = {"a": {"d": 2.0, "c": (1, np.float64(2.5))}, "b": np.int64(2)}
-    assert digest(config) == digest(plain)
+    assert digest({"b": 2, "a": {"c": [1, 2.5], "d": 2}}) == digest({"a": {"d": 2.0, "c": (1, 2.5)}, "b": 2.0})
     assert canonical_json(True) != canonical_json(1)
     assert canonical_json("1") != canonical_json(1)
 
