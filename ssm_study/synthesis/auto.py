@@ -208,7 +208,8 @@ class Auto:
         rates = rates if asked == "auto" else [float(asked)]
         weight, weights = ("output_noise", self.output_noises) if observes else ("input_weight", self.input_weights)
         found: list[Found] = []
-        unsolved, near = 0, {}  # by weight: what holds at a faster rate, or with larger weights, is where to start
+        near: dict[float, Solution] = {}  # by weight, of a faster rate: it holds, so a search may start there
+        unsolved = 0
         down = sorted((rate for rate in rates if 0 < rate < limit), reverse=True)
         for rate, value in product(down, sorted(weights, reverse=True)):
             start = near.get(value, found[-1][1] if found else fastest)
