@@ -29,9 +29,8 @@ Example. Without a radius it is the linear-quadratic regulator: `x+ = x + u`, `Q
 -0.618034, -0.618034
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -120,7 +119,13 @@ def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class RiccatiSynthesis(Synthesis):
-    """The certified gains of least guaranteed cost for the given weights."""
+    """The certified gains of least guaranteed cost for the given weights.
+
+    With neurons the search starts from what is `near`: a neighbour's solution for the controller, for the observer
+    (under True).
+    """
+
+    near: Mapping[bool, Solution] = field(default_factory=dict, repr=False, compare=False)
 
     method: ClassVar[str] = "riccati"
 
@@ -129,7 +134,7 @@ class RiccatiSynthesis(Synthesis):
             return guaranteed_cost(problem)
         from ssm_study.synthesis.structured_riccati import least_cost  # compiles: only where there are neurons
 
-        return least_cost(problem)
+        return least_cost(problem, self.near.get(problem.neurons.observes))
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The weights first; where the frontier leaves no room, the minimum-energy gain, with neurons the LMI's."""
@@ -137,6 +142,5 @@ class RiccatiSynthesis(Synthesis):
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-            deepest = StructuredLmi(problem=problem, objective="largest_margin")
-            return [*weighted, partial(deepest.solve, problem.rate)]
+            return [*weighted, lambda: StructuredLmi(problem=problem, objective="largest_margin").solve(problem.rate)]
         return [*weighted, *minimum_energy_attempts(problem)]
