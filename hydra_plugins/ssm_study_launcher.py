@@ -61,8 +61,8 @@ class GridSweeper(BasicSweeper):
 class ProcessesLauncher(Launcher):
     """One fresh process per job, from a server that has imported the heavy libraries already."""
 
-    def __init__(self, n_jobs: int | None, threads: int, timeout_s: float | None, fail_fast: bool) -> None:
-        self.n_jobs, self.threads, self.timeout_s, self.fail_fast = n_jobs, threads, timeout_s, fail_fast
+    def __init__(self, **settings: Any) -> None:  # those of `ProcessesConf`
+        self.settings = settings
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
@@ -70,7 +70,4 @@ class ProcessesLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         from ssm_study.engine.launcher import Processes, launch
 
-        processes = Processes(
-            n_jobs=self.n_jobs, threads=self.threads, timeout_s=self.timeout_s, fail_fast=self.fail_fast
-        )
-        return launch(processes, self, [list(words) for words in job_overrides], initial_job_idx)
+        return launch(Processes(**self.settings), self, [list(words) for words in job_overrides], initial_job_idx)

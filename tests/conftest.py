@@ -5,8 +5,12 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers with default threads are 20 times slower than one
 
-from collections.abc import Iterator
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pkgutil import resolve_name
+from typing import Any
 
 import jaxtyping
 import pytest
@@ -57,6 +61,38 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
     with shapes_unchecked(module in WHOLE_RUNS), pytest.MonkeyPatch.context() as patch:
         if module in WHOLE_RUNS - DRAWING:  # a third of a short run
             patch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())
+        yield
+
+
+# What `verify` makes again of a run: pure functions of their parts.
+MADE_AGAIN = (
+    "ssm_study.data.simulated.SimulatedData.build",
+    "ssm_study.loop.regulation.Loop.run",
+    "ssm_study.study.run_files.judge",
+    "ssm_study.study.run_files.mismatch",
+    "ssm_study.study.claims.measured",
+)
+
+
+def once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, asked once for equal arguments."""
+    known: dict[bytes, Any] = {}
+
+    def made(*given: Any) -> Any:
+        key = hashlib.sha256(pickle.dumps(given)).digest()
+        if key not in known:
+            known[key] = function(*given)
+        return known[key]
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def made_once() -> Iterator[None]:
+    """Of copies of one run, each with one file changed, nearly all is made again alike."""
+    with pytest.MonkeyPatch.context() as patch:
+        for place in MADE_AGAIN:
+            patch.setattr(place, once(resolve_name(place)))
         yield
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from report_runs import random_run
 
-from ssm_study.export.c import Words, c_files
+from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.targets import load
 
@@ -36,7 +36,7 @@ def device(folder: Path, *, kind: str, channels: int = 1, real: str = "double", 
 
 def written(device: Device, folder: Path, about: str = "test", name: str = "controller") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in c_files(device, Words(about=about), name).items():
+    for file, text in c_files(device, name, about=about).items():
         (folder / file).write_text(text)
     return folder
 

@@ -16,6 +16,7 @@ controller_margin controller_rate_limit controller_gain_norm observer_feasible o
 observer_margin observer_rate_limit observer_gain_norm synthesis_seconds initial_conditions stable_count
 stable_fraction settling_time_mean_s settling_time_worst_s settling_time_open_loop_s overshoot_worst
 input_peak_v control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
+resolved_margin controller_radius predicted_stable
 """
 COLUMNS = SCHEMA.split()
 
@@ -71,7 +72,8 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
         "settling_time_mean_s": time_s if stable else None, "settling_time_worst_s": 1.4 * time_s if stable else None,
         "settling_time_open_loop_s": 0.185, "overshoot_worst": 0.3, "input_peak_v": 3.0 + 9 * rate,
         "control_energy": 1.5, "empirical_rate": 0.8, "certified_bound_violations": 0, "mismatch_gain": 0.3,
-        "mismatch_margin": 0.2 + stable / 6,
+        "mismatch_margin": 0.2 + stable / 6, "resolved_margin": 0.2 + stable / 6, "controller_radius": 0.9,
+        "predicted_stable": stable >= 5,
     }  # fmt: skip
     return {**known, **model, **loop, "status": "ok"}
 

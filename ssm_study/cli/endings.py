@@ -101,11 +101,18 @@ class StudyCallback(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         from ssm_study.cli.request import check_sweep
+        from ssm_study.engine.jobs import Job
+        from ssm_study.engine.progress import Watch
         from ssm_study.study import line as study
 
+        jobs: list[Job] = []
         _refusing(lambda: study.check_retry(config))
         if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
-            _refusing(lambda: self._watch([job.folder for job in check_sweep(config, study.STUDY)]))
+            _refusing(lambda: jobs.extend(check_sweep(config, study.STUDY)))
+        if jobs:
+            watch = Watch([job.folder for job in jobs])
+            watch.start()
+            StudyCallback.stop_watching = watch.finish
 
     def on_run_end(self, config: DictConfig, **_: Any) -> None:
         if not config.dry_run:
@@ -116,14 +123,6 @@ class StudyCallback(Callback):
             StudyCallback.stop_watching()  # its last line comes before the table
         if not config.dry_run:
             StudyCallback.conclude = partial(conclude_sweep, config)
-
-    def _watch(self, folders: list[Path]) -> None:
-        from ssm_study.engine.progress import Watch
-
-        if folders:
-            watch = Watch(folders)
-            watch.start()
-            StudyCallback.stop_watching = watch.finish
 
 
 def _refusing(check: Callable[[], object]) -> None:

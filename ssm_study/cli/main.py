@@ -2,19 +2,22 @@
 
 import argparse
 import os
+import re
 import select
 import sys
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from ssm_study import __version__
 from ssm_study.extensions import taken_from
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import BadRequest, at_least, require
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
 Command = Callable[[argparse.Namespace], int | None]
+TEMPLATE = Path(__file__).with_name("study_folder")  # what `new` writes
 COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -25,7 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         arguments = taken_from(arguments)
         if arguments[:1] == ["run"]:
-            return _run(arguments[1:])
+            from ssm_study.cli.run import run
+
+            return run(arguments[1:])
         options = _parser().parse_args(arguments or ["--help"])
         command: Command = options.command
         return command(options) or DONE
@@ -86,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("run", help="do one run, or with -m a sweep; see `ssm-study run --help`", add_help=False)
     made = commands.add_parser("new", help="write a study folder of your own: plant, theorem, figure, test, README")
     made.add_argument("folder", type=Path, metavar="FOLDER", help="a folder that does not exist yet")
-    made.set_defaults(command=_new)
+    made.set_defaults(command=lambda options: print(*new(options.folder), sep="\n"))
     told = "write an input for your own plant: several amplitudes, each period twice, then rest"
     excited = commands.add_parser("excite", help=told, description=told[0].upper() + told[1:] + ".")
     for words, settings in EXCITE.items():
@@ -109,17 +114,22 @@ def _on_its_folder(action: Command, subject: str, options: argparse.Namespace) -
     return action(options)
 
 
-def _run(overrides: list[str]) -> int:
-    from ssm_study.cli.run import run
+def new(folder: Path) -> list[Path]:
+    """Write configuration, plant, theorem, figure, test and README into a new folder; returns the files.
 
-    return run(overrides)
-
-
-def _new(options: argparse.Namespace) -> None:
-    from ssm_study.cli.new import new
-
-    for path in new(options.folder):
-        print(path)
+    The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot, or is taken.
+    """
+    name = folder.name
+    require(bool(re.fullmatch(r"[a-z]\w*", name)), "new", name, "cannot name a package", "use letters, digits and _")
+    require(not folder.exists(), "new", folder, "exists", "name a folder that does not")
+    require(find_spec(name) is None, "new", name, "is the name of an installed package", "choose another")
+    written = []
+    for source in sorted(path for path in TEMPLATE.rglob("*.txt") if path.is_file()):
+        to = folder / str(source.relative_to(TEMPLATE)).removesuffix(".txt").replace("@NAME@", name)
+        to.parent.mkdir(parents=True, exist_ok=True)
+        to.write_text(source.read_text(encoding="utf-8").replace("@NAME@", name), encoding="utf-8")
+        written.append(to)
+    return written
 
 
 def _excite(options: argparse.Namespace) -> None:
@@ -160,9 +170,15 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _refine(options: argparse.Namespace) -> int:
-    from ssm_study.cli.refine import told
+    from ssm_study.cli.endings import conclude_run
+    from ssm_study.study.refine import refine
 
-    return SOME_FAILED if told(options) else DONE
+    at_least(1, "--times", options.times, "use 4 or so")
+    last = None
+    for step in refine(options.run, options.record, options.times):
+        print(step.said, flush=True)
+        last = step.config or last
+    return SOME_FAILED if last is not None and conclude_run(last) else DONE
 
 
 def _reproduce(options: argparse.Namespace) -> int:

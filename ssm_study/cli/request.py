@@ -21,6 +21,7 @@ OPTIONS = {
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
 LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
 SINE = re.compile(r"""(?<!["'\w])(\w+\([^()"']*\))""")
+# What Hydra answers by itself: versions, the composed configuration.
 JUST_ASKING = ("--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
 
 
@@ -37,11 +38,6 @@ def translate(arguments: list[str]) -> list[str]:
 def quoted(words: Iterable[str]) -> list[str]:
     """`internal_model=[sine(0.5Hz)]` with the sine in quotes: to Hydra it would be a function."""
     return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
-
-
-def asks_only(arguments: list[str]) -> bool:
-    """Whether Hydra answers by itself: versions, the composed configuration."""
-    return any(word.split("=")[0] in JUST_ASKING for word in arguments)
 
 
 def check_request(arguments: list[str], folder: Path, name: str) -> Command:

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from ssm_study.cli.endings import StudyCallback
 from ssm_study.cli.explained import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden
-from ssm_study.cli.request import asks_only, check_request, translate
+from ssm_study.cli.request import JUST_ASKING, check_request, translate
 from ssm_study.engine.compose import Command
 from ssm_study.refusal import require
 
@@ -60,8 +60,9 @@ def run(overrides: list[str]) -> int:
     try:
         if any(word in ("--help", "-h") for word in overrides):
             Command(overrides, configuration_folder(), "study").help()
-        elif asks_only(overrides):
-            hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")(_nothing)()
+        elif any(word.split("=")[0] in JUST_ASKING for word in overrides):
+            answered = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
+            answered(lambda _: None)()
         else:
             check_request(overrides, configuration_folder(), "study").do(_job())
         # Here and not in the callback: Hydra swallows what a callback raises.
@@ -74,10 +75,6 @@ def run(overrides: list[str]) -> int:
         raise full_or_forbidden("results_dir", error) from error
     finally:
         GlobalHydra.instance().clear()  # a program that calls this may compose again
-
-
-def _nothing(_: DictConfig) -> None:
-    """For a request that Hydra answers by itself."""
 
 
 def _job() -> Callable[[DictConfig], Any]:

@@ -171,14 +171,10 @@ def _folder(top: str) -> Path | None:
     return Path(spec.origin).parent if spec.submodule_search_locations else Path(spec.origin)
 
 
+@cache
 def code_version(*roots: Callable[..., Any] | type | str) -> str:
     """SHA-256 of all that the roots depend on: functions, classes, or dotted names (`_target_`)."""
-    return _version(tuple(sorted({symbol_of(root) for root in roots})))
-
-
-@cache
-def _version(roots: tuple[Symbol, ...]) -> str:
-    return CODE.version(*roots)
+    return CODE.version(*sorted({symbol_of(root) for root in roots}))
 
 
 def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:

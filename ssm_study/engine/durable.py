@@ -11,14 +11,12 @@ import secrets
 import shutil
 import stat
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-# Waits for the disk overlap in threads; more of them than a disk's queue holds gain nothing.
-SYNCED_AT_ONCE = 8
+PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
 LARGEST = 2**27  # bytes of a file that is read at once
 FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to
 
@@ -88,12 +86,6 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def sync_together(paths: Iterable[Path]) -> None:
-    """Make many files and folders durable at once: their file system then commits them together, not one by one."""
-    with ThreadPoolExecutor(SYNCED_AT_ONCE) as pool:
-        list(pool.map(sync, paths))
-
-
 def opened(path: Path) -> io.BufferedReader:
     """For reading; raises `OSError` for a pipe or a device, which may never end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -139,17 +131,10 @@ def _body_digest(body: dict[str, Any]) -> str:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the exclusive flock on `path`, waiting for it; the system lets go of it when the process dies."""
-    with locked_or_none(path, patience_s=math.inf):
-        yield
+def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
+    """Hold the exclusive flock on `path`, waiting for it; yields whether it was obtained.
 
-
-@contextmanager
-def locked_or_none(path: Path, patience_s: float = 1.0) -> Iterator[bool]:
-    """Try for the exclusive flock on `path`; yields whether it was obtained.
-
-    The patience covers readers, who hold it for an instant in `is_locked`.
+    The system lets go of it when the process dies.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # Every opening is a lock of its own, also within one process; a program that is executed does not inherit it.

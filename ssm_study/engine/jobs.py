@@ -17,7 +17,7 @@ from hydra.types import HydraContext
 from omegaconf import open_dict, read_write
 
 from ssm_study.engine.compose import Composer, adopt
-from ssm_study.engine.durable import locked_or_none
+from ssm_study.engine.durable import PATIENCE_S, locked
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
 from ssm_study.engine.runs import Outcome, error_facts, outcome_of, write_failure
 from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_all_of
@@ -128,7 +128,7 @@ def note_death(folder: Path, death: Mapping[str, Any], text: str, pid: int | Non
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it, and it is only lost.
     """
-    with locked_or_none(folder / LOCK) as mine:
+    with locked(folder / LOCK, PATIENCE_S) as mine:
         record = read_record(folder)  # under the lock: another sweep may have finished the run in the meantime
         if record is not None and record["status"] in FINAL:
             said = str(record.get("error_message") or "")

@@ -60,8 +60,8 @@ def launch(launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], fir
         job.check(task)
     if sweep.config.get("dry_run"):
         walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
-        told = plan(store_of(sweep.config), walks, len(unique), len(unique) - len(to_do), launcher.at_once)
-        print("\n".join(told.lines()))
+        finished = len(unique) - len(to_do)
+        print("\n".join(plan(store_of(sweep.config), walks, len(unique), finished, launcher.at_once)))
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}

@@ -41,52 +41,39 @@ class StageForecast:
 
     name: str
     needed: int
-    there: int
+    missing: int
     seconds_each: float | None
 
-    @property
-    def missing(self) -> int:
-        return self.needed - self.there
 
-    def __str__(self) -> str:
-        each = "unknown" if self.seconds_each is None else f"{self.seconds_each:.2f} s"
-        return f"{self.name:<14}{self.needed:>8}{self.there:>8}{self.missing:>9}{each:>10}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """What a sweep would do now."""
-
-    runs: int
-    finished: int
-    stages: tuple[StageForecast, ...]
-    jobs_at_once: int = 1
-
-    def lines(self) -> list[str]:
-        """The table; the time is a lower bound while some stage was never timed."""
-        seconds = sum(stage.missing * (stage.seconds_each or 0.0) for stage in self.stages) / self.jobs_at_once
-        bound = "at least" if any(stage.missing and stage.seconds_each is None for stage in self.stages) else "about"
-        return [
-            f"{self.runs} runs: {self.finished} finished, {self.runs - self.finished} to do",
-            "",
-            f"{'stage':<14}{'needed':>8}{'there':>8}{'compute':>9}{'each':>10}",
-            *map(str, self.stages),
-            "",
-            f"estimated time: {bound} {duration(seconds)} with {self.jobs_at_once} at a time",
-        ]
+def forecast(store: Store, walks: Sequence[Callable[[Stages], object]]) -> list[StageForecast]:
+    """What unfinished runs need, in the order of the line; `walks` take the stages of each down it."""
+    planned = PlannedStages(store)
+    for walk in walks:
+        walk(planned)
+    needed = Counter(result.name for result in planned.noted.values())
+    there = Counter(result.name for result in planned.noted.values() if result.reused)
+    return [StageForecast(name, count, count - there[name], each(store, name)) for name, count in needed.items()]
 
 
 def plan(
     store: Store, walks: Sequence[Callable[[Stages], object]], runs: int, finished: int, jobs_at_once: int = 1
-) -> Plan:
-    """The plan of `runs` runs; `walks` take the stages of each unfinished one down the line."""
-    planned = PlannedStages(store)
-    for walk in walks:
-        walk(planned)
-    needed = Counter(result.name for result in planned.noted.values())  # in the order of the line
-    there = Counter(result.name for result in planned.noted.values() if result.reused)
-    stages = tuple(StageForecast(name, needed[name], there[name], each(store, name)) for name in needed)
-    return Plan(runs=runs, finished=finished, stages=stages, jobs_at_once=jobs_at_once)
+) -> list[str]:
+    """The plan of `runs` runs as text; the time is a lower bound while some stage was never timed."""
+    lines, seconds, bound = [], 0.0, "about"
+    for stage in forecast(store, walks):
+        known = "unknown" if stage.seconds_each is None else f"{stage.seconds_each:.2f} s"
+        counts = f"{stage.needed:>8}{stage.needed - stage.missing:>8}{stage.missing:>9}"
+        lines.append(f"{stage.name:<14}{counts}{known:>10}")
+        seconds += stage.missing * (stage.seconds_each or 0.0) / jobs_at_once
+        bound = "at least" if stage.missing and stage.seconds_each is None else bound
+    return [
+        f"{runs} runs: {finished} finished, {runs - finished} to do",
+        "",
+        f"{'stage':<14}{'needed':>8}{'there':>8}{'compute':>9}{'each':>10}",
+        *lines,
+        "",
+        f"estimated time: {bound} {duration(seconds)} with {jobs_at_once} at a time",
+    ]
 
 
 def each(store: Store, stage: str) -> float | None:

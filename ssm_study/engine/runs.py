@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 import shutil
 import socket
 import time
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.engine import records
-from ssm_study.engine.durable import link_or_copy, locked_or_none, write_atomically
+from ssm_study.engine.durable import PATIENCE_S, link_or_copy, locked, write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
 from ssm_study.engine.store import intact_manifest, seal_folder
@@ -58,14 +57,6 @@ class Run:
                 link_or_copy(stage.path / name, self.path / name)
 
 
-def run_folder(results_dir: Path | str, study: str, name: str) -> Path:
-    """`results_dir/study/name`; raises `BadRequest` for names that would leave the results folder."""
-    for label, part in (("study", study), ("run", name)):
-        is_plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", part) is not None
-        require(is_plain, label, part, "not a plain folder name", "use letters, digits, '.', '_' and '-'")
-    return Path(results_dir) / study / name
-
-
 def execute(
     folder: Path,
     parameters: Mapping[str, Any],
@@ -83,7 +74,7 @@ def execute(
     scheduler's time limit) is raised on, leaving a run that the same command takes up again.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with locked_or_none(folder / LOCK) as mine:
+    with locked(folder / LOCK, PATIENCE_S) as mine:
         if not mine:  # two sweeps may share runs: who comes second leaves them to the first
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message="another process is at this run")
         before = standing(folder, mine=True)  # under the lock: another process may have done the run in the meantime
@@ -119,12 +110,6 @@ def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
     if retry_failed:
         return status in (FAILED, LOST, CORRUPT)
     return status in (None, LOST, CORRUPT) or (status == FAILED and bool(before and before.get("failure_transient")))
-
-
-def finished(folder: Path, retry_failed: bool) -> Outcome | None:
-    """What a run that is not to be executed says of itself; None for one that is."""
-    before = standing(folder)
-    return None if is_to_run(before, retry_failed) else outcome_of(folder, before)
 
 
 def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:

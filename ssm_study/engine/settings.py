@@ -9,9 +9,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Set
-from dataclasses import fields, is_dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -21,7 +19,6 @@ from ssm_study.refusal import BadRequest, require
 
 # Where a run is kept and how it is watched is no part of what it is.
 NOT_IDENTITY = frozenset({"hydra", "results_dir", "study", "run", "progress", "dry_run", "retry_failed", "strict"})
-RESOLVER = "run_name"
 
 
 class Settings(dict[str, Any]):
@@ -74,32 +71,22 @@ def resolved(node: Any) -> Any:
 
 
 def canonical_json(value: Any) -> str:
-    """One text for one meaning: sorted keys, no spaces, `1.0` and `1` alike, arrays as lists, paths as text.
+    """One text of plain containers for one meaning: sorted keys, no spaces, `1.0` and `1` alike.
 
-    Takes plain containers, OmegaConf nodes (resolved), dataclasses (with their class name), NumPy values and paths.
-    Raises `BadRequest` for NaN, infinity and anything without a canonical text.
+    Raises `BadRequest` for NaN, infinity and anything that is no plain container.
     """
     if isinstance(value, Settings):
         return value.canonical
     if value is None or isinstance(value, bool | str):
         return json.dumps(value)
-    if isinstance(value, int | float) and not hasattr(value, "tolist"):
+    if isinstance(value, int | float):
         finite = isinstance(value, int) or math.isfinite(value)
         require(finite, "config", value, "not a finite number", "leave the field out or give a finite value")
         return json.dumps(int(value) if value == int(value) else value)
-    if OmegaConf.is_config(value):
-        return canonical_json(OmegaConf.to_container(value, resolve=True))
-    if is_dataclass(value) and not isinstance(value, type):
-        own = {field.name: getattr(value, field.name) for field in fields(value)}
-        return _object_text({"_target_": type(value).__qualname__} | own)
     if isinstance(value, Mapping):
         return _object_text(value)
     if isinstance(value, list | tuple):
         return f"[{','.join(map(canonical_json, value))}]"
-    if isinstance(value, Path):
-        return json.dumps(value.as_posix())
-    if hasattr(value, "tolist"):  # NumPy's, without importing it
-        return canonical_json(value.tolist())
     raise BadRequest("config", value, f"a {type(value).__name__} has no canonical text", "use numbers, text or lists")
 
 
@@ -136,11 +123,9 @@ def entry(settings: Any, path: str) -> Any:
 
 def register_resolver() -> None:
     """Make `${run_name:word:key,...}` usable in configurations; harmless when repeated."""
-
-    def resolve(*shown: str, _root_: DictConfig) -> str:
-        return run_name(_root_, *shown)
-
-    OmegaConf.register_new_resolver(RESOLVER, resolve, replace=True, use_cache=False)
+    OmegaConf.register_new_resolver(
+        "run_name", lambda *shown, _root_: run_name(_root_, *shown), replace=True, use_cache=False
+    )
 
 
 class _Dumper(yaml.CSafeDumper):

@@ -79,21 +79,21 @@ class Stages(ABC):
         settings: Mapping[str, Any],
         parts: Mapping[str, Any] | None = None,
         *before: Kept[Any],
-        unkeyed: Mapping[str, Any] | None = None,
     ) -> Kept[T]:
         """The stage of these `settings`, which `compute` is given as `parts` (as they are where that is None).
 
-        `unkeyed` is given as well and is no part of the key: what changes no result. A plan has no files, so values may
-        be asked for only inside the functions of a stage.
+        Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A plan has no files,
+        so values may be asked for only inside the functions of a stage.
         """
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
-            given = dict(settings if parts is None else parts) | dict(unkeyed or {})
-            value = stage.compute(folder, *(one.value for one in before), **given)
+            value = stage.compute(folder, *(one.value for one in before), **(settings if parts is None else parts))
             computed.extend([] if value is None else [value])
 
-        note = note_of(stage, settings, before)
+        code = code_version(stage.compute, *sorted(targets(settings)))
+        known = [one.value_key for one in before]
+        note = {"stage": stage.name, "settings": settings, "before": known, "code": code}  # equal notes, equal results
         kept = Kept(stage, self.keyed(stage.name, digest(note), note, compute), tuple(computed))
         return replace(kept, facts=self.measured(kept, before))
 
@@ -108,12 +108,6 @@ class Stages(ABC):
     def aside(self) -> "Stages":
         """Takes the same stages, of which no run is told: what leads to its own."""
         return self
-
-
-def note_of(stage: Stage[Any], settings: Mapping[str, Any], before: Sequence[Kept[Any]]) -> Facts:
-    """What the key of a stage is made of: equal notes, equal results."""
-    code = code_version(stage.compute, *targets(settings))
-    return {"stage": stage.name, "settings": settings, "before": [kept.value_key for kept in before], "code": code}
 
 
 def measure_key(kept: Kept[Any], before: Sequence[Kept[Any]]) -> str:

@@ -6,6 +6,7 @@ import shutil
 import socket
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -144,7 +145,11 @@ def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = 
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
     made = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
     (folder / MANIFEST).write_bytes(durable.json_bytes(sealed(note | made | {"files": files})))
-    durable.sync_together([*(path for path in paths if path.is_dir() or path.is_file()), folder / MANIFEST, folder])
+    there = [path for path in paths if path.is_dir() or path.is_file()]
+    with ThreadPoolExecutor(
+        8
+    ) as pool:  # their file system commits them together; more than a disk's queue gain nothing
+        list(pool.map(sync, [*there, folder / MANIFEST, folder]))
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:

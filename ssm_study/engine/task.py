@@ -1,6 +1,7 @@
 """A task: what is done many times. These few questions are all that the engine knows of it."""
 
 import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -13,8 +14,7 @@ from omegaconf import DictConfig
 from ssm_study.engine.durable import sha256_of_file
 from ssm_study.engine.plan import plan
 from ssm_study.engine.provenance import provenance
-from ssm_study.engine.records import read_record
-from ssm_study.engine.runs import Outcome, Run, execute, finished, run_folder
+from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, standing
 from ssm_study.engine.settings import Settings, digest, plain, yaml_text
 from ssm_study.engine.stages import Facts, Kept, Stages
 from ssm_study.engine.store import Store
@@ -89,7 +89,7 @@ class Task(ABC, Generic[R]):
         found = self.finished(settings)  # before anything is built: a finished run costs next to nothing
         if settings.get("dry_run"):
             walks = [] if found else [lambda stages: self.stages(self.request(settings), stages)]
-            print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks)).lines()))
+            print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks))))
             return found or Outcome(folder=folder_of(settings), status="absent", did="planned")
         if found is not None:
             return found
@@ -100,11 +100,12 @@ class Task(ABC, Generic[R]):
             return self.run(request, run)
 
         parameters, inputs = self.parameters(request), self.inputs(settings)
+        overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
         return execute(
             folder_of(settings),
             parameters | ({INPUTS: content_of(inputs)} if inputs else {}),
             work,
-            configuration=configuration_files(settings),
+            configuration={"config.yaml": yaml_text(settings), "overrides.yaml": yaml_text(overrides)},
             provenance=self.provenance(),
             retry_failed=bool(settings.retry_failed),
         )
@@ -116,9 +117,12 @@ class Task(ABC, Generic[R]):
         """
         settings = self.settings(config)
         folder = folder_of(settings)
-        found = finished(folder, bool(settings.get("retry_failed")))
-        if found is not None and found.did == "found" and (files := self.inputs(settings)):
-            known = (read_record(folder) or {}).get(INPUTS)  # none where the run read no files
+        before = standing(folder)
+        if is_to_run(before, bool(settings.get("retry_failed"))):
+            return None
+        found = outcome_of(folder, before)
+        if before is not None and found.did == "found" and (files := self.inputs(settings)):
+            known = before.get(INPUTS)  # none where the run read no files
             names = ", ".join(str(path) for path in files)
             problem, remedy = f"{names} changed since this run was done", "give study a new name, or remove the folder"
             require(known in (None, content_of(files)), "run", folder, problem, remedy)
@@ -142,9 +146,12 @@ class RunStages(Store):
 
 def folder_of(settings: Mapping[str, Any]) -> Path:
     """`results_dir/study/run`; raises `BadRequest` for names that would leave the results folder."""
-    for key in ("results_dir", "study", "run"):
-        require(isinstance(settings[key], str) and settings[key] != "", key, settings[key], "is no name", "give a text")
-    return run_folder(settings["results_dir"], settings["study"], settings["run"])
+    names = {key: settings[key] for key in ("results_dir", "study", "run")}
+    for key, name in names.items():
+        require(isinstance(name, str) and name != "", key, name, "is no name", "give a text")
+        is_plain = key == "results_dir" or re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", name) is not None
+        require(is_plain, key, name, "not a plain folder name", "use letters, digits, '.', '_' and '-'")
+    return Path(*names.values())
 
 
 def content_of(files: list[Path]) -> str:
@@ -155,12 +162,6 @@ def content_of(files: list[Path]) -> str:
 def store_of(config: DictConfig | Settings) -> Store:
     """`results_dir/.store`, shared by all studies there."""
     return Store(Path(str(config["results_dir"])) / ".store")
-
-
-def configuration_files(settings: Settings) -> dict[str, str]:
-    """`.hydra/`: the resolved configuration and the overrides that led to it."""
-    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    return {"config.yaml": yaml_text(settings), "overrides.yaml": yaml_text(list(overrides))}
 
 
 def task_of(task_function: Any) -> Task[Any]:

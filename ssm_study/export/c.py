@@ -1,7 +1,7 @@
 """The controller as dependency-free C99: no allocation, no library, constants that read back exactly."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -38,30 +38,32 @@ AGREEMENT = {"double": 1e-9, "float": 1e-3}  # of the largest input: what compil
 REPLAY_SEED = 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Words:
-    """What the header says besides numbers: origin, one line per signal, digest, the rates of the rounded numbers."""
-
-    about: str
-    signals: tuple[str, ...] = ()
-    digest: str = ""
-    rates: tuple[str, ...] = ()
-
-
-def c_files(device: Device, words: Words, name: str = "controller") -> dict[str, str]:
+def c_files(
+    device: Device,
+    name: str = "controller",
+    *,
+    about: str,
+    signals: Sequence[str] = (),
+    digest: str = "",
+    rates: Sequence[str] = (),
+) -> dict[str, str]:
     """File name and text: header, source, and a replay with its own `main`.
 
-    `name` prefixes every symbol and file. Raises `BadRequest` for one that C does not allow.
+    `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per signal, the digest of
+    the certificate and the rates of the rounded numbers. Raises `BadRequest` for a name that C does not allow.
     """
     allowed = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and name not in KEYWORDS.split()
     require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
     guard = name.upper()
     source = f"#ifndef {guard}_EXTERN\n#define {guard}_EXTERN\n#endif\n#define {guard}_IMPLEMENTATION\n"
-    files = {f"{name}.h": _header(device, words, name), f"{name}.c": f'{source}#include "{name}.h"\n'}
+    told = {"about": harmless(about), "digest": harmless(digest) or "none"}
+    for label, lines in (("signals", signals), ("rates", rates)):
+        told[label] = "\n".join(f" * {harmless(line)}" for line in lines) or " *"
+    files = {f"{name}.h": _header(device, told, name), f"{name}.c": f'{source}#include "{name}.h"\n'}
     return files | {f"{name}_replay.c": _replay(device, name)}
 
 
-def _header(device: Device, words: Words, name: str) -> str:
+def _header(device: Device, told: dict[str, str], name: str) -> str:
     real, c, points = device.real, device.controller, device.set_points
     tables = "".join(_array(f"{name}_{label}", values, real) for label, values in device.tables().items())
     maps = _map(f"{name}_s_in", c.s_in, name, real) + _map(f"{name}_s_out", c.s_out, name, real)
@@ -74,10 +76,7 @@ def _header(device: Device, words: Words, name: str) -> str:
         declared = "".join(f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line)
     constants = sum(int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps))
     return _HEADER.substitute(
-        sizes | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
-        about=harmless(words.about), digest=harmless(words.digest) or "none",
-        signals="\n".join(f" * {harmless(line)}" for line in words.signals) or " *",
-        rates="\n".join(f" * {harmless(line)}" for line in words.rates) or " *",
+        sizes | told | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
         within=WITHIN[points is not None].replace("#", name), resting=_resting(c.resting),
         step_s=repr(c.step_s), has_set_points=int(points is not None),
         bytes=constants * np.dtype(REALS[real]).itemsize, multiplications=device.multiplications,

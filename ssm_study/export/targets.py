@@ -18,7 +18,7 @@ from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.mcap import read_mcap
 from ssm_study.engine.settings import resolved
-from ssm_study.export.c import Words, c_files
+from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.onnx import onnx_model
 from ssm_study.export.portable import PortableController, in_floats, portable
@@ -69,17 +69,15 @@ def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") ->
     device = Device.of(controller, real, *limits(run))
     rates = deployed_rates(device, design)
     sides = ", ".join(f"{side.replace('_', ' ')} {rate or 'none'}" for side, rate in rates.items())
-    words = Words(
+    proved = f"Rates proved for the numbers below, in {real}: {sides}."
+    return c_files(
+        device,
+        prefix,
         about=describe(run),
         signals=_described(run, device),
         digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
-        rates=(
-            f"Rates proved for the numbers below, in {real}: {sides}.",
-            *_limited(run, design, device),
-            *_rounded_loop(run, device),
-        ),
+        rates=(proved, *_limited(run, design, device), *_rounded_loop(run, device)),
     )
-    return c_files(device, words, prefix)
 
 
 def limits(run: Path) -> tuple[Range, Range]:
@@ -250,9 +248,9 @@ def _ball(portable: PortableMap) -> JacobianBall | None:
     """Of the map as it is rounded; None where no sound one is known."""
     try:
         if portable.network is None:
-            bound = LinearScaffold(gain=portable.linear).bound("best")
+            bound = LinearScaffold(gain=portable.linear).bound()
         else:
-            bound = MlpScaffold(network=portable.as_network()).bound("best")
+            bound = MlpScaffold(network=portable.as_network()).bound()
     except BadRequest:
         return None
-    return bound.ball if bound.sound else None
+    return bound.ball

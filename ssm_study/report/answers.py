@@ -90,10 +90,7 @@ def _best(table: pd.DataFrame) -> list[str]:
 
 def _prediction(runs: pd.DataFrame) -> str:
     """The numbers behind the prediction for the first run."""
-    resolved, margin = _number(runs, "resolved_margin"), _number(runs, "mismatch_margin")
-    if np.isfinite(resolved):
-        return decides(resolved, _number(runs, "controller_radius"))
-    return f"mismatch margin {margin:.4g}{', above one' if margin > 1 else ''}"
+    return decides(_number(runs, "resolved_margin"), _number(runs, "controller_radius"))
 
 
 def _faster_but_not_predicted(rivals: pd.DataFrame) -> list[str]:
@@ -150,21 +147,17 @@ def _fit(table: pd.DataFrame) -> str:
 
 def _margin(table: pd.DataFrame) -> tuple[str, ...]:
     share, said_so = column(table, "stable_fraction"), predicted(table)
-    by_frequency = column(table, "predicted_stable").notna()
-    unjudged = text(table, "evidence") == ""  # a table of before this column
-    known = (by_frequency | (unjudged & column(table, "mismatch_margin").notna())) & share.notna()
+    known = column(table, "predicted_stable").notna() & share.notna()
     if not known.any():
         return ("No run has both a prediction and a closed loop.",)
-    yes, no = "With a mismatch margin above one", "With a mismatch margin at or below one"
-    if by_frequency[known].any():
-        yes, no = "Where the loop was predicted to stay stable", "Where it was not"
-    sides = ((yes, share[known & said_so]), (no, share[known & ~said_so]))
+    yes, no = share[known & said_so], share[known & ~said_so]
+    sides = {"Where the loop was predicted to stay stable": yes, "Where it was not": no}
     told = [
-        f"{said}, every start settles in {int((own >= 1).sum())} of {len(own)} runs." for said, own in sides if len(own)
+        f"{said}, every start settles in {int((s >= 1).sum())} of {len(s)} runs." for said, s in sides.items() if len(s)
     ]
     if len(told) < len(sides):
         told.append("All runs are on one side, so this study cannot show where the prediction fails.")
-    return (*told, *_by_model(text(table, "stage_bounds_key")[known & said_so], sides[0][1]))
+    return (*told, *_by_model(text(table, "stage_bounds_key")[known & said_so], yes))
 
 
 def _by_model(models: pd.Series, share: pd.Series) -> list[str]:

@@ -31,16 +31,11 @@ def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), conso
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
-    for line in figure_lines(figures):
-        console.print(Text(f"  {line}"), soft_wrap=True, highlight=False)  # a path is never broken
-
-
-def figure_lines(figures: Sequence[Path]) -> list[str]:
-    """A line per figure, from where the user stands: `results/paper/figures/rates.png, .pdf`."""
-    kinds: dict[str, list[str]] = {}
+    kinds: dict[str, list[str]] = {}  # a line per figure, from where the user stands: `figures/rates.png, .pdf`
     for path in figures:
         kinds.setdefault(str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/"), []).append(path.suffix)
-    return [f"{stem}{', '.join(suffixes)}" for stem, suffixes in kinds.items()]
+    for stem, suffixes in kinds.items():
+        console.print(Text(f"  {stem}{', '.join(suffixes)}"), soft_wrap=True, highlight=False)  # a path is never broken
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
@@ -110,13 +105,10 @@ def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
-    """What model and validation record say of the plant; where no prediction was made, the margin alone."""
+    """What model and validation record say of the plant."""
     if record.get("evidence") == CANNOT_JUDGE:
         return "evidence", "Prediction", "none: the evidence allows no judgement"
-    if record.get("predicted_stable") is None:
-        said = f"{record.get('mismatch_margin') or 0:.3g} (above 1 predicts a stable plant)"
-        return "mismatch_margin", "Mismatch margin", said
-    said = "stays stable" if record["predicted_stable"] else "not predicted to be stable"
+    said = "stays stable" if record.get("predicted_stable") else "not predicted to be stable"
     said += ", with doubts" if record.get("evidence") == DOUBT else ""
     rests_on = decides(record.get("resolved_margin"), record.get("controller_radius"))
     label = "Prediction for the plant" if _on_plant(record) else "Prediction"

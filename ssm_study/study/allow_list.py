@@ -93,15 +93,12 @@ def is_ours(target: Any) -> bool:
     if TORCH.fullmatch(target) or LIGHTNING.fullmatch(target):
         return True
     trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, packages())])
-    return bool(re.fullmatch(rf"({trusted})(\.[a-z]\w*)+\.[A-Z]\w*", target)) and _is_own_class(target)
-
-
-def _is_own_class(target: str) -> bool:
-    """A class that the source of the very module defines: nothing that it has imported from elsewhere."""
+    if not re.fullmatch(rf"({trusted})(\.[a-z]\w*)+\.[A-Z]\w*", target):
+        return False
     module, _, name = target.rpartition(".")
     try:
         spec = find_spec(module)  # imports the packages above it, not the module
     except ModuleNotFoundError:
         return False
     source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
-    return re.search(rf"^class {name}\b", source, re.MULTILINE) is not None
+    return re.search(rf"^class {name}\b", source, re.MULTILINE) is not None  # nothing imported from elsewhere

@@ -29,7 +29,7 @@ from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory, input_limits
 from ssm_study.study import trials
-from ssm_study.study.line import parameters
+from ssm_study.study.line import STUDY
 from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages import STAGES, read_judgement
@@ -109,7 +109,7 @@ def requested(run: RunFiles) -> Claims:
     """The settings are those of the configuration, and the run's name is its hash."""
     name, hashed = str(run.config.run), run_name(run.config)  # what a name shows before its hash is the user's choice
     yield Derived({"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"})
-    asked = parameters(run.specification)
+    asked = STUDY.parameters(run.specification)
     # The record holds the rates of the design, which the theorem may have chosen itself.
     designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()
     yield Derived({name: value for name, value in asked.items() if name not in designed})

@@ -24,13 +24,11 @@ if TYPE_CHECKING:
     from ssm_study.study.stages import Simulated, Trained
     from ssm_study.synthesis.certificate import Design
 
-LIBRARIES = ("torch", "lightning", "numpy", "scipy", "cvxpy", "clarabel", "python-flint", "hydra-core", "ssm-study")
-
 
 class Study(Task["Specification"]):
     """The line of stages from data to closed loop, for one configuration."""
 
-    libraries = LIBRARIES
+    libraries = ("torch", "lightning", "numpy", "scipy", "cvxpy", "clarabel", "python-flint", "hydra-core", "ssm-study")
 
     def refuse(self, config: DictConfig) -> None:
         refuse_foreign_targets(config)
@@ -101,8 +99,9 @@ class Study(Task["Specification"]):
         plant = ("plant", "excitation") if request.plant else ()
         settings, parts = request.select("data", "seed", *plant)
         data = stages.take(DATASET, settings, parts)
-        unkeyed = {"progress": request.progress}  # a bar on the screen changes no number
-        model = stages.take(MODEL, *request.select("model", "training", "seed"), data, unkeyed=unkeyed)
+        settings, parts = request.select("model", "training", "seed")
+        parts |= {"progress": request.progress}  # in no key: a bar on the screen changes no number
+        model = stages.take(MODEL, settings, parts, data)
         if not request.model.gives_ssm:
             return data, model, stages.take(SCORE, {}, {}, data, model)
         return data, model, stages.take(BOUNDS, *request.select("reduction"), data, model)
@@ -116,7 +115,23 @@ class Study(Task["Specification"]):
         return facts | {"status": INFEASIBLE if missing else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        return parameters(request)
+        """What a study is read by: a number where the configuration has it (`Column.setting`), a part by its kind."""
+        from ssm_study.study.trials import lineage
+        from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
+
+        model = request.configuration["model"]
+        asked = {column.name: entry(request.configuration, column.setting) for column in SETTINGS}
+        auto = asked["rates_chosen"] == "auto"
+        chosen = [side for side in ("controller", "observer") if auto and asked[f"rate_{side}"] == "auto"]
+        return {name: value for name, value in asked.items() if isinstance(value, int | float | None)} | {
+            "scaffold_in": kind_of(model.get("scaffold_in")),
+            "scaffold_out": kind_of(model.get("scaffold_out")),
+            "plant": type(request.plant).__name__ if request.plant else None,
+            "excitation": request.excitation.kind if request.plant else None,
+            "synthesis_method": type(request.synthesis).method,
+            **lineage(request.configuration),
+            "rates_chosen": ", ".join(chosen) or "neither",
+        }
 
     def warm(self, again: Set[str]) -> None:
         from ssm_study.study.warm import warm
@@ -138,31 +153,6 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     there = any(study.glob(f"{run}/{RECORD}"))
     problem, remedy = f"there is nothing in {study} to run again", "leave it out the first time"
     require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
-
-
-def parameters(specification: "Specification") -> Facts:
-    """What was asked for: the columns a study is read by before anything is computed.
-
-    A number stands where the configuration has it (`Column.setting`), a part is named by its kind.
-    """
-    from ssm_study.study.trials import lineage
-    from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
-
-    model = specification.configuration["model"]
-    asked = {column.name: entry(specification.configuration, column.setting) for column in SETTINGS}
-    numbers = {name: value for name, value in asked.items() if isinstance(value, int | float | None)}
-    rates = (
-        {side: asked[f"rate_{side}"] for side in ("controller", "observer")} if asked["rates_chosen"] == "auto" else {}
-    )
-    return numbers | {
-        "scaffold_in": kind_of(model.get("scaffold_in")),
-        "scaffold_out": kind_of(model.get("scaffold_out")),
-        "plant": type(specification.plant).__name__ if specification.plant else None,
-        "excitation": specification.excitation.kind if specification.plant else None,
-        "synthesis_method": type(specification.synthesis).method,
-        **lineage(specification.configuration),
-        "rates_chosen": ", ".join(side for side, rate in rates.items() if rate == "auto") or "neither",
-    }
 
 
 def kind_of(scaffold: Any) -> str | None:

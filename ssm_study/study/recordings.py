@@ -3,6 +3,7 @@
 import json
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,12 @@ from ssm_study.synthesis.mismatch import Mismatch, View
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
+MISMATCH = "mismatch.safetensors"
 NO_BOUND = 1e300  # a recorded bound is finite
 NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
 
 Case = dict[str, SignalGroup]
+Outputs = Sequence[Float[np.ndarray, "T p"]]
 Shown = dict[str, tuple[tuple[Channel, ...], Float[np.ndarray, "T c"]]]
 # What is recorded of each closed loop, topic by field of `Rollouts`.
 TOPICS = {"u": "input", "y": "output", "measured": "measured", "estimate": "estimate", "states": "states"}
@@ -39,23 +42,17 @@ def groups(prefix: str, time_s: Float[np.ndarray, "T"], shown: Shown) -> list[Si
     ]
 
 
-def write_simulation(path: Path, kept: Simulation, data: DataSet) -> None:
-    """`/input`, `/measured` and `/simulated` (free run of the model), physical, of each record under `/record_<i>`."""
-    written: list[SignalGroup] = []
-    for i, (record, simulated) in enumerate(zip(kept.records, kept.simulated, strict=True)):
-        shown = {"input": (data.inputs, record.u), "measured": (data.outputs, record.y)}
-        written += groups(f"/record_{i}", record.time_s, shown | {"simulated": (data.outputs, simulated)})
-    about = {"start_up_samples": str(kept.start_up_samples), "step_s": repr(data.step_s)}
-    write_mcap(path, tuple(written), data.metadata | about)
-
-
-def write_records(path: Path, data: DataSet, records: Trajectories, outputs: bool) -> None:
-    """`/record_<i>/input` and, with `outputs`, `/record_<i>/measured`, physical."""
+def write_records(
+    path: Path, data: DataSet, records: Trajectories, *, outputs: bool = True, simulated: Outputs = (), **about: str
+) -> None:
+    """`/record_<i>/` input, measured output where `outputs`, and what the model `simulated` (free run), physical."""
     written: list[SignalGroup] = []
     for i, record in enumerate(records):
-        measured: Shown = {"measured": (data.outputs, record.y)} if outputs else {}
-        written += groups(f"/record_{i}", record.time_s, {"input": (data.inputs, record.u)} | measured)
-    write_mcap(path, tuple(written), data.metadata | {"step_s": repr(data.step_s)})
+        shown: Shown = {"input": (data.inputs, record.u)}
+        shown |= {"measured": (data.outputs, record.y)} if outputs else {}
+        shown |= {"simulated": (data.outputs, simulated[i])} if simulated else {}
+        written += groups(f"/record_{i}", record.time_s, shown)
+    write_mcap(path, tuple(written), data.metadata | about | {"step_s": repr(data.step_s)})
 
 
 def read_trials(folder: Path) -> Trajectories:
@@ -63,24 +60,25 @@ def read_trials(folder: Path) -> Trajectories:
     found: list[Trajectory] = []
     for path in (folder / TRIALS, folder / LOOPS):
         cases, about = read_cases(path) if path.is_file() else ({}, {})
-        for prefix, case in cases.items():
-            u, y = (signal(case, name, path).values for name in ("input", "measured"))
-            step_s, looped = float(about["step_s"]), path.name == LOOPS
-            found.append(Trajectory(u=u, y=y, step_s=step_s, name=prefix or path.stem, closed_loop=looped))
+        found += [replace(one, closed_loop=path.name == LOOPS) for one in recorded(cases, about, path)]
+    return tuple(found)
+
+
+def recorded(cases: dict[str, Case], about: dict[str, str], path: Path) -> Trajectories:
+    """Input and measured output of every case; raises `BadRequest` if the file lacks one."""
+    found: list[Trajectory] = []
+    for prefix, case in cases.items():
+        u, y = (signal(case, name, path).values for name in ("input", "measured"))
+        found.append(Trajectory(u=u, y=y, step_s=float(about["step_s"]), name=prefix or path.stem))
     return tuple(found)
 
 
 def read_simulation(path: Path) -> Simulation:
     """Raises `BadRequest` if the file lacks a topic."""
     cases, about = read_cases(path)
-    step_s = float(about["step_s"])
-    records, simulated = [], []
-    for prefix, case in cases.items():
-        u, y, y_hat = (signal(case, name, path).values for name in ("input", "measured", "simulated"))
-        records.append(Trajectory(u=u, y=y, step_s=step_s, name=prefix or path.stem))
-        simulated.append(y_hat)
+    simulated = tuple(signal(case, "simulated", path).values for case in cases.values())
     start_up = int(about["start_up_samples"])
-    return Simulation(records=tuple(records), simulated=tuple(simulated), start_up_samples=start_up)
+    return Simulation(records=recorded(cases, about, path), simulated=simulated, start_up_samples=start_up)
 
 
 def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]) -> None:
@@ -146,7 +144,7 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
     return closed, about["loop_on"]
 
 
-def write_mismatch(path: Path, shown: Mismatch) -> None:
+def write_mismatch(folder: Path, shown: Mismatch) -> None:
     """Every view bit for bit, as real numbers without gaps: SafeTensors knows no others."""
     views = shown.everywhere
     left_at_rest = np.nan if shown.left_at_rest is None else shown.left_at_rest
@@ -157,12 +155,12 @@ def write_mismatch(path: Path, shown: Mismatch) -> None:
         "unexcited": np.array(shown.unexcited, dtype=float),
         "stuck": np.array(shown.stuck, dtype=float),
     }
-    save_file(arrays, path)
+    save_file(arrays, folder / MISMATCH)
 
 
-def read_mismatch(path: Path) -> Mismatch:
-    """What `write_mismatch` wrote."""
-    arrays, views = load_file(path), list[View]()
+def read_mismatch(folder: Path) -> Mismatch:
+    """The views at each amplitude, as they were computed."""
+    arrays, views = load_file(folder / MISMATCH), list[View]()
     for sizes, (size, real, imaginary, rest) in zip(arrays["sizes"].tolist(), arrays["spectra"], strict=True):
         linear = np.stack([real, imaginary], axis=-1).view(complex)[:, 0]  # `real + 1j * imaginary` spoils infinities
         amplitude, gain, response = sizes

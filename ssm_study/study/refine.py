@@ -43,7 +43,9 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
     for _ in range(1 if log else times):
         proved, shown = files.record.get("certified_tolerance") or 0.0, _seen(files, log)
         if shown <= proved:
-            yield Step(said=_covered(proved, shown))
+            covered = f"what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
+            still = "the loop comes to rest, so it shows no mismatch and the choice stays as it is."
+            yield Step(said=f"Stopped: {covered if shown else still}")
             return
         config = _next(files, log)
         outcome: Outcome = STUDY.job(config)
@@ -52,7 +54,8 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         yield Step(said=_told(child, proved, shown, outcome), config=config, failed=ended)
         if ended:
             return
-        if _same(files, child):
+        before, after = files.design.gains, child.design.gains
+        if before.keys() == after.keys() and all(np.array_equal(before[name], after[name]) for name in before):
             yield Step(said=f"Stopped: the choice no longer changes, although only {proved:.3g} is proved.")
             return
         files = child
@@ -100,17 +103,6 @@ def _next(files: RunFiles, log: Path | None) -> DictConfig:
     config["run"] = named(STUDY.settings(config), more)
     config["refine"] = more
     return config
-
-
-def _same(one: RunFiles, other: RunFiles) -> bool:
-    before, after = one.design.gains, other.design.gains
-    return before.keys() == after.keys() and all(np.array_equal(before[name], after[name]) for name in before)
-
-
-def _covered(proved: float, shown: float) -> str:
-    if shown == 0:
-        return "Stopped: the loop comes to rest, so it shows no mismatch and the choice stays as it is."
-    return f"Stopped: what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
 
 
 def _told(child: RunFiles, proved: float, shown: float, outcome: Outcome) -> str:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from ssm_study.engine.durable import contents
 from ssm_study.engine.records import read_record
 from ssm_study.engine.runs import FINISHED
 from ssm_study.refusal import require
+from ssm_study.study.run_files import RunFiles
 from ssm_study.table.columns import OF_THE_LINE, declared
 
 TIMES = "_seconds"  # what a second run may well do differently
@@ -27,22 +27,13 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
     then = read_record(run) or {}
     remedy = "give the folder of a run that is ok or infeasible"
     require(then.get("status") in FINISHED, "run", run, "holds no finished run", remedy)
-    with tempfile.TemporaryDirectory() as scratch:
-        return compared(then, _again(run, job, Path(scratch)))
-
-
-def _again(run: Path, job: Callable[[DictConfig], object], results: Path) -> dict[str, Any]:
-    file = run / ".hydra" / "config.yaml"
-    require(file.is_file(), "run", run, "has no .hydra/config.yaml", "give a run folder that the study made")
-    config = OmegaConf.create(contents(file).decode())
-    assert isinstance(config, DictConfig)
-    # An empty results folder has an empty store: nothing can be reused.
-    for key, value in {"results_dir": str(results), "retry_failed": False, "dry_run": False}.items():
-        OmegaConf.update(config, key, value)
-    job(config)
-    records = [read_record(path.parent) for path in results.glob("*/*/record.json")]
-    require(len(records) == 1, "run", run, f"made {len(records)} records when run again", "report this configuration")
-    return records[0] or {}
+    config = RunFiles(path=run, record=then).config
+    with tempfile.TemporaryDirectory() as scratch:  # an empty results folder has an empty store: nothing is reused
+        config.update(results_dir=scratch, retry_failed=False, dry_run=False)
+        job(config)
+        made = [read_record(path.parent) for path in Path(scratch).glob("*/*/record.json")]
+        require(len(made) == 1, "run", run, f"made {len(made)} records when run again", "report this configuration")
+        return compared(then, made[0] or {})
 
 
 def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:

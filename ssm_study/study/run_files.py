@@ -38,6 +38,8 @@ class RunFiles:
     @cached_property
     def config(self) -> DictConfig:
         """The resolved configuration that the run was made from."""
+        there, remedy = (self.path / CONFIGURATION).is_file(), "give a run folder that the study made"
+        require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
         config = OmegaConf.create(contents(self.path / CONFIGURATION).decode())
         require(isinstance(config, DictConfig), CONFIGURATION, "a list", "is no configuration", "run the study again")
         assert isinstance(config, DictConfig)

@@ -49,7 +49,7 @@ def compute_dataset(folder: Path, *, data: Any, seed: int, plant: Plant | None =
     write_dataset(folder, records)
     recordings.write_records(folder / "excitation.mcap", records, records.training, outputs=False)
     if records.trials:
-        recordings.write_records(folder / recordings.TRIALS, records, records.trials, outputs=True)
+        recordings.write_records(folder / recordings.TRIALS, records, records.trials)
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
@@ -137,8 +137,8 @@ def compute_simulated(folder: Path, data: DataSet, trained: Trained, *, reductio
     model = trained.model if reduction is None else reduction.reduce(trained.model)
     write_json(folder / "model.json", model.to_json())
     for name, records in (("validation", data.validation), ("test", data.test)):
-        made = Simulation.of(model, records, data.start_up_samples)
-        recordings.write_simulation(folder / f"{name}.mcap", made, data)
+        free, start_up = Simulation.of(model, records, data.start_up_samples).simulated, str(data.start_up_samples)
+        recordings.write_records(folder / f"{name}.mcap", data, records, simulated=free, start_up_samples=start_up)
 
 
 def measure_score(simulated: Simulated, data: DataSet, _: Trained) -> Facts:
@@ -157,13 +157,8 @@ def measure_bounds(simulated: Simulated, data: DataSet, trained: Trained) -> Fac
 def compute_mismatch(folder: Path, data: DataSet, bounded: Simulated) -> Mismatch:
     """How far the plant is from the model, as the records show it: once for all designs on this model."""
     shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
-    recordings.write_mismatch(folder / "mismatch.safetensors", shown)
+    recordings.write_mismatch(folder, shown)
     return shown
-
-
-def read_mismatch(folder: Path) -> Mismatch:
-    """The views at each amplitude, as they were computed."""
-    return recordings.read_mismatch(folder / "mismatch.safetensors")
 
 
 def compute_evidence(folder: Path, data: DataSet, bounded: Simulated, shown: Mismatch) -> None:
@@ -293,7 +288,7 @@ DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitati
 MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
 SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
 BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
-MISMATCH = Stage("mismatch", compute_mismatch, read_mismatch)
+MISMATCH = Stage("mismatch", compute_mismatch, recordings.read_mismatch)
 EVIDENCE = Stage("evidence", compute_evidence, read_judgement, measure_evidence, ("evidence.json",))
 SYNTHESIS = Stage("synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",))
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)

@@ -45,7 +45,7 @@ def compute_logged(folder: Path, records: DataSet, *, refine: list[str], data: "
 
 def _write(folder: Path, data: DataSet, loops: Trajectories) -> None:
     write_dataset(folder, replace(data, trials=(*data.trials, *loops)))
-    recordings.write_records(folder / recordings.LOOPS, data, loops, outputs=True)
+    recordings.write_records(folder / recordings.LOOPS, data, loops)
 
 
 def of_loops(run: Rollouts) -> Trajectories:

@@ -69,9 +69,8 @@ def requested(table: pd.DataFrame, name: str) -> pd.Series:
     """What was requested of a setting in each run: for a rate that `auto` chose, `auto`."""
     if not name.startswith("rate_"):
         return table[name]
-    by_auto, chosen = text(table, "synthesis_method").str.startswith("auto"), text(table, "rates_chosen")
-    chosen = chosen.mask((chosen == "") & by_auto, name)  # a record of before this column
-    return table[name].astype(object).mask(chosen.str.contains(name.removeprefix("rate_")), "auto")
+    chosen = text(table, "rates_chosen").str.contains(name.removeprefix("rate_"))
+    return table[name].astype(object).mask(chosen, "auto")
 
 
 def swept(table: pd.DataFrame) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from pandas.api.types import infer_dtype
 
 from ssm_study.columns import Column, Kind
 from ssm_study.engine.durable import contents, sealed, sha256_of_file, unsealed, write_atomically, write_json_atomically
@@ -16,6 +17,11 @@ from ssm_study.refusal import require
 from ssm_study.table.columns import BY_NAME, declared
 
 PARQUET, CSV, MARKS = "runs.parquet", "runs.csv", ".gathered.json"
+# Of a column that nobody declares, as pandas infers it; all else is text.
+KINDS: dict[str, Kind] = {
+    "boolean": "boolean", "integer": "Int64", "floating": "Float64", "mixed-integer-float": "Float64",
+}  # fmt: skip
+INFINITE = {"inf": float("inf"), "-inf": float("-inf")}  # as records have them
 EXACT = {"string": str, "Int64": int, "Float64": float, "boolean": bool}  # no conversion is needed of these
 FORMULA = r"^[=+\-@\t\r]"  # how a text begins that a spreadsheet would run instead of showing it
 
@@ -92,7 +98,8 @@ def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def _typed(values: list[Any], column: Column | None) -> pd.Series:
-    kind = column.kind if column else _kind_of([value for value in values if value is not None])
+    kind = column.kind if column else KINDS.get(infer_dtype([INFINITE.get(v, v) for v in values if v is not None]))
+    kind = kind or "string"
     if set(map(type, values)) <= {EXACT[kind], type(None)} and kind != "Int64":  # as records have them
         return pd.Series(values, dtype=kind)
     return pd.Series([_fitting(value, kind) for value in values], dtype=kind)
@@ -104,24 +111,8 @@ def _fitting(value: Any, kind: Kind) -> Any:
         return None if value is None else str(value)
     if isinstance(value, bool) or kind == "boolean":
         return value if isinstance(value, bool) and kind == "boolean" else None
-    if not _is_number(value):
+    if not isinstance(value, int | float) and value not in INFINITE:
         return None
     if kind == "Float64":
         return float(value)
     return int(value) if isinstance(value, int) or float(value).is_integer() else None
-
-
-def _kind_of(present: list[Any]) -> Kind:
-    """Of a column that nobody declares."""
-    truths = [isinstance(value, bool) for value in present]
-    if any(truths) and all(truths):
-        return "boolean"
-    if not present or any(truths) or not all(map(_is_number, present)):
-        return "string"
-    if not all(isinstance(value, int) for value in present):
-        return "Float64"
-    return "Int64" if all(abs(value) < 2**63 for value in present) else "string"
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) or value in ("inf", "-inf")

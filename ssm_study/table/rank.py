@@ -28,12 +28,8 @@ def standing(table: pd.DataFrame) -> pd.Series:
 
 
 def predicted(table: pd.DataFrame) -> pd.Series:
-    """Whether the plant was predicted to stay stable, from model and records alone; false where none is made.
-
-    The column `predicted_stable`; in tables without evidence, a mismatch margin above one where that column is empty.
-    """
-    said, unjudged = column(table, "predicted_stable"), text(table, "evidence") == ""
-    return (said > 0).where(said.notna() | ~unjudged, column(table, "mismatch_margin") > 1)
+    """Whether the plant was predicted to stay stable, from model and records alone; false where nothing is said."""
+    return flag(table, "predicted_stable")
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:

@@ -4,7 +4,6 @@ import re
 import textwrap
 from math import fsum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -160,18 +159,14 @@ def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
     """A line per reason; reasons that differ in numbers alone are one."""
     runs: dict[str, list[tuple[str, str]]] = {}
     for row in rows[[name for name in ("run", *REASONS) if name in rows]].to_dict("records"):
-        why = printable(AGAIN.get(status) or _why(row))
+        known = (str(row[name]) for name in REASONS if not pd.isna(row.get(name)))
+        why = printable(AGAIN.get(status) or next(known, "no reason was recorded"))
         runs.setdefault(NUMBER.sub("#", why), []).append((str(row["run"]), why))
     lines = []
     for alike in list(runs.values())[:limit]:
         names = ", ".join(name for name, _ in alike[:5]) + (f" and {len(alike) - 5} more" if len(alike) > 5 else "")
         lines.append(f"  {status} {names}: {ranged([why for _, why in alike])}")
     return lines + ([f"  ... {status} for {len(runs) - limit} more reasons"] if len(runs) > limit else [])
-
-
-def _why(row: dict[Any, Any]) -> str:
-    """What the record says."""
-    return next((str(row[name]) for name in REASONS if not pd.isna(row.get(name))), "no reason was recorded")
 
 
 def ranged(sentences: list[str]) -> str:

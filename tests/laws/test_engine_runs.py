@@ -13,8 +13,9 @@ from omegaconf import OmegaConf
 from ssm_study.engine import settings as naming
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.records import RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import Run, execute, run_folder, standing
+from ssm_study.engine.runs import Run, execute, standing
 from ssm_study.engine.store import intact_manifest
+from ssm_study.engine.task import folder_of
 from ssm_study.refusal import BadRequest
 from ssm_study.study.stages import with_gaps, write_json
 
@@ -222,11 +223,11 @@ def test_a_saved_configuration_reads_back_to_the_same_values() -> None:
 
 @pytest.mark.parametrize(
     ("study", "name"),
-    [("..", "r"), ("a/b", "r"), ("s", "../r"), ("s", "/etc"), ("", "r"), ("s", ".hidden"), ("s", "x" * 300)],
+    [("..", "r"), ("a/b", "r"), ("s", "../r"), ("s", "/etc"), ("s", ""), ("s", ".hidden"), ("s", "x" * 300)],
 )
 def test_a_run_cannot_leave_the_results_folder(tmp_path: Path, study: str, name: str) -> None:
-    with pytest.raises(BadRequest, match="plain folder name"):
-        run_folder(tmp_path, study, name)
+    with pytest.raises(BadRequest, match=r"no name|plain folder name"):
+        folder_of({"results_dir": str(tmp_path), "study": study, "run": name})
 
 
 def test_a_record_takes_no_nested_values(tmp_path: Path) -> None:

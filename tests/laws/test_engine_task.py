@@ -66,11 +66,11 @@ def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path:
     """Read by every job for itself they were three quarters of what the engine costs a run."""
     settings = Settings(seed=1, do="work", rate=1, study="s", run="r", results_dir=str(tmp_path))
     task, job = Badly(), Job(overrides=[], settings=settings, folder=tmp_path / "s" / "r")
-    code._version.cache_clear()
+    code.code_version.cache_clear()
     warm(task, [job])
-    read = code._version.cache_info().misses
+    read = code.code_version.cache_info().misses
     task.stages(settings, Store(tmp_path / ".store"))
-    assert code._version.cache_info().misses == read > 0
+    assert code.code_version.cache_info().misses == read > 0
 
 
 def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -> None:

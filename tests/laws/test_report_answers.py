@@ -37,23 +37,13 @@ def test_the_best_run_is_the_fastest_of_those_that_are_certified_and_settle() ->
 
 
 def test_among_certified_runs_that_settle_the_margin_decides_before_the_plant_does() -> None:
-    lucky = row(run="lucky", settling_time_mean_s=0.05, mismatch_margin=0.4)
-    runs = pd.DataFrame([lucky, row(run="foretold", mismatch_margin=1.2)])
+    lucky = row(run="lucky", settling_time_mean_s=0.05, predicted_stable=False, resolved_margin=0.4)
+    runs = pd.DataFrame([lucky, row(run="foretold", predicted_stable=True, resolved_margin=1.2)])
+    runs = runs.assign(controller_radius=0.9)
     text = said(runs, "best")
     assert text.startswith("foretold. ")
-    assert "predicted without the plant (mismatch margin 1.2, above one)" in text
-    assert "lucky was faster (0.050 s), yet only the plant itself could tell (mismatch margin 0.4)" in text
-
-
-def test_the_prediction_by_frequency_takes_the_place_of_the_margin_where_it_is_known() -> None:
-    by_frequency = {"resolved_margin": 1.3, "controller_radius": 0.9}
-    runs = [row(run="no", mismatch_margin=2.0, predicted_stable=False, settling_time_mean_s=0.05, **by_frequency)]
-    runs += [row(run="yes", mismatch_margin=0.5, predicted_stable=True, **by_frequency)]
-    table = pd.DataFrame(runs)
-    assert "yes. Both" in said(table, "best")
-    assert "(margin 1.3 > 1, own radius 0.9 < 1)" in said(table, "best")
-    text = said(table, "prediction hold")
-    assert text.startswith("Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it")
+    assert "predicted without the plant (margin 1.2 > 1, own radius 0.9 < 1)" in text
+    assert "lucky was faster (0.050 s), yet only the plant itself could tell (margin 0.4 ≤ 1, own" in text
 
 
 def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
@@ -102,13 +92,11 @@ def test_where_all_settle_fit_is_held_against_time() -> None:
     assert "fit and settling time have a rank correlation of -1.00" in said(pd.DataFrame(runs), "better fit")
 
 
-def test_the_margin_is_scored_on_both_sides_of_one() -> None:
-    table = pd.DataFrame(
-        [row(mismatch_margin=1.5), row(mismatch_margin=0.5), row(mismatch_margin=0.2, stable_fraction=0)]
-    )
-    text = said(table, "prediction hold")
-    assert "above one, every start settles in 1 of 1 runs" in text
-    assert "at or below one, every start settles in 1 of 2 runs" in text
+def test_the_prediction_is_scored_on_both_sides() -> None:
+    missed = [row(mismatch_margin=2.0, predicted_stable=False, stable_fraction=share) for share in (1, 0)]
+    text = said(pd.DataFrame([row(mismatch_margin=0.5, predicted_stable=True), *missed]), "prediction hold")
+    assert text.startswith("Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it")
+    assert "Where it was not, every start settles in 1 of 2 runs" in text
 
 
 def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:

@@ -38,7 +38,7 @@ def test_every_number_of_the_argument_is_there() -> None:
     record = a_run("ok") | {"fit_test_percent": 91.27, "stable_count": 9, "initial_conditions": 10}
     record |= {"settling_time_mean_s": 0.07, "settling_time_open_loop_s": 0.21, "controller_rate_limit": 0.3141}
     text = printed(record)
-    for words in ("91.3 %", "9 of 10", "ratio 0.33", "at most 0.314: certified", "Mismatch margin", "Slopes of S_u"):
+    for words in ("91.3 %", "9 of 10", "ratio 0.33", "at most 0.314: certified", "Prediction", "Slopes of S_u"):
         assert words in text, words
 
 
@@ -54,14 +54,13 @@ def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
     assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
 
 
-def test_the_prediction_says_what_it_rests_on_and_an_older_record_its_margin() -> None:
+def test_the_prediction_says_what_it_rests_on() -> None:
     known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
     for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):
         text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
         assert f"Prediction for the plant {words}: margin 1.24 > 1, own radius 0.931 < 1" in text
     missed = " ".join(printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split())
     assert "margin 0.98 ≤ 1, own radius 1 ≥ 1" in missed
-    assert "Mismatch margin" in printed(a_run("ok"))
 
 
 def test_a_path_is_never_broken() -> None:
@@ -72,7 +71,7 @@ def test_a_path_is_never_broken() -> None:
 def test_a_failed_run_shows_its_message_and_no_empty_lines() -> None:
     text = printed(a_run("failed") | {"error_message": "model.order = 0: must be at least 1; use 8."})
     assert "model.order = 0: must be at least 1; use 8." in text
-    assert "Mismatch margin" not in text
+    assert "Prediction" not in text
 
 
 def test_a_run_without_certificate_shows_why() -> None:

@@ -205,7 +205,8 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     lines = browser.execute_script("return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)")
-    assert lines[0] == "Predicted for the plant\nIt stays stable: the prediction margin is 2 (above 1 is needed)."
+    said = "the prediction margin is 2 (above 1 is needed) and the controller's own radius 0.9 (below 1 is needed)."
+    assert lines[0] == f"Predicted for the plant\nIt stays stable: {said}"
     assert lines[1].startswith("Seen on the simulated plant\nIt settles in 0.")
     assert lines[2:] == [
         "Evidence: doubt\nThe records leave a doubt.",

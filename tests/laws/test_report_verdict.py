@@ -39,6 +39,4 @@ def test_counts_add_up() -> None:
 
 def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:
     unjudged = row(run="unjudged", mismatch_margin=7.9, predicted_stable=None, evidence="cannot judge")
-    old = row(run="old", mismatch_margin=7.9, predicted_stable=None)
     assert predicted(pd.DataFrame([unjudged])).tolist() == [False]
-    assert predicted(pd.DataFrame([old])).tolist() == [True], "tables without evidence say so by their margin"

@@ -14,7 +14,7 @@ from report_runs import KINDS, random_scaffold
 import ssm_study as st
 from ssm_study.bounds.inverse import inverse_of
 from ssm_study.cli.main import main
-from ssm_study.export.c import Words, c_files, harmless
+from ssm_study.export.c import c_files, harmless
 from ssm_study.export.device import Device
 from ssm_study.export.targets import c_sources, deployed_rates, load
 from ssm_study.loop.controller import ObserverFeedback
@@ -182,9 +182,9 @@ def test_refusals(tmp_path: Path) -> None:
     made = device(tmp_path, kind="linear")
     for name in ("two words", "9lives", "float", "while", ""):
         with pytest.raises(BadRequest, match="is no name in C"):
-            c_files(made, Words(about=""), name)
+            c_files(made, name, about="")
     with pytest.raises(BadRequest, match=r"real = half: unknown; use double or float"):
         device(tmp_path / "half", kind="linear", real="half")
     coupled = device(tmp_path / "two", kind="mlp", channels=2)
     assert coupled.set_points is None
-    assert "controller_track(controller_state" not in c_files(coupled, Words(about=""))["controller.h"]
+    assert "controller_track(controller_state" not in c_files(coupled, about="")["controller.h"]

@@ -312,6 +312,8 @@ def lie_about_step(run: Path) -> None:
     sealed_anew(run)
 
 
+pytestmark = pytest.mark.usefixtures("made_once")
+
 MODEL_LOOP = "closed_loop_model.mcap"
 # Each: a consistent lie about one thing, sealed anew, and a claim that has to name it.
 LIES: dict[str, tuple[Callable[[Path], object], str]] = {

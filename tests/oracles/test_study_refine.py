@@ -21,6 +21,8 @@ from ssm_study.study.refine import refine
 from ssm_study.study.trials import TRIED, named
 from ssm_study.study.verify import verify
 
+pytestmark = pytest.mark.usefixtures("made_once")
+
 # At full amplitude the gain is one nearly all the time; at rest it is eleven, and no record is taken there.
 PEAK = {"first_s": 0.1, "second_s": 0.4, "peak": 10.0, "width": 0.01}
 TINY = ["model.order=2", "model.hidden_width=4", "training.max_epochs=8", "loop.initial_conditions=3", "progress=false"]

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ssm_study.cli import main as cli
 from ssm_study.cli.main import ACTIONS, main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
@@ -65,7 +64,8 @@ def test_whatever_is_raised_is_one_sentence(
         if command in ACTIONS:
             monkeypatch.setitem(ACTIONS, command, (ends, *ACTIONS[command][1:]))
         else:
-            monkeypatch.setattr(cli, f"_{command}", ends)
+            named = {"new": "main.new", "excite": "main._excite", "run": "run.run"}[command]
+            monkeypatch.setattr(f"ssm_study.cli.{named}", ends)
         assert type(error).__name__ in one_sentence(words, capsys)
     monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")
     with pytest.raises(AssertionError):

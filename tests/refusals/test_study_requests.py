@@ -212,7 +212,7 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
     program = (
         "import sys, ssm_study.cli.main as cli\n"
         "def interrupted(_): raise KeyboardInterrupt\n"
-        "cli._run = interrupted\n"
+        "cli.taken_from = interrupted\n"
         "sys.exit(cli.main(['run']))"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -291,6 +291,6 @@ def test_a_broken_pipe_that_is_not_our_output_is_no_good_end(monkeypatch: pytest
     def broken(_: list[str]) -> int:
         raise BrokenPipeError(32, "Broken pipe")
 
-    monkeypatch.setattr("ssm_study.cli.main._run", broken)
+    monkeypatch.setattr("ssm_study.cli.run.run", broken)
     monkeypatch.setattr("ssm_study.cli.main._reader_is_gone", lambda: False)
     assert main(["run"]) == 2

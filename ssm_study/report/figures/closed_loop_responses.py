@@ -6,14 +6,15 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from ssm_study.report import style
-from ssm_study.report.study_folder import RecordedCases, StudyFolder
+from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")
     fig = style.canvas(style.PAGE_IN, 2.2)
     controlled, alone, given = fig.subplots(1, 3)
-    colours = _colours(loop)
+    rank = loop["output"][:, 0, 0].argsort().argsort()  # from dark (lowest start) to light, the same in every panel
+    colours = [mpl.colormaps[style.SEQUENCE](0.9 * value / max(len(rank) - 1, 1)) for value in rank]
     goal, band, time_s = loop["reference"][0, -1, 0], loop.settling_band, loop.time_s("output")
     for axes, name, title in ((controlled, "output", "Controlled"), (alone, "uncontrolled", "Uncontrolled")):
         for response, colour in zip(loop[name][:, :, 0] if name in loop else (), colours, strict=name in loop):
@@ -31,9 +32,3 @@ def draw(study: StudyFolder) -> Figure:
     for axes in (controlled, alone, given):
         axes.set_xlim(0, loop.rest_s)
     return fig
-
-
-def _colours(loop: RecordedCases) -> list[tuple[float, ...]]:
-    """From dark (lowest start) to light (highest), so that a line can be followed from panel to panel."""
-    rank = loop["output"][:, 0, 0].argsort().argsort()
-    return [mpl.colormaps[style.SEQUENCE](0.9 * value / max(len(rank) - 1, 1)) for value in rank]

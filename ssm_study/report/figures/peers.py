@@ -5,7 +5,6 @@ runs' own comparisons where they made one."""
 from typing import Any
 
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
@@ -34,7 +33,11 @@ def draw(study: StudyFolder) -> Figure:
     fig = style.canvas(style.PAGE_IN, 0.9 + 0.2 * len(methods))
     for axes, (values, label, scale) in zip(fig.subplots(1, len(panels), sharey=True), panels, strict=True):
         for row, name in enumerate(methods):
-            _dots(axes, row, values[method == name].dropna())
+            own = values[method == name].dropna()
+            faint = 0.5 if len(own) > 1 else 1.0  # so that dots on one another are seen
+            axes.scatter(own, [row] * len(own), s=16, color=style.BLUE, alpha=faint, lw=0, zorder=3, clip_on=False)
+            if len(own) > 1:
+                axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)
         axes.set(xlabel=label, ylim=(len(methods) - 0.5, -0.5), **scale)
         if axes.get_xscale() == "log":
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -42,11 +45,3 @@ def draw(study: StudyFolder) -> Figure:
         axes.set_yticks(range(len(methods)), [spoken(name) for name in methods])
         axes.grid(axis="y", visible=False)
     return fig
-
-
-def _dots(axes: Axes, row: int, own: pd.Series) -> None:
-    several = len(own) > 1
-    faint = 0.5 if several else 1.0  # so that dots on one another are seen
-    axes.scatter(own, [row] * len(own), s=16, color=style.BLUE, alpha=faint, lw=0, zorder=3, clip_on=False)
-    if several:
-        axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)

@@ -40,8 +40,6 @@ PANELS = (
           tick="controller_rate_limit"),
     Panel("Does the prediction hold on the plant?", "resolved_margin", "stable_fraction", ABOVE_ONE,
           log="x", rule_x=1.0),
-    Panel("Does the mismatch margin predict what the plant does?", "mismatch_margin", "stable_fraction", ABOVE_ONE,
-          log="x", rule_x=1.0),
     Panel("What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"),
 )  # fmt: skip
 
@@ -52,11 +50,11 @@ EXPLORER = Panel("Any column against any other", "across", "up")
 def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
     """The plots this table has numbers for: question, columns used, and specification without data.
 
-    Fits that all but agree say nothing, nor does a margin beside the one that decides.
+    Fits that all but agree say nothing.
     """
-    fits, decides = column(table, "fit_test_percent"), column(table, "resolved_margin")
-    idle = {"fit_test_percent": fits.max() - fits.min() < SAME_FIT, "mismatch_margin": decides.notna().any()}
-    drawn = [_telling(table, panel) for panel in PANELS if not idle.get(panel.x)]
+    fits = column(table, "fit_test_percent")
+    alike = fits.max() - fits.min() < SAME_FIT
+    drawn = [_telling(table, panel) for panel in PANELS if not (alike and panel.x == fits.name)]
     usable = [panel for panel in drawn if (column(table, panel.x) * column(table, panel.y)).notna().any()]
     return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
 
@@ -89,7 +87,9 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
             tooltip=alt.TooltipContent("data"),
         )  # fmt: skip
         layers.append(bars.encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))  # else this layer's scale includes zero
-    layers.append(_ring().encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up)))
+    best = alt.Chart().transform_filter("datum.i === 0")  # which the table has first
+    ring = best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
+    layers.append(ring.encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up)))
     chart = alt.layer(*layers, points, data=alt.NamedData("runs")).properties(
         width="container", height=HEIGHT,
         description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, one point per run",
@@ -116,12 +116,6 @@ def _points() -> alt.Chart:
         size=alt.condition(here, alt.value(220), alt.value(45)),
         stroke=alt.condition(here, alt.value(style.INK), alt.value(None)),
     ).add_params(alt.selection_interval(name="brush"), mask, chosen)
-
-
-def _ring() -> alt.Chart:
-    """Around the best run, which the table has first."""
-    ring = alt.Chart().transform_filter("datum.i === 0")
-    return ring.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
 
 
 def _rule() -> alt.Chart:

@@ -28,11 +28,13 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     table, best = best_ordered(study.table), study.best
     named = [(name, sorted(set(text(table, name)) - {""})) for name in PROVENANCE if name in table]
     config = None if best is None else best.path / ".hydra" / "config.yaml"
+    on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
+    subject = "".join(f"{word}: {', '.join(names)}. " for word, said in on.items() if (names := sorted({*said} - {""})))
     return {
         "study": study.name,
         "folder": study.folder.resolve().name,
         "question": str((best.config if best else {}).get("question") or question(table)),
-        "swept": f"{_on(table)}{counts(table)}. {parameters_line(table)}",
+        "swept": f"{subject}{counts(table)}. {parameters_line(table)}",
         "answers": [vars(answer) for answer in answers(table)],
         "verdicts": [{"word": v.word, "sentence": v.sentence, "colour": v.colour} for v in VERDICTS],
         "columns": {str(name): coded(table[name]) for name in table},
@@ -48,13 +50,6 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         # Several values where the runs disagree, which a reader should know.
         "provenance": [(name.replace("_", " "), ", ".join(values)) for name, values in named if values],
     }
-
-
-def _on(table: pd.DataFrame) -> str:
-    """`Plant: DC motor, simulated. `; of recorded data, that they were."""
-    plants, sources = ({name for name in text(table, column) if name} for column in ("plant", "data_source"))
-    named = {"Plant": sorted(map(spoken, plants)), "Data": sorted(sources)}
-    return "".join(f"{word}: {', '.join(names)}. " for word, names in named.items() if names)
 
 
 def question(table: pd.DataFrame) -> str:
