@@ -182,7 +182,7 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     """A relu that turns the falling output back at large inputs."""
     made = load(structured_run(tmp_path / "run", ("relu",), 0.0))
     assert made.neurons is not None
-    turned = {name: np.array(values) for name, values in {"g": [[1.0]], "h": [[100.0]], "bias": [-0.1]}.items()}
+    turned = {"f": np.zeros((1, 3)), "g": np.ones((1, 1)), "h": np.full((1, 1), 100.0), "bias": np.array([-0.1])}
     folded = replace(made, neurons=replace(made.neurons, **turned, phi_bias=np.zeros(1)))
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
     assert Device.of(folded, "double", *ends).set_points is None
