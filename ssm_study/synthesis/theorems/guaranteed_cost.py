@@ -68,7 +68,10 @@ class GuaranteedCost:
 @within_floats()
 def guaranteed_cost(problem: Problem) -> Solution:
     """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is admissible."""
-    tau_min = _tau_min(problem)
+    alpha, beta = problem.ball.alpha, problem.ball.beta
+    if abs(alpha) <= beta:
+        raise NoSolution("the slopes include zero, so no input is sure to have an effect")
+    tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
     best = at_tau(problem, tau_min * TAU_SPAN[1]) if problem.ball.beta == 0 else None  # the cost only falls with tau
     best = best or _search(lambda tau: at_tau(problem, tau), tau_min)
     inverse = np.linalg.inv(best.s_over_tau)
@@ -78,7 +81,7 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if inadmissible."""
-    ball, ah, bh = problem.ball, problem.a_hat, problem.b_hat
+    ball, ah, bh = problem.ball, problem.a / problem.contraction, problem.b / problem.contraction
     rt_over_tau = problem.input_weight / tau + ball.beta**2  # all over tau, see the statement
     kappa_times_tau = ball.alpha**2 / rt_over_tau - 1
     if not kappa_times_tau > 0:
@@ -92,12 +95,6 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
         return None
     k = -(ball.alpha / rt_over_tau) * np.linalg.solve(np.eye(m) + kappa_times_tau * energy, bh.T @ s @ ah)
     return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
-
-
-def _tau_min(problem: Problem) -> float:  # kappa > 0 iff tau > R / (alpha^2 - beta^2)
-    if abs(problem.ball.alpha) <= problem.ball.beta:
-        raise NoSolution("the slopes include zero, so no input is sure to have an effect")
-    return problem.input_weight / (problem.ball.alpha**2 - problem.ball.beta**2)
 
 
 def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> GuaranteedCost:
