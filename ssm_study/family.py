@@ -13,10 +13,11 @@ class Family(ABC):
     """`class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the family's room.
 
     A member that leaves a question of its family open is refused where it is defined (`TypeError`). Members outside
-    the room count from when their module is imported.
+    the room count from when their module is imported. Its one name is a member's `kind`.
     """
 
     known: ClassVar[dict[str, type[Any]]]
+    kind: ClassVar[str | None]
 
     def __init_subclass__(cls, names: tuple[str, ...] = (), **others: Any) -> None:
         super().__init_subclass__(**others)
@@ -26,6 +27,8 @@ class Family(ABC):
         if names and left_open:
             raise TypeError(f"{cls.__name__} does not answer {', '.join(left_open)}")
         cls.known.update(dict.fromkeys(names, cls))
+        if len(names) == 1:
+            cls.kind = names[0]
 
     @classmethod
     def members(cls, room: ModuleType) -> dict[str, type[Any]]:

@@ -44,9 +44,9 @@ def positive(field: str, value: Any, remedy: str) -> None:
 
 
 def at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
-    """Refuse a number below `least`, or one that is not finite."""
+    """Refuse a number below `least`, or one that is not finite; None says nothing and passes."""
     problem = "must not be negative" if least == 0 else f"must be at least {least:g}"
-    require(least <= value < math.inf, field, value, problem, remedy)
+    require(value is None or least <= value < math.inf, field, value, problem, remedy)
 
 
 def one_of(known: Iterable[Any], field: str, value: Any) -> None:

@@ -74,6 +74,12 @@ def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
     return None
 
 
+def lagged(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "K d"]:
+    """Rows `(u[k], ..., u[k - lags], 1)` from sample `lags` on."""
+    columns = [u[lags - lag : len(u) - lag] for lag in range(lags + 1)]
+    return np.concatenate([*columns, np.ones((len(u) - lags, 1))], axis=1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scale:
     """`u = u_eq + s_u v,  y = y_eq + s_y w`: physical outside, scaled inside, by pure gains around the equilibrium.

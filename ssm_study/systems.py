@@ -122,11 +122,8 @@ class JacobianBall:
     beta: float
 
     def __post_init__(self) -> None:
-        sound, said = (
-            np.isfinite([self.alpha, self.beta]).all() and self.beta >= 0,
-            "needs a finite centre and radius >= 0",
-        )
-        require(bool(sound), "alpha, beta", (self.alpha, self.beta), said, "bound the scaffolding again")
+        sound, said = np.isfinite(self.alpha) and 0 <= self.beta < np.inf, "needs a finite centre and radius >= 0"
+        require(sound, "alpha, beta", (self.alpha, self.beta), said, "bound the scaffolding again")
 
     @classmethod
     def from_slopes(cls, lower: float, upper: float) -> "JacobianBall":
@@ -201,9 +198,3 @@ def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float
     sound, problem = values.ndim == dimensions, f"expected a finite array of {dimensions} dimension(s)"
     require(sound and bool(np.isfinite(values).all()), key, f"shape {values.shape}", problem, AGAIN)
     return values
-
-
-def arrays_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> tuple[Float[np.ndarray, "..."], ...]:
-    """A list of arrays, one per layer."""
-    require(isinstance(data.get(key), list), key, data.get(key), "expected a list of layers", AGAIN)
-    return tuple(array_from_json({key: layer}, key, dimensions) for layer in data[key])

@@ -11,7 +11,6 @@ Source: Fazlyab et al. 2019, eq. (10) (C = 0 there; here the inequality is linea
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
@@ -31,24 +30,16 @@ ROUNDING_SHARE = 1e-7
 ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MatrixBall:
-    """`|J(v) - centre|_2 <= radius` for every v; `centre (k, m)`."""
-
-    centre: Float[np.ndarray, "k m"]
-    radius: float
-
-
 def lipsdp_bound(network: Network) -> SlopeBound:
     """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the solver fails."""
-    shape = (network.outputs, network.inputs)
-    require(shape[0] == shape[1], "scaffold", shape, "a ball around alpha I needs a square one", "use m outputs")
-    ball = lipsdp_ball(network, scalar_centre=True)
-    return bound_from_ball(JacobianBall(alpha=float(ball.centre[0, 0]), beta=ball.radius), method="lipsdp")
+    centre, radius = lipsdp_ball(network, scalar_centre=True)
+    return bound_from_ball(JacobianBall(alpha=float(centre[0, 0]), beta=radius), method="lipsdp")
 
 
-def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
-    """The ball of least radius around any matrix, or around `alpha I` (`scalar_centre`). Refuses as above."""
+def lipsdp_ball(network: Network, scalar_centre: bool = False) -> tuple[Float[np.ndarray, "k m"], float]:
+    """Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any centre or (`scalar_centre`) of
+    those that are `alpha I`. Refuses as above.
+    """
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
     shape = (network.outputs, network.inputs)
@@ -70,7 +61,7 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> MatrixBall:
     radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
     proved = np.isfinite(radius)
     require(proved, "bound_method", "lipsdp", "the multipliers found do not prove a bound", "use interval")
-    return MatrixBall(centre=found, radius=radius)
+    return found, radius
 
 
 def _radius(network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]) -> float:

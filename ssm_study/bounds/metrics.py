@@ -3,7 +3,7 @@
 from typing import Any
 
 from ssm_study.bounds.gramians import hankel_singular_values, local_property
-from ssm_study.bounds.slopes import certified_balls, jacobian_ball
+from ssm_study.bounds.slopes import certified_balls, jacobian_ball, spectral_norm_bound
 from ssm_study.columns import ITERATED, Column
 from ssm_study.systems import StructuredSystem
 
@@ -42,7 +42,7 @@ def bound_facts(model: Any) -> dict[str, Any]:
     bounds = {"input": jacobian_ball(model.scaffold_in), "output": jacobian_ball(model.scaffold_out)}
     for side, bound in bounds.items():
         facts |= {f"{side}_slope_lower": bound.lower, f"{side}_slope_upper": bound.upper}
-    norms = jacobian_ball(model.scaffold_in, method="spectral")
+    norms = spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else bounds["input"]
     facts |= {"input_slope_lower_spectral": norms.lower, "input_slope_upper_spectral": norms.upper}
     facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
     if model.linear.spectral_radius < 1:

@@ -3,7 +3,6 @@
 The scaffolding of [Z26] section IV.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -15,9 +14,6 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.systems import arrays_from_json
-
-PARTS = ("weights", "biases", "negative_slopes", "positive_slopes")
 
 
 def leaky_relu(
@@ -38,15 +34,14 @@ class Network:
     `positive_slopes[l] (h_{l+1},)`.
     """
 
-    weights: tuple[Float[np.ndarray, "..."], ...]
-    biases: tuple[Float[np.ndarray, "..."], ...]
-    negative_slopes: tuple[Float[np.ndarray, "..."], ...]
-    positive_slopes: tuple[Float[np.ndarray, "..."], ...]
+    weights: tuple[Float[np.ndarray, "_ _"], ...]
+    biases: tuple[Float[np.ndarray, "_"], ...]
+    negative_slopes: tuple[Float[np.ndarray, "_"], ...]
+    positive_slopes: tuple[Float[np.ndarray, "_"], ...]
 
     def __post_init__(self) -> None:
         widths = [w.shape[0] for w in self.weights[:-1]]
-        fits = all(w.ndim == 2 for w in self.weights) and len(self.weights) >= 2
-        fits = fits and all(w.shape[1] == h for w, h in zip(self.weights[1:], widths, strict=True))
+        fits = len(self.weights) >= 2 and all(w.shape[1] == h for w, h in zip(self.weights[1:], widths, strict=True))
         for layers in (self.biases, self.negative_slopes, self.positive_slopes):
             fits = fits and [layer.shape for layer in layers] == [(h,) for h in widths]
         shapes = [w.shape for w in self.weights]
@@ -80,11 +75,7 @@ class Network:
         return list(zip(self.weights[:-1], self.biases, self.negative_slopes, self.positive_slopes, strict=True))
 
     def to_json(self) -> dict[str, Any]:
-        return {name: [layer.tolist() for layer in getattr(self, name)] for name in PARTS}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "Network":
-        return cls(**{name: arrays_from_json(data, name, 2 if name == "weights" else 1) for name in PARTS})
+        return {name: [layer.tolist() for layer in layers] for name, layers in vars(self).items()}
 
 
 @dataclass(frozen=True, kw_only=True)

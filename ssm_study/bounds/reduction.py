@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ssm_study.bounds.gramians import BALANCING_FLOOR, balance, hankel_singular_values
-from ssm_study.refusal import require
+from ssm_study.refusal import at_least, require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Reduction:
 
     def __post_init__(self) -> None:
         order = self.truncate_to
-        require(order is None or order >= 1, "reduction.truncate_to", order, "at least one state must stay", "use >= 1")
+        at_least(1, "reduction.truncate_to", order, "one state must stay")
         share, remedy = self.drop_below, "1e-6 changes the output by about one part in a million"
         inside, problem = BALANCING_FLOOR <= share < 1, f"must lie in [{BALANCING_FLOOR:g}, 1)"
         require(inside, "reduction.drop_below", share, problem, remedy)

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network, slope_interval
-from ssm_study.refusal import BadRequest, one_of, require
+from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Balls, JacobianBall
 
 # Interval bounds are computed in floats and widened by this share: a thousand additions err by less than 1e-12.
 ROUNDING_SHARE = 1e-12
-METHODS = ("best", "exact", "interval", "lipsdp", "spectral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,33 +20,25 @@ class SlopeBound:
     """`lower <= slope <= upper`, and the ball `J = alpha I + beta Delta` that holds every Jacobian.
 
     For a scalar map the numbers are slopes with sign; in several dimensions they are the ends `alpha -+ beta` of the
-    ball (singular values for the norm bounds). `sound_lower, sound_upper` say which side is proved, `exact` whether
-    both ends are attained. `ball` is None when the bound says nothing about where in the plane the Jacobians lie (norm
-    bounds): such a figure may be printed, never certified with.
+    ball (singular values for the norm bounds). `ball` is None when the bound says nothing about where in the plane the
+    Jacobians lie (norm bounds, whose lower end is unsound): such a figure may be printed, never certified with.
     """
 
     lower: float
     upper: float
     ball: JacobianBall | None
     method: str
-    sound_lower: bool = True
-    sound_upper: bool = True
-    exact: bool = False
-
-    @property
-    def sound(self) -> bool:
-        return self.sound_lower and self.sound_upper
 
 
-def bound_from_interval(lower: Fraction, upper: Fraction, method: str, exact: bool) -> SlopeBound:
+def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
     """Both ends rounded outwards to floats; the ball encloses the rational interval, not its rounded picture."""
     least, most, ball = _rounded_down(lower), -_rounded_down(-upper), enclosing_ball(lower, upper)
-    return SlopeBound(lower=least, upper=most, ball=ball, method=method, exact=exact)
+    return SlopeBound(lower=least, upper=most, ball=ball, method=method)
 
 
-def bound_from_ball(ball: JacobianBall, method: str, exact: bool = False) -> SlopeBound:
+def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
     """`lower, upper = alpha -+ beta`, with sign: `alpha < 0` is a decreasing map."""
-    return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method, exact=exact)
+    return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method)
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
@@ -74,22 +65,12 @@ def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> Jac
     return JacobianBall(alpha=alpha, beta=distance + radius)
 
 
-def network_bound(network: Network, method: str) -> SlopeBound:
-    """`best` is exact for one channel, and otherwise the narrower of LipSDP and interval arithmetic.
-
-    `spectral` is the paper's figure for comparison: without a ball, its lower end unsound. Raises `BadRequest` for a
-    method that does not apply.
-    """
-    if method == "spectral":
-        return spectral_norm_bound(network)
-    if method == "exact" or (method == "best" and network.inputs == 1):
-        return bound_from_interval(*slope_interval(network), "break_points", exact=True)
-    if method == "interval":
-        return interval_bound(network)
+def network_bound(network: Network) -> SlopeBound:
+    """Exact for one channel, otherwise the narrower of LipSDP and interval arithmetic."""
+    if network.inputs == 1:
+        return bound_from_interval(*slope_interval(network), "break_points")
     from ssm_study.bounds.lipsdp import lipsdp_bound  # CVXPY takes a second to import
 
-    if method == "lipsdp":
-        return lipsdp_bound(network)
     interval = interval_bound(network)
     try:
         return min(interval, lipsdp_bound(network), key=_width)
@@ -123,7 +104,7 @@ def interval_bound(network: Network) -> SlopeBound:
 
 
 def spectral_norm_bound(network: Network) -> SlopeBound:
-    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: [Z26] section IV.
+    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure, [Z26] section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map, yet the product is
     positive. Neither says where the Jacobians lie, so there is no ball.
@@ -135,20 +116,19 @@ def spectral_norm_bound(network: Network) -> SlopeBound:
     for _, _, *both in network.hidden():
         slopes = np.abs(np.concatenate(both))
         lower, upper = lower * float(slopes.min()), upper * float(slopes.max())
-    return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm", sound_lower=False)
+    return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm")
 
 
-def jacobian_ball(scaffold: Any, method: str = "best") -> SlopeBound:
+def jacobian_ball(scaffold: Any) -> SlopeBound:
     """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
 
-    `best` is the exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings),
-    the construction for residual ones, and otherwise the narrower of LipSDP and interval arithmetic. Raises
-    `BadRequest` for a scaffolding that is not square, an unknown method, or one that does not apply.
+    The exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings), the
+    construction for residual ones, and otherwise the narrower of LipSDP and interval arithmetic. Raises `BadRequest`
+    for a scaffolding that is not square.
     """
-    one_of(METHODS, "bound_method", method)
     shape = (scaffold.outputs, scaffold.inputs)
     require(shape[0] == shape[1], "scaffold", shape, "the theorems need a square scaffolding", "lift to m channels")
-    return scaffold.bound(method)
+    return scaffold.bound()
 
 
 def certified_balls(model: Any) -> Balls:
@@ -156,7 +136,7 @@ def certified_balls(model: Any) -> Balls:
     balls = []
     for name in ("scaffold_in", "scaffold_out"):
         bound = jacobian_ball(getattr(model, name))
-        if bound.ball is None or not bound.sound:
+        if bound.ball is None:
             raise BadRequest(name, bound.method, "no sound ball of Jacobians is known", "choose another scaffold")
         balls.append(bound.ball)
     return Balls(input=balls[0], output=balls[1])

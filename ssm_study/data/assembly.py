@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,62 +13,36 @@ from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 SAME_STEP = 1e-9  # relative: sampling times written by different programs
 Parts = tuple[Sequence[Trajectory], Sequence[Trajectory], Sequence[Trajectory]]
 Rest = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "p"]]
+Channels = tuple[Channel, ...]
 
 
 def assemble(
-    parts: Parts,
-    rest: Rest,
-    *,
-    inputs: tuple[Channel, ...],
-    outputs: tuple[Channel, ...],
-    start_up_samples: int,
-    metadata: dict[str, str],
-    trials: tuple[Trajectory, ...] = (),
+    parts: Parts, rest: Rest, channels: tuple[Channels, Channels], start_up_samples: int, **told: Any
 ) -> DataSet:
     """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`.
 
-    `parts` are training, validation and test. Raises `BadRequest` for a part without records, differing sampling times,
-    a record no longer than the start-up window, or a channel that is constant over the training records.
+    `parts` are training, validation and test, `told` the other fields of the data set. Raises `BadRequest` for a part
+    without records, differing sampling times, a record no longer than the start-up window, or a channel that is
+    constant over the training records.
     """
-    named: list[tuple[Trajectory, ...]] = []
+    named: dict[str, Any] = {}
     for part, records in zip(("training", "validation", "test"), parts, strict=True):
         require(len(records) > 0, f"data.{part}", "none", "a data set needs at least one record here", "add one")
-        named.append(tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)))
-    training, validation, test = named
-    for record in (*training, *validation, *test):
-        _check(record, training[0].step_s, start_up_samples)
-    scale = Scale(
-        input_scale=_gains(np.concatenate([r.u for r in training]), rest[0], inputs),
-        output_scale=_gains(np.concatenate([r.y for r in training]), rest[1], outputs),
-        input_equilibrium=rest[0],
-        output_equilibrium=rest[1],
-    )
-    return DataSet(
-        training=training,
-        validation=validation,
-        test=test,
-        inputs=inputs,
-        outputs=outputs,
-        scale=scale,
-        trials=trials,
-        start_up_samples=start_up_samples,
-        metadata=metadata,
-    )
-
-
-def _check(record: Trajectory, step_s: float, start_up_samples: int) -> None:
-    problem = f"no longer than the start-up window of {start_up_samples} samples"
-    remedy = "use a longer record or a smaller data.start_up_samples"
-    require(len(record) > start_up_samples + 1, f"{record.name} (samples)", len(record), problem, remedy)
-    same = abs(record.step_s - step_s) <= SAME_STEP * step_s
-    problem = f"differs from the {step_s:g} s of the first training record"
-    require(same, f"{record.name}.step_s", record.step_s, problem, "resample the records to one sampling time")
-
-
-def _gains(
-    values: Float[np.ndarray, "T c"], equilibrium: Float[np.ndarray, "c"], channels: tuple[Channel, ...]
-) -> Float[np.ndarray, "c"]:
-    problem = "constant over the training records, so nothing can be identified from it"
-    for column, channel in zip(values.T, channels, strict=True):
-        require(np.ptp(column) > 0, channel.name, column[0], problem, "excite it, or leave the channel out")
-    return np.sqrt(np.mean((values - equilibrium) ** 2, axis=0))
+        named[part] = tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records))
+    training, window = named["training"], f"no longer than the start-up window of {start_up_samples} samples"
+    step_s = training[0].step_s
+    for record in (record for records in named.values() for record in records):
+        remedy = "use a longer record or a smaller data.start_up_samples"
+        require(len(record) > start_up_samples + 1, f"{record.name} (samples)", len(record), window, remedy)
+        same = abs(record.step_s - step_s) <= SAME_STEP * step_s
+        problem = f"differs from the {step_s:g} s of the first training record"
+        require(same, f"{record.name}.step_s", record.step_s, problem, "resample the records to one sampling time")
+    scales: dict[str, Any] = {}
+    for name, side, at, own in zip(("input", "output"), "uy", rest, channels, strict=True):
+        values = np.concatenate([getattr(record, side) for record in training])
+        problem = "constant over the training records, so nothing can be identified from it"
+        for column, channel in zip(values.T, own, strict=True):
+            require(np.ptp(column) > 0, channel.name, column[0], problem, "excite it, or leave the channel out")
+        scales |= {f"{name}_scale": np.sqrt(np.mean((values - at) ** 2, axis=0)), f"{name}_equilibrium": at}
+    told |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
+    return DataSet(**named, **told, scale=Scale(**scales))

@@ -16,7 +16,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import at_least, require
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Trajectory, lagged
 
 LAGS = 60  # samples of r that an input answers to
 FEWEST = 10  # samples for each of them
@@ -30,7 +30,8 @@ def from_set_points(logs: Sequence[Trajectory], references: Sequence[Rows]) -> t
     Raises `BadRequest` for logs that are too short.
     """
     at_least(FEWEST * LAGS, "data.reference (samples of the logs)", sum(map(len, logs)), "log longer")
-    past = [_lagged(reference) for reference in references]
+    at_rest = (np.repeat(r[:1], LAGS, axis=0) for r in references)  # before each log
+    past = [lagged(np.concatenate(pair), LAGS) for pair in zip(at_rest, references, strict=True)]
     x, u = np.concatenate(past), np.concatenate([log.u for log in logs])
     filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]
     share = float(((x @ filtered - u.mean(axis=0)) ** 2).sum() / max(((u - u.mean(axis=0)) ** 2).sum(), 1e-300))
@@ -43,26 +44,11 @@ def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
 
     Raises `BadRequest` for more than one input or output, and where the input is at a limit, which hides e.
     """
-    shape = log.u.shape[1], log.y.shape[1]
-    require(
-        shape == (1, 1),
-        "data.controller",
-        shape,
-        "inputs and outputs, of which a PI has one each",
-        "name the set point",
-    )
-    u, problem = log.u[:, 0], "of the samples are at a limit of the input, where a PI does not do what it asks"
+    field, shape, u = "data.controller", (log.u.shape[1], log.y.shape[1]), log.u[:, 0]
+    require(shape == (1, 1), field, shape, "inputs and outputs, of which a PI has one each", "name the set point")
+    problem = "of the samples are at a limit of the input, where a PI does not do what it asks"
     share = max(float((u == end).mean()) for end in (u.min(), u.max()))
-    require(
-        share < AT_LIMIT, "data.controller", f"{share:.0%}", problem, "log the set point, and name it data.reference"
-    )
+    require(share < AT_LIMIT, field, f"{share:.0%}", problem, "log the set point, and name it data.reference")
     asked, c = (u - u[0]) / gain, log.step_s / integral_s
     e = asked - scipy.signal.lfilter([0.0, c], [1.0, c - 1.0], asked)  # i from asked: i+ = (1 - c) i + c asked
     return log.y + e[:, None]
-
-
-def _lagged(r: Rows) -> Float[np.ndarray, "T d"]:
-    """`(r[k], ..., r[k - LAGS], 1)`, at rest before the log."""
-    padded = np.concatenate([np.repeat(r[:1], LAGS, axis=0), r])
-    columns = [padded[LAGS - lag : len(padded) - lag] for lag in range(LAGS + 1)]
-    return np.concatenate([*columns, np.ones((len(r), 1))], axis=1)

@@ -9,6 +9,7 @@ from ssm_study.data.assembly import Parts
 from ssm_study.data.metrics import SCORES
 from ssm_study.data.recorded import AroundRest
 from ssm_study.data.recording import Recording
+from ssm_study.data.splits import without_fold
 from ssm_study.refusal import BadRequest, one_of, require
 from ssm_study.signals import DataSet, Trajectory
 
@@ -50,19 +51,16 @@ class RecordedExperiments(AroundRest):
         about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
         if self.fold is not None:
             about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
-        return self.assembled(self._parts(), self.training[0].inputs, self.training[0].outputs, **about)
+        return self.assembled(self._parts(), (self.training[0].inputs, self.training[0].outputs), **about)
 
     def _parts(self) -> Parts:
         """Training, validation and test; of a fold, what is kept also validates, as it does without folds."""
         folder = self.located()
         if self.fold is None:
             return _read(folder, self.training), _read(folder, self.validation), _read(folder, self.test)
-        kept, held_out = [], []
-        for record in _read(folder, self.training):
-            start, end = (round(len(record) * k / self.folds) for k in (self.fold, self.fold + 1))
-            kept += [piece for piece in (record[:start], record[end:]) if len(piece)]
-            held_out.append(record[start:end])
-        return kept, kept, held_out
+        parts = [without_fold(record, self.fold, self.folds) for record in _read(folder, self.training)]
+        kept = [piece for pieces, _ in parts for piece in pieces]
+        return kept, kept, [piece for _, piece in parts]
 
     def located(self) -> Path:
         """The folder of the records; `BadRequest` where there is none."""
@@ -84,9 +82,8 @@ def benchmark_folder(benchmark: str) -> Path:
     problem = f"the {benchmark} records are neither in ${RECORDS_VARIABLE} nor in {RECORDS_BESIDE}"
     remedy = "give data.folder=PATH, or pip install 'ssm-study[benchmarks]' to download them"
     try:
-        found = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])(
-            data_file_locations=True
-        )
+        download = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])
+        found = download(data_file_locations=True)
     except (ImportError, KeyError) as error:
         raise BadRequest("data.folder", None, problem, remedy) from error
     except Exception as error:  # whatever the network and the archive readers raise (2026-11)

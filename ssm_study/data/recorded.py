@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ssm_study.data.assembly import Parts, assemble
+from ssm_study.data.assembly import Channels, Parts, assemble
 from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
 from ssm_study.data.readers.reader import has_columns
 from ssm_study.data.recording import Columns, Names, listed
 from ssm_study.data.splits import BLOCKS, FEWEST, Pieces, by_fold, by_intervals, by_time, end_is_unlike, in_blocks
 from ssm_study.refusal import at_least, one_of, require
-from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.signals import DataSet, Trajectory
 
 
 class RecordedSource(ABC):
@@ -49,9 +49,7 @@ class AroundRest(RecordedSource):
         inside = self.fold is None or 0 <= self.fold < self.folds
         require(inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0")
 
-    def assembled(
-        self, parts: Parts, inputs: tuple[Channel, ...], outputs: tuple[Channel, ...], **about: str
-    ) -> DataSet:
+    def assembled(self, parts: Parts, channels: tuple[Channels, Channels], **about: str) -> DataSet:
         """The data set of these parts; refuses what `assemble` refuses."""
         require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less")
         rest = []
@@ -62,14 +60,8 @@ class AroundRest(RecordedSource):
             require(fits, field, given, problem, "give one number per channel")
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
             rest.append(ruled if given is None else np.array(given, dtype=np.float64))
-        return assemble(
-            parts,
-            (rest[0], rest[1]),
-            inputs=inputs,
-            outputs=outputs,
-            start_up_samples=self.start_up_samples,
-            metadata={"source": "recorded", **about},
-        )
+        about = {"source": "recorded", **about}
+        return assemble(parts, (rest[0], rest[1]), channels, self.start_up_samples, metadata=about)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +143,7 @@ class RecordedData(Columns, AroundRest):
             test = self._known_loop(self._logs(*tested), *tested)[0]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
-        return self.assembled((training, validation, test), self.inputs, self.outputs, **about)
+        return self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
 
     def _logs(self, field: str, outputs: str) -> list[Trajectory]:
         """Every log; two files of which one has the inputs and the other the outputs are one log."""

@@ -6,6 +6,7 @@ above its own band, or from where the loop starts. Source: THEORY section 7.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from ssm_study.data.assembly import assemble
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import at_least
 from ssm_study.signals import DataSet, Trajectory
 
 FEWEST_SAMPLES = 20
@@ -49,9 +50,7 @@ class SimulatedData:
         at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
         for name in ("samples", "validation_samples", "test_samples"):
             at_least(FEWEST_SAMPLES, f"data.{name}", getattr(self, name), "use 1000 or so")
-        noise, remedy = self.noise_variance, "use 0 for no noise, or null for the plant's own"
-        allowed = noise is None or 0 <= noise < np.inf
-        require(allowed, "data.noise_variance", noise, "a variance is never negative", remedy)
+        at_least(0, "data.noise_variance", self.noise_variance, "use 0 for no noise, or null for the plant's own")
         at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
@@ -72,15 +71,10 @@ class SimulatedData:
         validation = records(self.scoring_excitation, 1, self.validation_samples)
         test = records(self.scoring_excitation, 1, self.test_samples, self.test_noise)
         about = {"source": "simulated", "plant": type(plant).__name__, "excitation": excitation.kind}
-        return assemble(
-            (training, validation, test),
-            (rest.u, rest.y),
-            inputs=plant.inputs,
-            outputs=plant.outputs,
-            start_up_samples=self.start_up_samples,
-            metadata=about | {"seed": str(seed)},
-            trials=trials(plant, seed, deviation) if self.trials else (),
-        )
+        told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
+        told |= {"trials": trials(plant, seed, deviation)} if self.trials else {}
+        parts, channels = (training, validation, test), (plant.inputs, plant.outputs)
+        return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
 
 def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[Trajectory, ...]:
@@ -90,16 +84,15 @@ def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[
     """
     rng, rest = np.random.default_rng([seed, 7]), plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
-    period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * np.array(plant.input_amplitude)
+    amplitude = np.array(plant.input_amplitude)
+    period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * amplitude
     whole = np.concatenate([period[-LEAD_IN:], period, period, np.zeros((REST, len(rest.u)))])
     driven = rest.u + np.array(SHARES)[:, None, None] * whole
     low, high = plant.initial_range
     share = np.array(DECAYS)[:, None] * np.ones(len(rest.y))
     starts = rest.y + np.where(share < 0, -low, high) * share
     still = np.tile(rest.u, (len(DECAYS), PERIOD, 1))
-    line = np.interp(np.arange(PERIOD), [PERIOD // 4, PERIOD // 2], [1.0, 0.0])[:, None] * np.array(
-        plant.input_amplitude
-    )
+    line = np.interp(np.arange(PERIOD), [PERIOD // 4, PERIOD // 2], [1.0, 0.0])[:, None] * amplitude
     found: list[Trajectory] = []
     for word, shares, u, x0 in (
         ("trial_at", SHARES, driven, None),

@@ -53,6 +53,12 @@ def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
     return _cut(record, np.select([piece == fold, piece == (fold - 1) % folds], [2, 1], 0))
 
 
+def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
+    """What is left of a record without one of so many equal pieces, and that piece."""
+    start, end = (round(len(record) * k / folds) for k in (fold, fold + 1))
+    return [piece for piece in (record[:start], record[end:]) if len(piece)], record[start:end]
+
+
 def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
     """Samples of one part that follow each other are one record; 0 trains, 1 validates, 2 tests."""
     pieces: Pieces = ([], [], [])

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
-from ssm_study.models.spec import arx
+from ssm_study.models.spec import arx, scaled
 from ssm_study.signals import DataSet
 
 PAST, OUTPUTS = 20, 4  # samples of the input's own past, and of the output's
@@ -57,8 +57,7 @@ def runs_away(case: Case) -> Iterator[Finding]:
 
 def own_mode(data: DataSet, lags: int) -> float:
     """The largest modulus of a mode of the ARX model; arbitrary without a reference in the log."""
-    records = [(data.scale.scaled_input(one.u), data.scale.scaled_output(one.y)) for one in data.training]
-    a, p = arx(records, lags, feedthrough=False)[0], len(data.scale.output_scale)
+    a, p = arx(scaled(data), lags, feedthrough=False)[0], len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
     companion[:p] = np.concatenate(a, axis=1)
     return float(np.abs(np.linalg.eigvals(companion)).max())
@@ -66,8 +65,7 @@ def own_mode(data: DataSet, lags: int) -> float:
 
 def fed_back(data: DataSet, first: int) -> float:
     """The largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other half."""
-    scaled = ((data.scale.scaled_input(one.u), data.scale.scaled_output(one.y)) for one in data.training)
-    halves = [half for u, y in scaled for half in _halves(u, y, first)]
+    halves = [half for u, y in scaled(data) for half in _halves(u, y, first)]
     if not halves:
         return 0.0
     one, other = ([np.concatenate(part) for part in zip(*halves[k::2], strict=True)] for k in (0, 1))

@@ -1,10 +1,9 @@
 """Does the model predict? Free runs of validation and test against predictors that know nothing, or are linear."""
 
 import numpy as np
-from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, graded, note
-from ssm_study.signals import fit_percent
+from ssm_study.signals import fit_percent, lagged
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
 NO_FIT = 20.0  # percent: below, two thirds of it are not; the mean, which needs no model, has 0
@@ -39,7 +38,7 @@ def linear_fit(case: Case) -> float:
     Minus infinity where no record is long enough for one.
     """
     parts = [
-        [(lagged(u), y[LAGS:]) for u, y in map(case.scaled, records) if len(u) > 2 * LAGS]
+        [(lagged(u, LAGS), y[LAGS:]) for u, y in map(case.scaled, records) if len(u) > 2 * LAGS]
         for records in (case.data.training, case.data.test)
     ]
     if not all(parts):
@@ -68,17 +67,11 @@ def owed_to_input(case: Case) -> float:
             half = len(u) // 2
             if half <= 4 * LAGS:
                 continue
-            weights = np.linalg.lstsq(lagged(u[:half]), e[LAGS:half], rcond=None)[0]
+            weights = np.linalg.lstsq(lagged(u[:half], LAGS), e[LAGS:half], rcond=None)[0]
             rest, y = e[half + LAGS :], case.scaled(record)[1][-len(e) :][half + LAGS :]
-            gained += float((rest**2).sum() - ((rest - lagged(u[half:]) @ weights) ** 2).sum())
+            gained += float((rest**2).sum() - ((rest - lagged(u[half:], LAGS) @ weights) ** 2).sum())
             whole += float(((y - y.mean(axis=0)) ** 2).sum())
     return max(gained, 0.0) / whole if whole else 0.0
-
-
-def lagged(u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "K d"]:
-    """Rows `(u[k], ..., u[k - LAGS], 1)` from sample `LAGS` on."""
-    columns = [u[LAGS - lag : len(u) - lag] for lag in range(LAGS + 1)]
-    return np.concatenate([*columns, np.ones((len(u) - LAGS, 1))], axis=1)
 
 
 def whiteness(case: Case) -> list[Finding]:

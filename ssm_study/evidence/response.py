@@ -12,7 +12,8 @@ import scipy
 from jaxtyping import Complex, Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
-from ssm_study.evidence.fit import LAGS, lagged
+from ssm_study.evidence.fit import LAGS
+from ssm_study.signals import lagged
 from ssm_study.synthesis.mismatch import RESPONSES
 
 AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
@@ -96,7 +97,7 @@ def _dead_time(case: Case) -> Iterator[Finding]:
 
 def dead_time(case: Case) -> int:
     """Samples beyond the first by which every input is clearly not seen in any output; 0 where that is not clear."""
-    parts = [(lagged(u), y[LAGS:]) for u, y in map(case.scaled, case.data.training) if len(u) > 2 * LAGS]
+    parts = [(lagged(u, LAGS), y[LAGS:]) for u, y in map(case.scaled, case.data.training) if len(u) > 2 * LAGS]
     if not parts or sum(len(x) for x, _ in parts) < 2 * parts[0][0].shape[1]:
         return 0
     x, y = (np.concatenate(side) for side in zip(*parts, strict=True))

@@ -139,9 +139,8 @@ class ObserverFeedback(EstimateFeedback):
     @classmethod
     def of(cls, model: Model, design: Design) -> "ObserverFeedback":
         """The loop of a design; raises `BadRequest` if one of its parts is infeasible."""
-        return cls(
-            model=model, gains=design.pair, inverse=inverse_of(model.scaffold_in.portable()) if design.inverts else None
-        )
+        undone = inverse_of(model.scaffold_in.portable()) if design.inverts else None
+        return cls(model=model, gains=design.pair, inverse=undone)
 
     def asked(self, u: Float[np.ndarray, "*batch m"], moved: Float[np.ndarray, "*batch m"]) -> np.ndarray:
         """`u* + K (...)`, scaled; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`."""

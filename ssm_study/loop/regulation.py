@@ -150,10 +150,10 @@ class Loop:
     comparison: ComparisonTable | None = None
 
     def __post_init__(self) -> None:
-        variance, far = self.measurement_noise_variance, self.bound_in_initial_ranges
+        far = self.bound_in_initial_ranges
         at_least(1, "loop.initial_conditions", self.initial_conditions, "use 10, as the paper does")
-        positive("loop.horizon_s", 1.0 if self.horizon_s is None else self.horizon_s, "give it in seconds")
-        at_least(0, "loop.measurement_noise_variance", 0.0 if variance is None else variance, "use 0 for no noise")
+        positive("loop.horizon_s", self.horizon_s, "give it in seconds")
+        at_least(0, "loop.measurement_noise_variance", self.measurement_noise_variance, "use 0 for no noise")
         at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
         require(far > 1, "loop.bound_in_initial_ranges", far, "cases would start outside the bound", "use more than 1")
         (low, high), names = self.limits, "loop.input_lower, loop.input_upper"

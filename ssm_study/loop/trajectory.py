@@ -72,9 +72,7 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     reference held for ever would keep it.
     """
     system, (n, m) = model.linear, model.linear.b.shape
-    idle = scipy.linalg.null_space(
-        system.held()[1], rcond=IDLE_SHARE
-    ).T  # without a cost of their own these would drift
+    idle = scipy.linalg.null_space(system.held()[1], rcond=IDLE_SHARE).T  # at no cost of their own these would drift
     target = inverse(model.scaffold_out, model.scale.scaled_output(reference))
     target = np.pad(target, ((0, 0), (0, len(idle))))
     f, g = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]]), np.vstack([system.b, np.eye(m)])

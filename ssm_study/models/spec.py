@@ -207,11 +207,8 @@ class SSMSpec(ModelSpec):
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
-        rng, records = np.random.default_rng(seed), scaled(data)
-        slopes, seen = (
-            (self.slope_lower, self.slope_upper),
-            [np.concatenate(parts) for parts in zip(*records, strict=True)],
-        )
+        rng, records, slopes = np.random.default_rng(seed), scaled(data), (self.slope_lower, self.slope_upper)
+        seen = [np.concatenate(parts) for parts in zip(*records, strict=True)]
         frames = [Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen]
         scaffold_in, scaffold_out = self.scaffold_in.build(frames[0], rng), self.scaffold_out.build(frames[1], rng)
         if self.start == "data":

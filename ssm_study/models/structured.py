@@ -60,20 +60,17 @@ def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
     return np.array([known.index(kind) for kind in kinds], dtype=np.int64)
 
 
-def phi(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"]) -> Float[np.ndarray, "*batch q"]:
+def phi(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value") -> Float[np.ndarray, "*batch q"]:
     """`phi_i(z_i)` for each neuron i."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
-        out[..., i] = NEURONS[kind].value(z[..., i])
+        out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
     return out
 
 
 def slopes(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"]) -> Float[np.ndarray, "*batch q"]:
     """`phi_i'(z_i)` for each neuron i."""
-    out = np.empty_like(z)
-    for i, kind in enumerate(kinds):
-        out[..., i] = NEURONS[kind].slope(z[..., i])
-    return out
+    return phi(kinds, z, "slope")
 
 
 MATRICES = ("a", "b", "c", "d", "e", "f", "g", "h")
@@ -164,9 +161,7 @@ class StructuredSSM(Wired):
 
         batch, samples = ubar.shape[:-2], ubar.shape[-2]
         start = np.zeros((*batch, self.order))
-        start[...] = (
-            0.0 if x0 is None else x0
-        )  # not a broadcast view: numba compiles anew for arrays that are read-only
+        start[...] = 0.0 if x0 is None else x0  # no broadcast view: numba compiles anew for what is read-only
         v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
         ybar, states = free_run(self.matrices, v, start.reshape(-1, self.order))
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)

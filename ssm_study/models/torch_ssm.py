@@ -213,12 +213,10 @@ def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex
 class TorchModel(nn.Module, ABC):
     """A trainable model on scaled signals; `states` is the length of the initial state it accepts.
 
-    `estimates_start`: whether a free run of the stored model estimates the state a record starts from (`free_run`).
     `differentiates_forward`: whether Levenberg-Marquardt can have its Jacobian.
     """
 
     states: int
-    estimates_start: ClassVar[bool] = False
     differentiates_forward: ClassVar[bool] = True
 
     @abstractmethod
@@ -238,8 +236,6 @@ class TorchSSM(TorchModel):
 
     `lifted` is `S_u(u)` where it is known already; `x0` is ordered as in `to_state_space`.
     """
-
-    estimates_start = True
 
     def __init__(self, scaffold_in: TorchScaffold, lru: LRU, scaffold_out: TorchScaffold) -> None:
         super().__init__()

@@ -1,6 +1,7 @@
 """A plant around a plant: limits and dead time at its input, noise and rounding at its output, disturbances."""
 
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,11 +18,7 @@ Limit = float | tuple[float, ...] | list[float]
 
 
 def _inner(name: str) -> Any:  # A property that answers as the inner plant does
-
-    def read(wrapper: "Wrapper") -> Any:
-        return getattr(wrapper.plant, name)
-
-    return property(read)
+    return property(attrgetter(f"plant.{name}"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,9 +140,7 @@ class NoisyOutput(Wrapper):
     memory = (Channel(name="noise_stream", unit="1"),)
 
     def __post_init__(self) -> None:
-        variance = self.variance
-        good = variance is None or 0 <= variance < np.inf
-        require(good, "variance", variance, "a variance is never negative", "use 0 for no noise, or null")
+        at_least(0, "variance", self.variance, "use 0 for no noise, or null")
         at_least(0, "seed", self.seed, "use 0")
 
     @property

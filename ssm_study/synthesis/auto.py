@@ -67,7 +67,8 @@ class Candidates:
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis | IntegralSynthesis:
         feedback, observing, weight = self.feedback[pair[0]], self.observing[pair[1]], self.integral[pair[0]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
-        chosen = replace(feedback, **{name: getattr(observing, name) for name in names})
+        near: Any = {**feedback.near, **observing.near}
+        chosen = replace(feedback, near=near, **{name: getattr(observing, name) for name in names})
         if not weight:
             return chosen
         return IntegralSynthesis(synthesis=chosen, integral_weight=weight, internal_model=self.modes)
@@ -194,30 +195,37 @@ class Auto:
         side, linear = "observer" if observes else "controller", isinstance(system, StateSpace)
         # what the system does by itself; its radius proves nothing where there are neurons
         own = max(1 - system.spectral_radius**2, 0.0) if isinstance(system, StateSpace) else 0.0
+        fastest = None
         if linear:
             limit = controller_frontier(dual(system) if observes else system, ball).rate_limit
         else:  # the best that the inequality reaches
-            from ssm_study.synthesis.structured_lmi import largest_rate  # CVXPY: only where there are neurons
+            from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
-            limit = largest_rate(self._specification().problem(system, ball, observes))
+            limit, fastest = structured_lmi.fastest(self._specification().problem(system, ball, observes))
         rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
         rates += [] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares]
         asked = self._asked(getattr(self, f"rate_{side}"))
         rates = rates if asked == "auto" else [float(asked)]
         weight, weights = ("output_noise", self.output_noises) if observes else ("input_weight", self.input_weights)
-        found, unsolved = [], 0
-        for rate, value in product((rate for rate in rates if 0 < rate < limit), weights):
-            specification = self._specification(**{f"rate_{side}": rate, weight: value})
+        found: list[Found] = []
+        near: dict[float, Solution] = {}  # by weight, of a faster rate: it holds, so a search may start there
+        unsolved = 0
+        down = sorted((rate for rate in rates if 0 < rate < limit), reverse=True)
+        for rate, value in product(down, sorted(weights, reverse=True)):
+            start = near.get(value, found[-1][1] if found else fastest)
+            started = {} if start is None else {observes: start}
+            specification = self._specification(**{f"rate_{side}": rate, weight: value, "near": started})
             try:
-                found.append((specification, specification.solve(specification.problem(system, ball, observes))))
+                near[value] = specification.solve(specification.problem(system, ball, observes))
+                found.append((replace(specification, near={observes: near[value]}), near[value]))
             except NoSolution:
                 unsolved += 1
-        return found, unsolved
+        return found[::-1], unsolved
 
     def _asked(self, own: float | str) -> float | str:
         return self.rate if own == "auto" else own
 
-    def _specification(self, **chosen: float) -> RiccatiSynthesis:
+    def _specification(self, **chosen: Any) -> RiccatiSynthesis:
         asked: Any = {"rate_controller": 0.5, "rate_observer": 0.5} | chosen
         return RiccatiSynthesis(state_weight=self.state_weight, state_noise=self.state_noise, **asked)
 

@@ -115,7 +115,10 @@ class OfProblem(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedback(Side, abstract=True):
-    """`u = K x` contracts what is controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear in `p (n, n)`."""
+    """`u = K x` contracts what is controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear in `p (n, n)`.
+
+    The printed proof says P, the inequality is the dual form.
+    """
 
     b: Float[np.ndarray, "n m"]
     p: Float[np.ndarray, "n n"]
@@ -128,16 +131,6 @@ class StateFeedback(Side, abstract=True):
     @property
     def gain(self) -> Float[np.ndarray, "m n"]:
         return self.k
-
-    @property
-    def metric(self) -> Float[np.ndarray, "n n"]:
-        """`M = P^{-1}`: the printed proof says P, the inequality is the dual form."""
-        inverse = np.linalg.inv(self.p)
-        return (inverse + inverse.T) / 2
-
-    @property
-    def claim(self) -> str:
-        return f"state feedback contracts the model by {self.contraction:.6g} a sample"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,14 +148,6 @@ class Observer(Side, abstract=True):
     @property
     def gain(self) -> Float[np.ndarray, "n p"]:
         return self.l
-
-    @property
-    def metric(self) -> Float[np.ndarray, "n n"]:
-        return self.q
-
-    @property
-    def claim(self) -> str:
-        return f"the observer's error contracts by {self.contraction:.6g} a sample"
 
 
 @dataclass(frozen=True, kw_only=True)

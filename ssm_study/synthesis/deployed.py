@@ -21,14 +21,14 @@ from ssm_study.synthesis.commanded import of_commands
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.problem import NoSolution, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem
-from ssm_study.synthesis.theorems import structured_tolerance
 from ssm_study.synthesis.theorems.integral_action import controlled_system
 from ssm_study.synthesis.theorems.limited_input import LimitedFeedback, from_everywhere
 from ssm_study.synthesis.theorems.noise_gain import NoiseGain
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
-from ssm_study.synthesis.theorems.tolerance import largest_tolerance
+from ssm_study.synthesis.theorems.structured_tolerance import StructuredTolerance
+from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.synthesis.theorems.unlimited_start import unlimited
 from ssm_study.systems import Balls
 
@@ -63,12 +63,12 @@ def as_deployed(
         if shown.rests:  # a plant that does not rest by itself shows no gain that a weight could cover
             gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
             weights["tolerance_by_frequency"] = covering_weight(ANGLES, gains, channels=len(feedback.k))
-        largest = largest_tolerance if linear else structured_tolerance.largest_tolerance
-        found = {name: within_reach(partial(largest, known, weight)) for name, weight in weights.items()}
+        asked = {name: (weight, Tolerance if linear else StructuredTolerance) for name, weight in weights.items()}
         if linear and not model.linear.d.any():
-            unit = weights["tolerance"]
-            found["noise"] = within_reach(partial(largest_tolerance, known, unit, theorem=NoiseGain))
-        beside |= {name: part for name, part in found.items() if part is not None}
+            asked["noise"] = weights["tolerance"], NoiseGain
+        for name, (weight, theorem) in asked.items():
+            found = within_reach(partial(largest_tolerance, known, weight, theorem=theorem))
+            beside |= {} if found is None else {name: found}
     design = replace(design, beside=beside)
     return replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
 

@@ -201,13 +201,7 @@ class Synthesis(ABC):
     def solve(self, problem: Problem) -> Solution:
         """Matrices of Theorem 1 for the problem. Raises `NoSolution` when the method ends without any."""
 
-    def design(
-        self,
-        model: Any,
-        balls: Balls,
-        validation: Trajectories = (),
-        shown: Mismatch | None = None,
-    ) -> Design:
+    def design(self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None) -> Design:
         """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
         if self.invert_input:
             from ssm_study.synthesis.commanded import designed  # which designs by this module
@@ -219,13 +213,13 @@ class Synthesis(ABC):
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
         """Theorem 1 for `x+ = A x + B S_u(u)`, or its like with neurons."""
-        structured = isinstance(system, StructuredSystem)
-        return self._certified(StructuredStateFeedback if structured else self.feedback_theorem, system, ball)
+        neurons = isinstance(system, StructuredSystem)
+        return self._certified(StructuredStateFeedback if neurons else self.feedback_theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
         """Theorem 2 for `y = S_y(C x + D S_u(u))`: Theorem 1 for `(A^T, C^T)`, transposed and verified as itself."""
-        structured = isinstance(system, StructuredSystem)
-        return self._certified(StructuredObserver if structured else self.observer_theorem, system, ball)
+        neurons = isinstance(system, StructuredSystem)
+        return self._certified(StructuredObserver if neurons else self.observer_theorem, system, ball)
 
     def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
         rate = self.rate_observer if theorem.observes else self.rate_controller

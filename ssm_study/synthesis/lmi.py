@@ -185,20 +185,14 @@ class LmiSynthesis(Synthesis):
         return StructuredLmi(problem=problem, objective=objective).solve(problem.rate, self.solver)
 
 
-def paper_lmi(
-    linear: StateSpace,
-    ball: JacobianBall,
-    rate: float,
-    theorem: type[Side] = StateFeedbackOfBall,
-    solver: str = "CLARABEL",
-) -> Any:
+def paper_lmi(linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall) -> Any:
     """[Z26] Theorem 1 (2) as printed: all its unknowns (P, Y, X, sigma), any solution with the block matrix `>= I`.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for every record. A
     certificate, certified or not; `Infeasible` without matrices.
     """
     asked: Any = {"rate_controller": rate, "rate_observer": rate, "objective": "feasibility", "full": True}
-    method, started = LmiSynthesis(**asked, solver=solver), time.perf_counter()
+    method, started = LmiSynthesis(**asked), time.perf_counter()
     limit = Frontier(contraction_limit=0.0, decided_by="not asked")
     request = Request(theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started)
     try:

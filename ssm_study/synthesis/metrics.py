@@ -65,12 +65,7 @@ COLUMNS = (
 )
 
 
-def design_facts(
-    design: Design,
-    model: Model,
-    balls: Balls,
-    shown: Mismatch,
-) -> dict[str, Any]:
+def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) -> dict[str, Any]:
     """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant.
 
     `shown` is relative to what the law commands (`synthesis.commanded.shown_behind`).

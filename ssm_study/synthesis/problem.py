@@ -87,14 +87,6 @@ class Problem:
     def contraction(self) -> float:
         return float(np.sqrt(1 - self.rate))
 
-    @property
-    def a_hat(self) -> Float[np.ndarray, "n n"]:
-        return self.a / self.contraction
-
-    @property
-    def b_hat(self) -> Float[np.ndarray, "n m"]:
-        return self.b / self.contraction
-
     def at(self, rate: float) -> "Problem":
         """The same at another rate."""
         return replace(self, rate=rate)
@@ -104,7 +96,8 @@ class Problem:
 class Solution:
     """Matrices of Theorem 1 as a method found them, not yet verified: `p, y (n, n)`, `k (m, n)`, `sigma`.
 
-    With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an observer injects.
+    With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an observer injects;
+    `logs` is where a search over multipliers ended.
     """
 
     p: Float[np.ndarray, "n n"]
@@ -114,6 +107,7 @@ class Solution:
     status: str
     multipliers: Float[np.ndarray, "q"] | None = None
     k_w: Float[np.ndarray, "m q"] | None = None
+    logs: Float[np.ndarray, "s"] | None = None
 
     def of_neurons(self, neurons: Neurons) -> "Solution":
         """From what was found for `neurons.scaled()` to what holds for themselves."""

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from ssm_study.synthesis.certificate import Side
 from ssm_study.synthesis.lmi import aim, solved
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.structured_riccati import without_ball
+from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 from ssm_study.synthesis.theorem import Blocks
 from ssm_study.synthesis.theorems import structured_observer, structured_state_feedback
 
@@ -116,16 +116,22 @@ def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
 
     Over all gains, the best possible rate of the model as far as the solver finds it; or, `fixed`, of these gains.
     """
+    return fastest(problem, fixed)[0]
+
+
+def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
+    """That rate, and the matrices at it, from whose multipliers a search for the least cost may start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
-    low, high = 0.0, 1.0
+    low, high, best = 0.0, 1.0, None
     for _ in range(RATE_STEPS):
         rate = (low + high) / 2
         try:
-            found = holds(problem.at(rate), program.solve(rate))
+            found = program.solve(rate)
+            faster = holds(problem.at(rate), found)
         except NoSolution:
-            found = False
-        low, high = (rate, high) if found else (low, rate)
-    return low
+            faster = False
+        low, high, best = (rate, high, found) if faster else (low, rate, best)
+    return low, best and replace(best, logs=logs_of(problem.at(low), best))
 
 
 def at_largest_rate(part: Any) -> Side | None:

@@ -28,13 +28,24 @@ SLOWER, SLOWEST = 1.5, 1e3
 # Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r, below which the
 # search has come to its end; each where the one before gets stuck.
 TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
-LAST, AT_LAST = 1e-3, 30  # the same at the asked rate, where the cost decides
+# The same at the asked rate, where the cost decides. In steps: straight to the last one the search gets stuck at the
+# edge of what is admissible, at up to seventeen times the cost.
+LAST = ((0.3, 10), (0.03, 10), (1e-3, 30))
+ROOM = np.arange(0.0, 40.0, 2.0)  # by how much known multipliers may have to grow, log, to cover the weights
 BALL_SLACK = 1e-9  # of the metric: what a multiplier without effect may take of it, where the ball has no radius
 
 
-def least_cost(problem: Problem) -> Solution:
-    """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck before the rate."""
+def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
+    """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck before the rate.
+
+    It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a solution at a
+    faster rate, since smaller weights and a slower rate only relax the inequality.
+    """
     game = game_of(problem)
+    known = () if near is None or near.logs is None else near.logs + ROOM[:, None]
+    for logs in known:
+        if np.isfinite(evaluate(game, logs, 0.0).goal):
+            return solution(problem, game, cheapest(game, logs))
     for effort in TRIES:
         logs, reached = searched(game, *effort)
         if reached <= game.r:
@@ -76,7 +87,25 @@ def searched(
             if share < shortest:
                 return logs, slow.r
         slow, share = _between(game, slow, share), min(1.0, 4 * share)
-    return descend(game, logs, LAST, AT_LAST), game.r
+    return cheapest(game, logs), game.r
+
+
+def cheapest(game: Game, logs: Float[np.ndarray, "s"]) -> Float[np.ndarray, "s"]:
+    """The multipliers of least cost that are found from these, which hold."""
+    for barrier, evaluations in LAST:
+        logs = descend(game, logs, barrier, evaluations)
+    return logs
+
+
+def logs_of(problem: Problem, found: Solution) -> Float[np.ndarray, "s"]:
+    """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of them."""
+    assert problem.neurons is not None
+    assert found.multipliers is not None
+    units, r2, beta = problem.neurons.units, 1 - problem.rate, problem.ball.beta
+    observes = problem.neurons.observes
+    weights = r2 / (found.multipliers * units**2) if observes else found.multipliers / units**2
+    bound = [1 / (found.sigma / (r2 * beta**2) if observes else found.sigma)] if beta > 0 else []
+    return np.log(np.append(weights, bound))
 
 
 def _between(game: Game, slow: Game, share: float) -> Game:
@@ -105,7 +134,7 @@ def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solu
         r2 = 1 - problem.rate
         weights, sigma = r2 / weights, r2 * game.beta**2 * sigma
     sigma = sigma if game.beta > 0 else without_ball(problem, p, k)
-    found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game")
+    found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs)
     return found.of_neurons(problem.neurons)
 
 

@@ -144,16 +144,6 @@ class Theorem(ABC):
         """The gain that is deployed."""
 
     @property
-    @abstractmethod
-    def metric(self) -> Float[np.ndarray, "n n"]:
-        """`M`, in which distances are measured."""
-
-    @property
-    @abstractmethod
-    def claim(self) -> str:
-        """What is proved, in a sentence with its number."""
-
-    @property
     def gain_norm(self) -> float:
         """`||K||_2`, scaled input per state unit; `||L||_2`, state unit per scaled output."""
         return float(np.linalg.norm(self.gain, 2))

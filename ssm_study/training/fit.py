@@ -167,9 +167,10 @@ class Fit(pl.LightningModule):
     def _free_starts(self, cut: Cut) -> Starts | None:
         model, weight, how = self.model, self.settings.windows.continuity_weight, self.settings.initial_state
         moving = how == "estimated" or (how == "auto" and self.data.start_up_samples > 0)
+        moving = moving and isinstance(model, TorchSSM)  # whose stored model estimates it, too (`free_run`)
         problem, remedy = "this model has no state to start a window from", "use training.windows.washout instead"
         require(model.states > 0 or not weight, "training.windows.continuity_weight", weight, problem, remedy)
-        rows = [*(cut.first if moving and model.estimates_start else ()), *(cut.later if weight else ())]
+        rows = [*(cut.first if moving else ()), *(cut.later if weight else ())]
         values = simulated_states(model, self.training_records, cut) if rows else None
         return None if values is None else Starts(cut, sorted(rows), values, weight)
 

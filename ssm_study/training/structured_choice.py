@@ -1,13 +1,14 @@
 """Order, neurons, input path and ridge of a structured model from the training records alone: by held-out folds."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ssm_study.data.splits import without_fold
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import DataSet
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_fit import StructuredFit
 
@@ -16,33 +17,11 @@ ORDERS, NEURONS, PATHS, RIDGES = (2, 3, 4, 6), (2, 4), ("none", "staged"), (1e-6
 STEPS = 30  # inside the contracting set, each start of each fold
 START_UP = 20  # samples of a held-out piece that estimate its state, where a data set names none
 NEARLY = 0.3  # percent points: within so much of the best fit the smallest model is taken
+FIT = "fit_held_out_percent"
+Row = dict[str, Any]  # sizes that were tried, their fit over the held-out folds and on the worst of them
 
 
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """A size that was tried, and its fit on each held-out fold, percent."""
-
-    order: int
-    neurons: int
-    input_path: str
-    ridge: float
-    fits: tuple[float, ...]
-
-    @property
-    def fit(self) -> float:
-        return float(np.mean(self.fits))
-
-    @property
-    def sizes(self) -> dict[str, Any]:
-        return {name: value for name, value in asdict(self).items() if name != "fits"}
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """A line of the table of the choice."""
-        return self.sizes | {"fit_held_out_percent": self.fit, "fit_worst_fold_percent": min(self.fits)}
-
-
-def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSpec, list[dict[str, object]]]:
+def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSpec, list[Row]]:
     """The spec with its sizes chosen, and the table of the choice; no validation or test record is looked at.
 
     First order and neurons on a grid, then the input path, then the ridge. The fit is that of the free run over the
@@ -50,21 +29,27 @@ def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSp
     """
     folds = list(held_out(data))
 
-    def tried(**sizes: Any) -> Candidate:
-        return Candidate(**sizes, fits=tuple(_fit(replace(spec, **sizes), fold, seed) for fold in folds))
+    def tried(**sizes: Any) -> Row:
+        fits = [_fit(replace(spec, **sizes), fold, seed) for fold in folds]
+        return sizes | {FIT: float(np.mean(fits)), "fit_worst_fold_percent": min(fits)}
 
     given = {"input_path": spec.input_path, "ridge": spec.ridge}
     best = smallest(table := [tried(order=n, neurons=q, **given) for n in ORDERS for q in NEURONS])
     for name, values in (("input_path", PATHS), ("ridge", RIDGES)):
-        table += [tried(**best.sizes | {name: value}) for value in values if value != getattr(spec, name)]
+        table += [tried(**chosen(best) | {name: value}) for value in values if value != getattr(spec, name)]
         best = smallest(table)
-    return replace(spec, **best.sizes), [one.row | {"chosen": one is best} for one in table]
+    return replace(spec, **chosen(best)), [one | {"chosen": one is best} for one in table]
 
 
-def smallest(table: list[Candidate]) -> Candidate:
+def chosen(row: Row) -> Row:
+    """The sizes alone."""
+    return {name: row[name] for name in ("order", "neurons", "input_path", "ridge")}
+
+
+def smallest(table: list[Row]) -> Row:
     """Of those within `NEARLY` of the best."""
-    near = [one for one in table if one.fit >= max(c.fit for c in table) - NEARLY]
-    return min(near, key=lambda one: (one.order + one.neurons, one.input_path != "none", -one.fit))
+    near = [one for one in table if one[FIT] >= max(other[FIT] for other in table) - NEARLY]
+    return min(near, key=lambda one: (one["order"] + one["neurons"], one["input_path"] != "none", -one[FIT]))
 
 
 def held_out(data: DataSet) -> Iterator[DataSet]:
@@ -77,20 +62,11 @@ def held_out(data: DataSet) -> Iterator[DataSet]:
             kept = tuple(record for i, record in enumerate(data.training) if i % FOLDS != k)
             yield replace(data, training=kept, validation=kept, test=data.training[k::FOLDS])
         return
-    cuts = [[round(len(record) * i / FOLDS) for i in range(FOLDS + 1)] for record in data.training]
     unscored = data.start_up_samples or START_UP
     for k in range(FOLDS):
-        out, around = [], []
-        for record, at in zip(data.training, cuts, strict=True):
-            out.append(_part(record, at[k], at[k + 1]))
-            sides = ((0, at[k]), (at[k + 1], len(record)))
-            around += [_part(record, start, stop) for start, stop in sides if start < stop]
-        kept = tuple(around)
-        yield replace(data, training=kept, validation=kept, test=tuple(out), start_up_samples=unscored)
-
-
-def _part(record: Trajectory, start: int, stop: int) -> Trajectory:
-    return replace(record, u=record.u[start:stop], y=record.y[start:stop])
+        parts = [without_fold(record, k, FOLDS) for record in data.training]
+        kept, out = tuple(piece for pieces, _ in parts for piece in pieces), tuple(piece for _, piece in parts)
+        yield replace(data, training=kept, validation=kept, test=out, start_up_samples=unscored)
 
 
 def _fit(spec: StructuredSpec, fold: DataSet, seed: int) -> float:

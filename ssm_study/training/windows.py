@@ -1,7 +1,7 @@
 """Windows of the training records, trained on as one batch, and what ties one window to the next."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ssm_study.refusal import at_least, require
 from ssm_study.signals import Trajectories, Trajectory
@@ -51,11 +51,8 @@ class Windows:
         if self.samples is None:
             return Cut(tuple(records), (start_up_samples,) * len(records), tuple(range(len(records))))
         shortest, field = min(records, key=len), "training.windows.samples"
-        problem, remedy = (
-            f"the record {shortest.name} has only {len(shortest)} samples",
-            "shorten the windows or use null",
-        )
-        require(self.samples <= len(shortest), field, self.samples, problem, remedy)
+        problem = f"the record {shortest.name} has only {len(shortest)} samples"
+        require(self.samples <= len(shortest), field, self.samples, problem, "shorten the windows or use null")
         problem = f"the {start_up_samples} start-up samples leave nothing to score"
         require(self.samples > start_up_samples, field, self.samples, problem, "lengthen the windows")
         pieces: list[Trajectory] = []
@@ -65,8 +62,7 @@ class Windows:
             first.append(len(pieces))
             last = len(record) - max(self.samples - self.step, self.washout)  # from here on nothing new to score
             for start in range(0, max(last, 1), self.step):
-                part, name = slice(start, start + self.samples), f"{record.name}[{start}]"
-                pieces.append(Trajectory(u=record.u[part], y=record.y[part], step_s=record.step_s, name=name))
+                pieces.append(replace(record[start : start + self.samples], name=f"{record.name}[{start}]"))
                 unscored.append(max(self.washout if start else 0, start_up_samples - start))
         return Cut(tuple(pieces), tuple(unscored), tuple(first))
 

@@ -8,9 +8,12 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record
+from structured_cases import model
 
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import Loop
+from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
@@ -20,7 +23,7 @@ from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import Prediction, predict
 from ssm_study.synthesis.theorems.integral_action import with_modes
-from ssm_study.systems import JacobianBall, Pair
+from ssm_study.systems import Balls, JacobianBall, Pair
 
 SMALL = Auto(
     stretch_shares=(0.1, 0.6),
@@ -46,28 +49,35 @@ def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
     assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
 
 
-def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_response(chosen):
-    candidates = SMALL.candidates(motor_model(), BALLS)
+def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
+    """A model with neurons, and a record that misses it by noise."""
+    stand, rng = model(), np.random.default_rng(0)
+    u = 0.5 + 2.0 * np.repeat(rng.uniform(-1, 1, size=(80, 1)), 5, axis=0)
+    y = stand.simulate(u) + 4.0 * rng.standard_normal(u.shape)
+    return stand, certified_balls(stand), Trajectory(u=u, y=y, step_s=0.01)
+
+
+@pytest.mark.parametrize(
+    "case", [lambda: (motor_model(), BALLS, motor_record()), with_neurons], ids=["motor", "neurons"]
+)
+def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_response(case):
+    """The search looks at few; here is every pair, each predicted by itself on the fine grid."""
+    given, balls, record = case()
+    auto = replace(SMALL, input_weights=(0.01, 1.0), output_noises=(0.01, 1.0))
+    candidates, shown = auto.candidates(given, balls), mismatch(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
-    areas = relative_areas(motor_model(), candidates.gains(pairs), (motor_record(),))
-    shown = mismatch(motor_model(), (motor_record(),))
-    gains = [Pair(k=candidates.ks[i], l=candidates.ls[j]) for i, j in pairs]
-    found = [predict(motor_model(), pair, BALLS, shown) for pair in gains]
+    areas = relative_areas(given, candidates.gains(pairs), (record,))
+    found = [predict(given, candidates.gains(pair), balls, shown) for pair in pairs]
     keeps = np.array([prediction.keeps_the_plant() for prediction in found])
     assert 0 < keeps.sum() < len(keeps)
     expected = np.array(
         [expected_area(a, 1 / p.resolved_margin, shown.spread) for a, p in zip(areas, found, strict=True)]
     )
-    own = expected_area(
-        relative_areas(
-            motor_model(),
-            Pair(k=chosen.state_feedback.k[None], l=chosen.observer.l[None]),
-            (motor_record(),),
-        )[0],
-        1 / predicted(chosen, motor_record()).resolved_margin,
-        shown.spread,
-    )
-    assert own == pytest.approx(expected[keeps].min(), rel=0.01)
+    own = auto.design(given, balls, (record,), shown).pair
+    one = replace(own, k=own.k[None], l=own.l[None], l_z=None if own.l_z is None else own.l_z[None])
+    margin = predict(given, own, balls, shown).resolved_margin
+    area = expected_area(relative_areas(given, one, (record,))[0], 1 / margin, shown.spread)
+    assert area == pytest.approx(expected[keeps].min(), rel=0.01)
 
 
 def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():

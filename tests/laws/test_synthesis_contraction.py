@@ -129,7 +129,7 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
 def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
     part = certified_design(random_ssm(seed)).state_feedback
     assert isinstance(part, StateFeedback)
-    assert steps_in(part.metric, part).max() <= part.contraction * (1 + 1e-7)
+    assert steps_in(np.linalg.inv(part.p), part).max() <= part.contraction * (1 + 1e-7)
 
 
 def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
@@ -140,7 +140,7 @@ def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
 
 def test_the_rate_is_of_the_square_and_not_of_the_distance() -> None:
     """[Z26]'s lemma reuses rho as the distance factor; the factor is `sqrt(1 - rho)`, larger than `1 - rho`."""
-    assert any(steps_in(part.metric, part).max() > 1.02 * (1 - part.rate) for part in _feedbacks())
+    assert any(steps_in(np.linalg.inv(part.p), part).max() > 1.02 * (1 - part.rate) for part in _feedbacks())
 
 
 def _feedbacks() -> list[StateFeedback]:

@@ -26,7 +26,7 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
     rest, channel = np.zeros(1), Channel(name="a", unit="")
     data = assemble(
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
-        inputs=(channel,), outputs=(replace(channel, name="b"),), start_up_samples=0, metadata={"source": source},
+        ((channel,), (replace(channel, name="b"),)), 0, metadata={"source": source},
     )  # fmt: skip
     lag = StateSpace(a=np.array([[slow]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1)))
     model = replace(linear_model(0), linear=lag)

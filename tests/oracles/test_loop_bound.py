@@ -103,7 +103,7 @@ def test_the_bound_is_the_sum_it_says():
     feedback, observer = certified(model)
     d0, e0 = np.array([2.0]), np.array([3.0])
     r_c, r_o = feedback.contraction, observer.contraction
-    into = np.linalg.norm(np.linalg.cholesky(feedback.metric).T @ model.linear.b, 2)
+    into = np.linalg.norm(np.linalg.cholesky(np.linalg.inv(feedback.p)).T @ model.linear.b, 2)
     out = np.linalg.norm(feedback.k @ np.linalg.inv(np.linalg.cholesky(observer.q).T), 2)
     c = float(model.scaffold_in.slopes.max()) * into * out
     k = 7

@@ -30,14 +30,8 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
         u = RNG.normal(size=(400, 1))
         y = system.simulate(u)[0]
         records.append((Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name),))
-    data = assemble(
-        (records[0], records[1], records[2]),
-        (np.zeros(1), np.zeros(1)),
-        inputs=(Channel(name="u", unit="V"),),
-        outputs=(Channel(name="y", unit="m"),),
-        start_up_samples=0,
-        metadata={},
-    )
+    channels = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
+    data = assemble((records[0], records[1], records[2]), (np.zeros(1), np.zeros(1)), channels, 0)
     model = N4SID(order=2, block_rows=10).solve(data)
     assert not model.linear.d.any()
     u, y = data.test[0].u, system.simulate(data.test[0].u)[0]

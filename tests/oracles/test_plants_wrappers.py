@@ -132,7 +132,7 @@ def test_wrappers_stack(plant: Plant) -> None:
         (lambda p: SaturatedInput(plant=p, lower=[-1.0, -1.0], upper=1.0), "there are 1 inputs"),
         (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
         (lambda p: QuantisedOutput(plant=p, resolution=0.0), "resolution = 0.0"),
-        (lambda p: NoisyOutput(plant=p, seed=0, variance=-1.0), "never negative"),
+        (lambda p: NoisyOutput(plant=p, seed=0, variance=-1.0), "must not be negative"),
         (
             lambda p: Disturbed(plant=p, disturbance=StepDisturbance(size=1.0, at_s=0.0), channel=1),
             "has 1 disturbances",

@@ -1,5 +1,7 @@
 """The theorems of models with neurons: sampled slopes, exact frontiers, each other, and what they must refuse."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +11,8 @@ from structured_cases import KNOWN, asked, controlled_steps, drawn, observing_st
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.game import descend, evaluate
 from ssm_study.synthesis.problem import NoSolution, dual
-from ssm_study.synthesis.structured_lmi import StructuredLmi, holds, largest_rate
-from ssm_study.synthesis.structured_riccati import game_of, least_cost, searched
+from ssm_study.synthesis.structured_lmi import StructuredLmi, fastest, holds, largest_rate
+from ssm_study.synthesis.structured_riccati import game_of, least_cost, logs_of, searched
 from ssm_study.synthesis.theorems.integral_action import augmented
 from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
 from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
@@ -101,6 +103,22 @@ def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier
         evaluate(game, logs, barrier).gradient, [(up - down) / 2e-5 for up, down in ends], rtol=1e-4, atol=1e-7
     )
     assert evaluate(game, descend(game, logs, barrier, 20), barrier).goal <= evaluate(game, logs, barrier).goal
+
+
+@pytest.mark.parametrize(("side", "ball"), [("state_feedback", WIDE), ("state_feedback", KNOWN), ("observer", KNOWN)])
+def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_does(side: str, ball) -> None:
+    """From the solver's matrices at the largest rate, and from the solution with larger weights; none of a slow one."""
+    system = drawn(6)
+    rate, best = fastest(asked(system, side, ball, 0.5))
+    problem = asked(system, side, ball, 0.6 * rate)
+    dear = replace(problem, input_weight=10.0)
+    cold, first = least_cost(problem), least_cost(dear, near=best)
+    np.testing.assert_allclose(logs_of(problem, cold), cold.logs, atol=1e-9)
+    for found in (least_cost(problem, near=best), least_cost(problem, near=first)):
+        assert holds(problem, found)
+        assert np.trace(np.linalg.inv(found.p)) == pytest.approx(np.trace(np.linalg.inv(cold.p)), rel=0.02)
+    near_the_limit = asked(system, side, ball, 0.95 * rate)
+    assert holds(near_the_limit, least_cost(near_the_limit, near=best))
 
 
 def test_a_negative_multiplier_certifies_nothing() -> None:

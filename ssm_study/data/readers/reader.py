@@ -47,9 +47,8 @@ def read_table(path: Path, wanted: dict[str, str]) -> Table:
     """
     require(path.is_file(), "data.path", path, "no such file", "check the spelling")
     formats, kind = Reader.members(readers), path.suffix.lower()
-    require(
-        kind in formats, "data.path", path, f"the suffix is none of {', '.join(sorted(formats))}", "convert the file"
-    )
+    problem = f"the suffix is none of {', '.join(sorted(formats))}"
+    require(kind in formats, "data.path", path, problem, "convert the file")
     table = formats[kind]().read(path, list(wanted))
     lengths = {name: len(table.columns[name]) for name in wanted}
     same = len(set(lengths.values())) == 1

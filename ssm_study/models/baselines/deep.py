@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 import torch
@@ -21,7 +20,6 @@ from ssm_study.signals import DataSet, Scale
 class DeepSSM(Simulator, names=("deep_ssm",)):
     """`y = block_L(... block_1(u))`, each an SSM from rest."""
 
-    kind: ClassVar[str] = "deep_ssm"
     blocks: tuple[SSM, ...]
 
     def simulate(self, u: Inputs) -> Outputs:

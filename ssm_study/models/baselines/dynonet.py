@@ -1,7 +1,6 @@
 """dynoNet baseline: two blocks of transfer functions around a static network, by its authors' package (MIT)."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import torch
@@ -27,7 +26,6 @@ class DynoNet(Simulator, names=("dynonet",)):
     Source: Forgione & Piga (2021), dynoNet, figure 3.
     """
 
-    kind: ClassVar[str] = "dynonet"
     first_b: Filter
     first_a: Filter
     second_b: Filter

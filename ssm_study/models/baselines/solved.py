@@ -90,7 +90,6 @@ def input_matrix(
 class Polynomial(Simulator, names=("narx",)):
     """`y[k] = sum_i theta_i prod_j factor_ij`; codes as in SysIdentPy: 1000 + l is `y[k-l]`, 2000 + l is `u[k-l]`."""
 
-    kind: ClassVar[str] = "narx"
     codes: Int[np.ndarray, "terms degree"]
     theta: Float[np.ndarray, "terms"]
     scale: Scale

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +16,6 @@ from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, T
 class LinearScaffold(Scaffold, names=("linear",)):
     """`S(v) = gain v`, `gain (k, m)`; the identity when it stands for "no nonlinearity"."""
 
-    kind: ClassVar[str] = "linear"
     gain: Float[np.ndarray, "k m"]
 
     @classmethod
@@ -30,13 +28,11 @@ class LinearScaffold(Scaffold, names=("linear",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:  # noqa: ARG002 - the same everywhere
         return self.gain.copy()
 
-    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - by construction, whichever is asked
+    def bound(self) -> SlopeBound:
         if self.gain.shape == (1, 1):
             gain = Fraction(float(self.gain[0, 0]))
-            return bound_from_interval(gain, gain, "construction", exact=True)
-        ball = ball_around_identity(self.gain, 0.0)
-        exact = bool(np.all(self.gain == ball.alpha * np.eye(len(self.gain))))
-        return bound_from_ball(ball, "construction", exact=exact)
+            return bound_from_interval(gain, gain, "construction")
+        return bound_from_ball(ball_around_identity(self.gain, 0.0), "construction")
 
     def centre(self) -> Square:
         return self.gain

@@ -1,7 +1,7 @@
 """The paper's scaffolding: a multilayer perceptron with leaky ReLU, minus its value at zero."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +28,6 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     Source: [Z26] section IV.
     """
 
-    kind: ClassVar[str] = "mlp"
     network: Network
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
@@ -37,13 +36,13 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
         return self.network.jacobian(v)
 
-    def bound(self, method: str) -> SlopeBound:
-        return network_bound(self.network, method)
+    def bound(self) -> SlopeBound:
+        return network_bound(self.network)
 
     def centre(self) -> Square:
         from ssm_study.bounds.lipsdp import lipsdp_ball
 
-        return lipsdp_ball(self.network).centre
+        return lipsdp_ball(self.network)[0]
 
     def after(self, m: Square) -> "MlpScaffold":
         *inner, last = self.network.weights

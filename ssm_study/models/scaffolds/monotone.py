@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +23,6 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
     Source: THEORY section 3 (i); any piecewise-linear monotone map with h break points has this form.
     """
 
-    kind: ClassVar[str] = "monotone"
     breakpoints: Float[np.ndarray, "m h"]
     slopes: Float[np.ndarray, "m h1"]
 
@@ -49,9 +47,9 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         channels = zip(self.breakpoints, self.slopes, v, strict=True)
         return np.diag([s[np.searchsorted(t, x, side="right")] for t, s, x in channels])
 
-    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - the slopes are the parameters
+    def bound(self) -> SlopeBound:
         values = [Fraction(float(s)) for s in self.slopes.ravel()]
-        return bound_from_interval(min(values), max(values), "construction", exact=True)
+        return bound_from_interval(min(values), max(values), "construction")
 
     def centre(self) -> Square:
         return np.diag((self.slopes.max(axis=1) + self.slopes.min(axis=1)) / 2)

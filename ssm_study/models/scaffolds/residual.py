@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +24,6 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     claim can be checked from these numbers alone. Source: THEORY section 3 (ii); Wang & Manchester (2023).
     """
 
-    kind: ClassVar[str] = "residual"
     alpha: float
     beta: float
     multipliers: tuple[Float[np.ndarray, "_"], ...]
@@ -44,7 +43,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
         return self.alpha * np.eye(self.network.inputs) + self.beta * self.network.jacobian(v)
 
-    def bound(self, method: str) -> SlopeBound:  # noqa: ARG002 - by construction, whichever is asked
+    def bound(self) -> SlopeBound:
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def centre(self) -> None:
@@ -52,10 +51,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return
 
     def portable(self) -> PortableMap:
-        weights = (*self.network.weights[:-1], self.beta * self.network.weights[-1])
-        return PortableMap(
-            linear=self.alpha * np.eye(self.network.inputs), network=replace(self.network, weights=weights)
-        )
+        *inner, last = self.network.weights
+        network = replace(self.network, weights=(*inner, self.beta * last))
+        return PortableMap(linear=self.alpha * np.eye(network.inputs), network=network)
 
 
 @dataclass(frozen=True, kw_only=True)

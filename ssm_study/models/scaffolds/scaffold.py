@@ -19,10 +19,9 @@ from ssm_study.models import scaffolds
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.refusal import one_of, require
 from ssm_study.signals import Scale
-from ssm_study.systems import StateSpace, array_from_json
+from ssm_study.systems import AGAIN, StateSpace, array_from_json
 
 FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what holds them
-AGAIN = "write model.json again"
 
 
 class Explicit:
@@ -35,17 +34,14 @@ class Explicit:
         data = {} if self.kind is None else {"kind": self.kind}
         for field in fields(self):  # type: ignore[arg-type] # a mixin of dataclasses
             value = getattr(self, field.name)
-            data |= _entries(value) if isinstance(value, FLAT) else {field.name: _plain(value)}
+            parts = vars(value) if isinstance(value, FLAT) else {field.name: value}
+            data |= {name: _plain(part) for name, part in parts.items()}
         return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
         """The inverse of `to_json`; raises `BadRequest` naming the entry that is missing or malformed."""
         return _built(cls, data)
-
-
-def _entries(value: Any) -> dict[str, Any]:
-    return {name: _plain(part) for name, part in vars(value).items()}
 
 
 def _plain(value: Any) -> Any:
@@ -63,7 +59,7 @@ def _built(kind: Any, data: Mapping[str, Any]) -> Any:
 
 def _read(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
     if kind in FLAT:
-        return kind.from_json(data) if kind is Network else _built(kind, data)
+        return _built(kind, data)
     if get_origin(kind) is tuple:
         require(isinstance(data.get(key), list), key, data.get(key), "expected a list", AGAIN)
         return tuple(_read(get_args(kind)[0], key, {key: part}) for part in data[key])
@@ -90,8 +86,6 @@ class Scaffold(Family, Explicit):
     Scaled units on both sides. Every member is a frozen dataclass that is written to and read from JSON without loss.
     """
 
-    kind: ClassVar[str]
-
     @property
     def shape(self) -> tuple[int, int]:
         """`(k, m)`: output and input channels, as of the Jacobian."""
@@ -115,8 +109,8 @@ class Scaffold(Family, Explicit):
         """`dS/dv` at one point; at a break point, the slope to its right (of the pre-activation)."""
 
     @abstractmethod
-    def bound(self, method: str) -> SlopeBound:
-        """A ball `alpha I + beta Delta` of all Jacobians, with sign, by a method of `bounds.slopes.METHODS`."""
+    def bound(self) -> SlopeBound:
+        """A ball `alpha I + beta Delta` of all Jacobians, with sign."""
 
     @abstractmethod
     def centre(self) -> Square | None:

@@ -29,9 +29,8 @@ Example. Without a radius it is the linear-quadratic regulator: `x+ = x + u`, `Q
 -0.618034, -0.618034
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -69,7 +68,10 @@ class GuaranteedCost:
 @within_floats()
 def guaranteed_cost(problem: Problem) -> Solution:
     """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is admissible."""
-    tau_min = _tau_min(problem)
+    alpha, beta = problem.ball.alpha, problem.ball.beta
+    if abs(alpha) <= beta:
+        raise NoSolution("the slopes include zero, so no input is sure to have an effect")
+    tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
     best = at_tau(problem, tau_min * TAU_SPAN[1]) if problem.ball.beta == 0 else None  # the cost only falls with tau
     best = best or _search(lambda tau: at_tau(problem, tau), tau_min)
     inverse = np.linalg.inv(best.s_over_tau)
@@ -79,7 +81,7 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if inadmissible."""
-    ball, ah, bh = problem.ball, problem.a_hat, problem.b_hat
+    ball, ah, bh = problem.ball, problem.a / problem.contraction, problem.b / problem.contraction
     rt_over_tau = problem.input_weight / tau + ball.beta**2  # all over tau, see the statement
     kappa_times_tau = ball.alpha**2 / rt_over_tau - 1
     if not kappa_times_tau > 0:
@@ -93,12 +95,6 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
         return None
     k = -(ball.alpha / rt_over_tau) * np.linalg.solve(np.eye(m) + kappa_times_tau * energy, bh.T @ s @ ah)
     return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
-
-
-def _tau_min(problem: Problem) -> float:  # kappa > 0 iff tau > R / (alpha^2 - beta^2)
-    if abs(problem.ball.alpha) <= problem.ball.beta:
-        raise NoSolution("the slopes include zero, so no input is sure to have an effect")
-    return problem.input_weight / (problem.ball.alpha**2 - problem.ball.beta**2)
 
 
 def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> GuaranteedCost:
@@ -123,7 +119,13 @@ def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class RiccatiSynthesis(Synthesis):
-    """The certified gains of least guaranteed cost for the given weights."""
+    """The certified gains of least guaranteed cost for the given weights.
+
+    With neurons the search starts from what is `near`: a neighbour's solution for the controller, for the observer
+    (under True).
+    """
+
+    near: Mapping[bool, Solution] = field(default_factory=dict, repr=False, compare=False)
 
     method: ClassVar[str] = "riccati"
 
@@ -132,7 +134,7 @@ class RiccatiSynthesis(Synthesis):
             return guaranteed_cost(problem)
         from ssm_study.synthesis.structured_riccati import least_cost  # compiles: only where there are neurons
 
-        return least_cost(problem)
+        return least_cost(problem, self.near.get(problem.neurons.observes))
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The weights first; where the frontier leaves no room, the minimum-energy gain, with neurons the LMI's."""
@@ -140,6 +142,5 @@ class RiccatiSynthesis(Synthesis):
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-            deepest = StructuredLmi(problem=problem, objective="largest_margin")
-            return [*weighted, partial(deepest.solve, problem.rate)]
+            return [*weighted, lambda: StructuredLmi(problem=problem, objective="largest_margin").solve(problem.rate)]
         return [*weighted, *minimum_energy_attempts(problem)]

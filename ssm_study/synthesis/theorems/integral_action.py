@@ -174,11 +174,7 @@ class IntegralSynthesis:
         return tuple(self.internal_model)
 
     def design(
-        self,
-        model: Model,
-        balls: Balls,
-        validation: Trajectories = (),
-        shown: Mismatch | None = None,
+        self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
     ) -> Design:
         if self.invert_input:
             plain = replace(self, synthesis=replace(self.synthesis, invert_input=False))

@@ -29,7 +29,3 @@ from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 @dataclass(frozen=True, kw_only=True)
 class InvertedInput(StateFeedbackOfBall):
     """The fields of `state_feedback`; `alpha = 1, beta = 0` is what the verifier demands."""
-
-    @property
-    def claim(self) -> str:
-        return f"with the input map undone, {super().claim}"

@@ -49,10 +49,6 @@ class LimitedFeedback(StateFeedbackOfBall):
     def ball(cls, known: Known) -> JacobianBall:
         return limited(known.balls.input, known.controlled.b.shape[1])
 
-    @property
-    def claim(self) -> str:
-        return f"with limited inputs the state feedback contracts from everywhere by {self.contraction:.6g} a sample"
-
 
 def limited(ball: JacobianBall, inputs: int) -> JacobianBall:
     """The ball of `S_u(sat(.))`, its radius rounded up so that it holds zero and the ball of `S_u`."""

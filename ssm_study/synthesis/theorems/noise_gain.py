@@ -51,7 +51,3 @@ class NoiseGain(Tolerance):
     def given(self, known: Known) -> dict[str, Any]:
         direct = {"alpha_out": np.nan} if known.system.d.any() else {}
         return super().given(known) | {"weight": np.eye(len(self.k))} | direct
-
-    @property
-    def claim(self) -> str:
-        return f"sensor noise moves the output by at most {1 / self.s:.6g} of it, in mean square"

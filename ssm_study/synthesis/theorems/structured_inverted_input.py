@@ -31,7 +31,3 @@ from ssm_study.synthesis.theorems.structured_state_feedback import StructuredSta
 @dataclass(frozen=True, kw_only=True)
 class StructuredInvertedInput(StructuredStateFeedback):
     """The fields of `structured_state_feedback`; `alpha = 1, beta = 0` is what the verifier demands."""
-
-    @property
-    def claim(self) -> str:
-        return f"with the input map undone, {super().claim}"

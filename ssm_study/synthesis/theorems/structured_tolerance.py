@@ -28,26 +28,26 @@ Reference. THEORY section 8; Megretski & Rantzer 1997, Theorem 1; `E = 0, H = 0`
 Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e answers u by `1.2 / (8 * 0.7 * 0.95)`.
 
 >>> import numpy as np
+>>> from ssm_study.synthesis.theorems.tolerance import largest_tolerance
 >>> from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
 >>> loop = StructuredSystem(**matrices)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
->>> found = largest_tolerance(Known(system=loop, controlled=loop, balls=balls, gains=gains), weight=one)
+>>> known = Known(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> found = largest_tolerance(known, weight=one, theorem=StructuredTolerance)
 >>> print(f"{found.s:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {found.certified}")
 4.43 <= 4.43, certified: True
 """
 
-import time
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.theorem import Blocks, Known, diagonal, stacked
-from ssm_study.synthesis.theorems.tolerance import Tolerance, loop_matrices
+from ssm_study.synthesis.theorem import Known, stacked
+from ssm_study.synthesis.theorems.tolerance import Candidates, Tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,61 +61,30 @@ class StructuredTolerance(Tolerance):
     l_z: Float[np.ndarray, "q p"]
     lambda_: Float[np.ndarray, "w"]
 
-    @classmethod
-    def conditions(cls, of: Any) -> dict[str, Blocks]:
-        loop, into_u, seen = with_neurons(of)
-        into_w, weights, (m, p) = cls.seen(of), diagonal(of.lambda_), (of.b.shape[1], of.c.shape[0])
-        storage = of.p - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u) - of.s * of.s * (into_w.T @ into_w)
-        order = of.p.shape[0]
-        supply = [[storage, np.zeros((order, m + p))]]
-        supply += [[np.zeros((m, order)), of.lambda_p * np.eye(m), np.zeros((m, p))]]
-        supply += [[np.zeros((p, order + m)), np.eye(p)]]
-        met = -1.0 * (weights @ seen)
-        inequality = stacked([[stacked(supply), met.T], [met, 2.0 * weights]]) - loop.T @ of.p @ loop
-        positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "s")}
-        return {"inequality": [[inequality]], **positive}
+    @staticmethod
+    def matrices(of: Any) -> Any:
+        """`[A_xi B_p B_e B_w B_d]`, `C_u` and `Z` of the statement, in the numbers of `of`."""
+        (s, m), (p, n), q = of.b.shape, of.c.shape, of.g.shape[0]
+        (linear, into_u), filtered = Tolerance.matrices(of), of.weight.shape[0] - m
+        inside = of.e[:n, :] + of.alpha_out * (of.l @ of.h)
+        steps = [
+            [of.e, np.zeros((s, q))],
+            [np.zeros((n, q)), inside],
+            [np.zeros((filtered, q)), np.zeros((filtered, q))],
+        ]
+        none, moved = np.zeros((q, filtered)), of.alpha * of.g
+        first = [of.f + moved @ of.k, moved @ of.k[:, :n], none, of.g, np.zeros((q, p))]
+        second = [np.zeros((q, s)), of.f[:, :n] + of.alpha_out * (of.l_z @ of.c), none, np.zeros((q, m)), -1.0 * of.l_z]
+        return stacked([[linear, stacked(steps)]]), into_u, stacked([first, second])
 
     def given(self, known: Known) -> dict[str, Any]:
-        controlled, looped = known.controlled, known.system.h.any() and self.l_z.any()
-        neurons = {name: getattr(controlled, name) for name in ("e", "f", "g")} | {"h": known.system.h}
-        return super().given(known) | neurons | ({"alpha_out": np.nan} if looped else {})
+        looped = known.system.h.any() and self.l_z.any()
+        return super().given(known) | ({"alpha_out": np.nan} if looped else {})
 
-    @property
-    def claim(self) -> str:
-        return f"every trajectory comes to rest under every mismatch of gain up to {self.s:.6g} from rest"
+    @classmethod
+    def candidates(cls, into_w: Any, beta: float, loop: Any, into_u: Any, seen: Any = None) -> Candidates:
+        """As there, with `lambda_`: a semidefinite program, `s^2` its goal, then a little inside with room to round."""
+        from ssm_study.synthesis.structured_lmi import largest_mismatch  # CVXPY
 
-
-def with_neurons(of: Any) -> tuple[Any, Any, Any]:
-    """`[A_xi B_p B_e B_w B_d]`, `C_u` and `Z` of the statement, in the numbers of `of`."""
-    (s, m), (p, n), q = of.b.shape, of.c.shape, of.g.shape[0]
-    (linear, into_u), filtered = loop_matrices(of), of.weight.shape[0] - m
-    inside = of.e[:n, :] + of.alpha_out * (of.l @ of.h)
-    steps = [[of.e, np.zeros((s, q))], [np.zeros((n, q)), inside], [np.zeros((filtered, q)), np.zeros((filtered, q))]]
-    none, moved = np.zeros((q, filtered)), of.alpha * of.g
-    first = [of.f + moved @ of.k, moved @ of.k[:, :n], none, of.g, np.zeros((q, p))]
-    second = [np.zeros((q, s)), of.f[:, :n] + of.alpha_out * (of.l_z @ of.c), none, np.zeros((q, m)), -1.0 * of.l_z]
-    return stacked([[linear, stacked(steps)]]), into_u, stacked([first, second])
-
-
-def largest_tolerance(
-    known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance"
-) -> StructuredTolerance | None:
-    """The largest s that is certified for this weight; None with a nonlinear output map and where none is found.
-
-    One semidefinite program, `s^2` its goal, then the same a little inside with room to round, until it is certified.
-    """
-    from ssm_study.synthesis.structured_lmi import largest_mismatch  # CVXPY
-
-    started, ball = time.perf_counter(), known.balls.input
-    if known.balls.output.beta > 0:
-        return None
-    given: dict[str, Any] = {name: getattr(known.controlled, name) for name in ("a", "b", "e", "f", "g")}
-    given |= {"c": known.system.c, "h": known.system.h, **known.gains, "alpha": ball.alpha, "beta": ball.beta}
-    given |= {"alpha_out": known.balls.output.alpha, "weight": weight}
-    of = SimpleNamespace(**given)
-    for numbers in largest_mismatch(*with_neurons(of), StructuredTolerance.seen(of), ball.beta):
-        told: Any = {"status": "inside the largest that the solver finds", "method": method}
-        found: StructuredTolerance = StructuredTolerance.proved(given | numbers, started=started, **told)
-        if found.certified:
-            return found
-    return None
+        for found in largest_mismatch(loop, into_u, seen, into_w, beta):
+            yield {**found, "status": "inside the largest that the solver finds"}

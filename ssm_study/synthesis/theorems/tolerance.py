@@ -35,7 +35,8 @@ Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: `T_ue = 0.125 (z - 0.5) / (z
 """
 
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from itertools import product
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -45,8 +46,9 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.synthesis.modes import doubled
+from ssm_study.synthesis.problem import DUAL
 from ssm_study.synthesis.sensitivity import frequency_response
-from ssm_study.synthesis.theorem import Blocks, Known, Theorem, stacked
+from ssm_study.synthesis.theorem import Blocks, Known, Theorem, diagonal, full, stacked
 from ssm_study.systems import JacobianBall, StateSpace, feed
 
 # Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again around the worst.
@@ -56,6 +58,7 @@ INSIDE = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # of the largest s, in order of trial; t
 SLACKS = (1e-7, 1e-10)  # of the inequality, as shares of its supply, where the loop's Gramian is the identity
 FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean in these coordinates
 Into = Float[np.ndarray, "m x"]
+Candidates = Iterator[dict[str, Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,14 +84,28 @@ class Tolerance(Theorem):
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class: it says what is `seen`
-        (loop, into_u), into_w = loop_matrices(of), cls.seen(of)
-        m, p, order = of.b.shape[1], of.c.shape[0], of.p.shape[0]
+        (loop, into_u, *neurons), into_w = cls.matrices(of), cls.seen(of)
         storage = of.p - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u) - of.s * of.s * (into_w.T @ into_w)
-        blocks = [[storage, np.zeros((order, m)), np.zeros((order, p))]]
-        blocks += [[np.zeros((m, order)), of.lambda_p * np.eye(m), np.zeros((m, p))]]
-        blocks += [[np.zeros((p, order)), np.zeros((p, m)), np.eye(p)]]
-        inequality = stacked(blocks) - loop.T @ of.p @ loop
-        return {"inequality": [[inequality]], "p": [[of.p]], "lambda_p": [[of.lambda_p]], "s": [[of.s]]}
+        supply = stacked(full([[storage, 0, 0], [of.lambda_p * np.eye(of.b.shape[1]), 0], [np.eye(of.c.shape[0])]]))
+        for met in neurons:  # none, or what `structured_tolerance` adds
+            weights = diagonal(of.lambda_)
+            supply = stacked(full([[supply, -1.0 * (weights @ met).T], [2.0 * weights]]))
+        positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "s")}
+        return {"inequality": [[supply - loop.T @ of.p @ loop]], **positive}
+
+    @staticmethod
+    def matrices(of: Any) -> Any:
+        """`[A_xi B_p B_e]`, `C_u` of the statement, in the numbers of `of`."""
+        (s, m), (p, n) = of.b.shape, of.c.shape
+        w = of.weight.shape[0] - m
+        k_x, none = of.k[:, :n], np.zeros((s, w))
+        a_w, b_w = of.weight[:w, :w], of.weight[:w, w:]
+        closed, observed = of.a + of.alpha * (of.b @ of.k), of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
+        fed = np.vstack([np.zeros((n, p)), feed(np.eye(s - n), p)])  # E
+        top = [closed, of.alpha * (of.b @ k_x), none, of.b, fed]
+        middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
+        bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
+        return stacked([top, middle, bottom]), stacked([[of.k, k_x, np.zeros((m, w))]])
 
     @staticmethod
     def seen(of: Any) -> Any:
@@ -99,9 +116,30 @@ class Tolerance(Theorem):
         return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
     def given(self, known: Known) -> dict[str, Any]:
-        nonlinear = known.balls.output.beta > 0
-        seen = {"c": known.system.c, "alpha_out": np.nan if nonlinear else known.balls.output.alpha}
-        return {"a": known.controlled.a, "b": known.controlled.b, **seen, **known.gains}
+        return self.loop_of(known)
+
+    @classmethod
+    def loop_of(cls, known: Known) -> dict[str, Any]:
+        """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear output map."""
+        names, out = [part.name for part in fields(cls) if part.name in DUAL], known.balls.output
+        given = {name: getattr(known.system if name in ("c", "h") else known.controlled, name) for name in names}
+        return {**given, **known.gains, "alpha_out": np.nan if out.beta > 0 else out.alpha}
+
+    @classmethod
+    def candidates(cls, into_w: Into, beta: float, loop: Float[np.ndarray, "x c"], into_u: Into) -> Candidates:
+        """`s, lambda_p, p` inside the largest s, in order of trial, with the `status` each is told by.
+
+        A search over the one multiplier: at a given `lambda_p` the largest s is a peak over frequency, and P the least
+        solution of a Riccati equation. No solver is asked; one is the oracle of the test.
+        """
+        if np.abs(np.linalg.eigvals(loop[:, : len(loop)])).max() >= 1:
+            return
+        lambda_p, largest = _search(loop, beta * into_u, into_w)
+        for inside, slack in product(INSIDE, SLACKS if largest < np.inf else ()):
+            s, said = largest * (1 - inside), f"{inside:.1%} inside the largest at this multiplier"
+            p = _energy(loop, lambda_p**0.5 * beta * into_u, largest * (1 - inside / 2) * into_w, lambda_p, slack)
+            if p is not None and s > 0:
+                yield {"s": s, "lambda_p": lambda_p, "p": p, "status": said}
 
     @staticmethod
     def ball(known: Known) -> JacobianBall:
@@ -115,57 +153,21 @@ class Tolerance(Theorem):
     def gain(self) -> Float[np.ndarray, "m s"]:
         return self.k
 
-    @property
-    def metric(self) -> Float[np.ndarray, "x x"]:
-        """`P`: the energy of a difference of two trajectories."""
-        return self.p
-
-    @property
-    def claim(self) -> str:
-        return f"differences of trajectories vanish under every mismatch of incremental gain up to {self.s:.6g}"
-
-
-def loop_matrices(of: Any) -> tuple[Any, Any]:
-    """`[A_xi B_p B_e]`, `C_u` of the statement, in the numbers of `of`."""
-    (s, m), (p, n) = of.b.shape, of.c.shape
-    w = of.weight.shape[0] - m
-    k_x, none = of.k[:, :n], np.zeros((s, w))
-    a_w, b_w = of.weight[:w, :w], of.weight[:w, w:]
-    closed, observed = of.a + of.alpha * (of.b @ of.k), of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
-    fed = np.vstack([np.zeros((n, p)), feed(np.eye(s - n), p)])  # E
-    top = [closed, of.alpha * (of.b @ k_x), none, of.b, fed]
-    middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
-    bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
-    return stacked([top, middle, bottom]), stacked([[of.k, k_x, np.zeros((m, w))]])
-
 
 def largest_tolerance(
     known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance", theorem: type[Tolerance] = Tolerance
 ) -> Tolerance | None:
     """The largest s that is certified for this weight; None with a nonlinear output map, where none is found, and where
     no mismatch has an effect (K or L is zero): no number is the largest then.
-
-    A search over the one multiplier: at a given `lambda_p` the largest s is a peak over frequency, and P the least
-    solution of a Riccati equation. No solver is asked; one is the oracle of the test.
     """
-    started, ball = time.perf_counter(), known.balls.input
+    started = time.perf_counter()
     if known.balls.output.beta > 0:
         return None
-    given: dict[str, Any] = {"a": known.controlled.a, "b": known.controlled.b, "c": known.system.c, **known.gains}
-    given |= {"alpha": ball.alpha, "beta": ball.beta, "alpha_out": known.balls.output.alpha, "weight": weight}
+    given = theorem.loop_of(known) | vars(known.balls.input) | {"weight": weight}
     of = SimpleNamespace(**given)
-    (loop, into_u), into_w = loop_matrices(of), theorem.seen(of)
-    order = len(loop)
-    if np.abs(np.linalg.eigvals(loop[:, :order])).max() >= 1:
-        return None
-    lambda_p, largest = _search(loop, ball.beta * into_u, into_w)
-    for inside, slack in product(INSIDE, SLACKS if largest < np.inf else ()):
-        s = largest * (1 - inside)
-        p = _energy(loop, lambda_p**0.5 * ball.beta * into_u, largest * (1 - inside / 2) * into_w, lambda_p, slack)
-        if p is None or not s > 0:
-            continue
-        told: Any = {"status": f"{inside:.1%} inside the largest at this multiplier", "method": method}
-        found: Tolerance = theorem.proved(given | {"s": s, "lambda_p": lambda_p, "p": p}, started=started, **told)
+    for numbers in theorem.candidates(theorem.seen(of), of.beta, *theorem.matrices(of)):
+        told: Any = {"status": numbers.pop("status"), "method": method, "started": started}
+        found: Tolerance = theorem.proved(given | numbers, **told)
         if found.certified:
             return found
     return None

@@ -63,10 +63,6 @@ class UnlimitedStart(StateFeedbackOfBall):
             found[f"start {j}"] = [[of.level, of.starts[:, j : j + 1].T], [of.p]]
         return found
 
-    @property
-    def claim(self) -> str:
-        return f"no limit acts from starts of up to {np.abs(self.starts).max():.6g}, the estimate exact"
-
 
 def unlimited(
     parts: Sequence[StateFeedbackOfBall], corners: Float[np.ndarray, "n j"], limits: Float[np.ndarray, "m two"]
@@ -83,11 +79,6 @@ def unlimited(
         found.append((float(np.sqrt(level / far)), level, part))
     share, level, part = max(found, key=lambda one: one[0])
     starts = {"limits": limits, "starts": (1 - ROUNDING) * share * corners, "level": level * (1 - ROUNDING)}
-    told: Any = {
-        "rate_limit": parts[0].rate_limit,
-        "method": "limited input",
-        "status": "level set",
-        "started": started,
-    }
-    proved: UnlimitedStart = UnlimitedStart.proved(part.numbers | starts, **told)
+    told: Any = {"rate_limit": parts[0].rate_limit, "method": "limited input", "status": "level set"}
+    proved: UnlimitedStart = UnlimitedStart.proved(part.numbers | starts, started=started, **told)
     return proved if proved.certified else None
