@@ -74,20 +74,16 @@ def _header(device: Device, told: dict[str, str], name: str) -> str:
         maps += "".join(_reached(f"{name}_{label}", part, name, real) for label, part in points.maps.items())
         defined = _SET_POINTS.substitute(sizes)
         declared = "".join(f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line)
+    # A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on.
+    rests = f"    else for (int i = {c.resting.start}; i < {c.resting.stop}; ++i) next[i] = state->x[i];\n"
     constants = sum(int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps))
     return _HEADER.substitute(
         sizes | told | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
-        within=WITHIN[points is not None].replace("#", name), resting=_resting(c.resting),
+        within=WITHIN[points is not None].replace("#", name), resting=rests if c.resting.stop > c.resting.start else "",
         step_s=repr(c.step_s), has_set_points=int(points is not None),
         bytes=constants * np.dtype(REALS[real]).itemsize, multiplications=device.multiplications,
         tiny=_number(1e-12, real), relative=_number(1e-9 if real == "double" else 1e-6, real),
     )  # fmt: skip
-
-
-def _resting(states: slice) -> str:
-    """A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on."""
-    rests = f"    else for (int i = {states.start}; i < {states.stop}; ++i) next[i] = state->x[i];\n"
-    return rests if states.stop > states.start else ""
 
 
 def harmless(text: str) -> str:

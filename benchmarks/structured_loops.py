@@ -1,0 +1,72 @@
+"""Loops of `auto` with neurons and with one layer, on the simulated plants over data seeds.
+
+    python -m benchmarks.structured_loops [seeds] > results/reference/loop/structured_loops.csv
+
+Per row: plant, model, seed; noise-free fit of the test record; whether both sides are certified, their rates and what
+the controller's may be at most; what is predicted, nothing where the records allow no judgement; how many of ten starts
+settle on the plant, their mean time, that of the plant alone, and the time over one layer's of the same seed; processor
+seconds of the choice. Each as configured, `ssm-study run model=... plant=...`: nothing is chosen by the loop.
+"""
+
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from benchmarks.adversarial.__main__ import study_of
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.evidence.finding import CANNOT_JUDGE
+from ssm_study.evidence.judgement import judge
+from ssm_study.loop.metrics import behaviour
+from ssm_study.models.metrics import Simulation
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.prediction import predict
+from ssm_study.training.metrics import mean_fit
+
+PLANTS, MODELS = ("dc_motor", "stribeck_drive", "cascaded_tanks"), ("ssm", "structured")
+COLUMNS = "plant,model,seed,fit_test_percent,certified,rate_controller,rate_limit,rate_observer,margin,predicted,"
+COLUMNS += "settled_of_10,settle_s,alone_s,ratio_to_one_layer,synthesis_s"
+
+
+def row(plant: str, kind: str, seed: int) -> dict[str, Any]:
+    """One line: identified, designed and closed as `ssm-study run` does it."""
+    parts: Any = study_of(f"plant={plant}", f"model={kind}", f"seed={seed}")
+    data = parts.data.build(parts.plant, parts.excitation, seed)
+    with TemporaryDirectory() as folder:
+        made = parts.reduction.reduce(parts.training.identify(parts.model, data, seed, Path(folder), False).model)
+    shown, balls = mismatch(made, data.validation, data.start_up_samples, data.trials), certified_balls(made)
+    free = [Simulation.of(made, records, data.start_up_samples) for records in (data.validation, data.test)]
+    silent = judge(data, made, *free, shown).level == CANNOT_JUDGE
+    started = time.process_time()
+    design = (parts.synthesis.cautious() if silent else parts.synthesis).design(made, balls, data.validation, shown)
+    spent, feedback = time.process_time() - started, design.state_feedback
+    about = {"plant": plant, "model": kind, "seed": seed, "fit_test_percent": f"{mean_fit(made, data.test, data):.2f}"}
+    about |= {"certified": design.certified, "synthesis_s": f"{spent:.1f}"}
+    about |= {"rate_controller": f"{feedback.rate:.3g}", "rate_limit": f"{feedback.rate_limit:.3g}"}
+    about |= {"rate_observer": f"{design.observer.rate:.3g}"}
+    if not design.feasible:
+        return about
+    predicted = predict(made, design.pair, balls, shown)
+    about |= {"margin": f"{predicted.resolved_margin:.2f}", "predicted": "" if silent else predicted.keeps_the_plant()}
+    facts = behaviour(parts.loop.fitted(made).run(parts.plant, made, design, parts.loop_seed))
+    times = {"settle_s": facts["settling_time_mean_s"], "alone_s": facts["settling_time_open_loop_s"]}
+    return about | {"settled_of_10": facts["stable_count"]} | times
+
+
+def main(seeds: int) -> None:
+    """Every plant, seed and model; one layer first, with which the other is compared."""
+    print(COLUMNS)
+    for plant in PLANTS:
+        for seed in range(seeds):
+            one = None
+            for found in (row(plant, kind, seed) for kind in MODELS):
+                own = found.get("settle_s")
+                one = one or own
+                found["ratio_to_one_layer"] = f"{own / one:.3f}" if own and one else ""
+                times = {name: f"{found[name]:.4g}" for name in ("settle_s", "alone_s") if found.get(name)}
+                print(",".join(str((found | times).get(name, "")) for name in COLUMNS.split(",")), flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
