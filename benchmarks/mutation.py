@@ -27,7 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "results" / "reference" / "mutation"
 COLUMNS = ("group", "module", "line", "fault", "occurrence", "outcome")
-SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 30, 1200
+SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 90, 1200
 # Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would only flatter.
 FAULTS = re.compile(
     r"core/(ReplaceBinaryOperator_(Add_Sub|Sub_Add|Mul_Div|Div_Mul|Pow_Mul)"
@@ -59,6 +59,9 @@ LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthe
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
+NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
+NEURONS += " tests/laws/test_training_structured.py"
+LOOPS = "tests/oracles/test_loop_trajectory.py tests/oracles/test_loop_settling.py tests/oracles/test_loop_trials.py"
 INTEGRAL = "tests/oracles/test_loop_integral.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
@@ -82,10 +85,52 @@ GROUPS = {
         planted=20,
     ),
     "claims": Group(modules=("study/verify.py",), tests=CLAIMS, planted=15),
+    "neurons": Group(
+        modules=_synthesis("structured_lmi", "structured_riccati", "among_starts")
+        + _synthesis(
+            "theorems/structured_state_feedback", "theorems/structured_observer", "theorems/structured_tolerance"
+        )
+        + (
+            "models/contracting.py",
+            "models/structured.py",
+            "training/structured_fit.py",
+            "training/structured_start.py",
+        ),
+        tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py tests/oracles/test_structured_tolerance.py",
+        planted=30,
+    ),
+    "loop": Group(
+        modules=(
+            "loop/controller.py",
+            "loop/trajectory.py",
+            "loop/regulation.py",
+            "loop/metrics.py",
+            "loop/rollout.py",
+        ),
+        tests=LOOPS,
+        planted=15,
+    ),
+    "export": Group(
+        modules=("export/device.py", "export/rest_points.py", "export/portable.py", "export/c.py"),
+        tests="tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
+        planted=20,
+    ),
+    "engine": Group(
+        modules=("engine/store.py", "engine/stages.py", "engine/plan.py", "engine/code.py", "engine/records.py"),
+        tests="tests/laws/test_engine_store.py tests/laws/test_engine_task.py tests/laws/test_engine_code.py",
+        planted=20,
+    ),
+    "table": Group(modules=("table",), tests="tests/laws/test_results_table.py", planted=15),
+    "evidence": Group(
+        modules=("evidence",),
+        tests="tests/oracles/test_evidence_response.py tests/oracles/test_evidence_rest.py "
+        "tests/laws/test_evidence_controls.py",
+        planted=15,
+    ),
 }
 
 
-def plant(name: str, folder: Path, tool: Path, minutes: float) -> None:
+def plant(name: str, folder: Path, tool: Path, minutes: float, seed: int, share: float) -> None:
     """Go on with the group's session for so many minutes."""
     session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
     fresh_copy(tree)
@@ -102,7 +147,7 @@ def plant(name: str, folder: Path, tool: Path, minutes: float) -> None:
     if not session.exists():
         subprocess.run([tool / "cosmic-ray", "baseline", config], cwd=tree, check=True)
         subprocess.run([tool / "cosmic-ray", "init", config, session], cwd=tree, check=True)
-        sample(session, tree, group.planted)
+        sample(session, tree, round(share * group.planted), seed)
     exec_ = ["timeout", str(int(60 * minutes)), tool / "cosmic-ray", "exec", config, session]
     subprocess.run(exec_, cwd=tree, check=False)
 
@@ -119,8 +164,8 @@ def fresh_copy(tree: Path) -> None:
     subprocess.run(["tar", "x", "-C", tree], input=archive, check=True)
 
 
-def sample(session: Path, tree: Path, planted: int) -> None:
-    """Keep the session's faults that come first in an order drawn with `SEED`; none in a dataclass's own decorator.
+def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
+    """Keep the session's faults that come first in an order drawn with `seed`; none in a dataclass's own decorator.
 
     A fault's place in that order hangs on its own line alone, so the draw outlives changes elsewhere.
     """
@@ -134,7 +179,7 @@ def sample(session: Path, tree: Path, planted: int) -> None:
             if FAULTS.match(operator) and not line.startswith("@"):
                 fault = path, operator, line, str(column)
                 seen[fault] += 1
-                place[job] = hashlib.sha256(repr((SEED, fault, seen[fault])).encode()).hexdigest()
+                place[job] = hashlib.sha256(repr((seed, fault, seen[fault])).encode()).hexdigest()
         kept = set(sorted(place, key=place.__getitem__)[:planted])
         for table in ("mutation_specs", "work_items"):
             base.executemany(f"delete from {table} where job_id = ?", [(s[0],) for s in specs if s[0] not in kept])
@@ -168,7 +213,7 @@ def _value(number: re.Match[str]) -> str:
     return repr(float(number[0].replace("_", "")))
 
 
-def report(folder: Path) -> None:
+def report(folder: Path, name_of: str) -> None:
     rows = [
         row
         for name in GROUPS
@@ -176,12 +221,12 @@ def report(folder: Path) -> None:
         for row in planted_faults(folder / f"{name}.sqlite")
     ]
     FOLDER.mkdir(parents=True, exist_ok=True)
-    with (FOLDER / "faults.csv").open("w", newline="") as file:
+    with (FOLDER / f"{name_of}.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(row for row, _ in rows)
     survivors = [diff for row, diff in rows if row["outcome"] == "survived"]
-    (FOLDER / "survivors.diff").write_text("\n".join(survivors) + "\n")
+    (FOLDER / ("survivors.diff" if name_of == "faults" else f"{name_of}.diff")).write_text("\n".join(survivors) + "\n")
     for name in GROUPS:
         said = [row["outcome"] for row, _ in rows if row["group"] == name]
         print(f"{name}: {said.count('caught')} of {len(said)} caught", flush=True)
@@ -194,12 +239,14 @@ def main() -> None:
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--again", action="store_true", help="plant the survivors again")
     parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=SEED, help="another draw: written to fresh.csv and fresh.diff")
+    parser.add_argument("--share", type=float, default=1.0, help="of each group's faults")
     arguments = parser.parse_args()
     for name in filter(None, arguments.groups.split(",")):
         if arguments.again:
             again(arguments.folder / f"{name}.sqlite")
-        plant(name, arguments.folder, arguments.cosmic_ray, arguments.minutes)
-    report(arguments.folder)
+        plant(name, arguments.folder, arguments.cosmic_ray, arguments.minutes, arguments.seed, arguments.share)
+    report(arguments.folder, "faults" if arguments.seed == SEED else "fresh")
 
 
 if __name__ == "__main__":
