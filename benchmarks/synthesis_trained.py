@@ -54,7 +54,7 @@ def identified(plant: str, order: int, seed: int) -> SSM:
 def described(model: SSM, origin: str) -> dict[str, object] | None:
     """What the benchmark reads; None for a model that no certificate could be asked of."""
     ball = jacobian_ball(model.scaffold_in).ball
-    if ball is None or ball.relative_radius >= 1 or model.order < 2:
+    if ball.relative_radius >= 1 or model.order < 2:
         return None
     parts = {name: getattr(model.linear, name).tolist() for name in ("a", "b", "c")}
     return {**parts, "alpha": ball.alpha, "beta": ball.beta, "origin": origin}

@@ -35,6 +35,7 @@ from ssm_study.export import targets
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.models.identified import SSM, Simulator
+from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, fit_percent
@@ -59,7 +60,7 @@ class Model:
     """`y = simulate(u)`, identified from records; physical units, and what is known of how well it predicts.
 
     `facts` are the columns of a run up to the model (`fit_test_percent`, `input_slope_lower`, ...); `simulator` is the
-    model as explicit numbers, an `SSM` unless a baseline was asked for. `overrides` give the same model to the command.
+    model as explicit numbers: a `StructuredSSM`, an `SSM`, or a baseline. `overrides` give the same to the command.
     """
 
     simulator: Simulator
@@ -79,21 +80,24 @@ class Model:
         return fit_percent(signal(y, "y")[1], self.simulator.simulate(signal(u, "u")[1]))
 
     @property
-    def ssm(self) -> SSM:
-        """The simulator, if it is a state-space model of one layer; refuses every other."""
+    def ssm(self) -> SSM | StructuredSSM:
+        """The simulator, if it is a structured state-space model; refuses every other."""
         kind, problem = type(self.simulator).__name__, "a baseline is scored only, nothing is certified of it"
-        require(isinstance(self.simulator, SSM), "model", kind, problem, "fit model=ssm")
-        assert isinstance(self.simulator, SSM)
+        require(isinstance(self.simulator, SSM | StructuredSSM), "model", kind, problem, "fit model=structured or ssm")
+        assert isinstance(self.simulator, SSM | StructuredSSM)
         return self.simulator
 
     def to_control(self) -> "python_control.StateSpace":
-        """The model linearised at its equilibrium, deviations in physical units: all of it where S_u, S_y are linear.
+        """The model linearised at its equilibrium, deviations in physical units: all of it where everything is linear.
 
-        `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`. Refuses a baseline, which has no state space.
+        `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest within A, B, C, D.
+        Refuses a baseline, which has no state space.
         """
         import control as python_control
 
         model, linear = self.ssm, self.ssm.linear
+        if isinstance(model, StructuredSSM):
+            linear = model.linearised(np.zeros(model.order), np.zeros(linear.b.shape[1]))
         inward, outward = (one.jacobian(np.zeros(one.inputs)) for one in (model.scaffold_in, model.scaffold_out))
         inward, outward = inward / model.scale.input_scale, model.scale.output_scale[:, None] * outward
         matrices = linear.a, linear.b @ inward, outward @ linear.c, outward @ linear.d @ inward
@@ -118,7 +122,7 @@ class Design:
         return certificate.Design.load(self.folder / "certificate.json")
 
     @cached_property
-    def model(self) -> SSM:
+    def model(self) -> SSM | StructuredSSM:
         """What it is certified for."""
         return Simulated(self.folder).model
 
@@ -129,8 +133,11 @@ class Design:
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
         """What is certified when the input is limited, in physical units; see `synthesis.deployed`."""
-        ends = (np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper))
-        return within_limits(self.model, self.certificate, *ends)
+        ends, model = (np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper)), self.model
+        problem = "nothing is proved within limits: the theorems on them know no neurons"
+        require(isinstance(model, SSM), "model", type(model).__name__, problem, "fit model=ssm")
+        assert isinstance(model, SSM)
+        return within_limits(model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Header `path` and beside it the source and a replay, all named as the header, in "double" or "float".
@@ -148,7 +155,7 @@ class Design:
 
 
 def fit(u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str | Path | None = None) -> Model:
-    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` fitted to `u[k]`, held over `step_s` seconds, and `y[k]`.
+    """`model=structured`, or what `overrides` name, fitted to `u[k]`, held over `step_s` seconds, and `y[k]`.
 
     `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the channels), or lists of
     them, one per experiment. The last 40 % of each validate and test it (`data.validation_fraction`). Raises

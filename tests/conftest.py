@@ -96,6 +96,13 @@ def made_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def many_steps() -> Iterator[None]:
+    """For thousands of steps, whose shapes other tests of the module check."""
+    with shapes_unchecked():
+        yield
+
+
 @pytest.fixture(scope="session")
 def benchmark_data() -> Path:
     folder = Path(os.environ.get("SSM_STUDY_DATA", REPOSITORY.parent / "shared" / "data"))

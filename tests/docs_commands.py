@@ -39,6 +39,11 @@ SMALL = {
     "hydra.launcher.n_jobs": 1,
     "progress": "false",
 }
+# Of parts of this kind: records for the mismatch alone, and most candidates, are left out.
+FEWER = (
+    ("data", ".SimulatedData", {"trials": "false"}),
+    ("synthesis", ".Auto", {"input_weights": "[0.01,1.0]", "output_noises": "[0.01,1.0]"}),
+)
 # A benchmark runs as a copy, its tables go beside the copy, with these options or this source instead of its own.
 SMALL_OPTIONS = {
     "loop_batch.py": "--cases 3 --samples 20 --one-by-one 1",
@@ -144,6 +149,9 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
     replaced = {key: value for key, value in SMALL.items() if has(config, key)}
     if has(config, "data.benchmark"):  # the launcher's processes may be older than this test's environment
         replaced["data.folder"] = f"{os.environ['SSM_STUDY_DATA']}/{config.data.benchmark}"
+    for part, kind, fewer in FEWER:
+        if str(config[part]._target_).endswith(kind):
+            replaced |= {f"+{part}.{name}": value for name, value in fewer.items()}
     return [word for word in words if word.split("=")[0] not in replaced] + [f"{k}={v}" for k, v in replaced.items()]
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from ssm_study.bounds.gramians import hankel_singular_values, local_property
-from ssm_study.bounds.slopes import certified_balls, jacobian_ball, spectral_norm_bound
+from ssm_study.bounds.slopes import jacobian_ball, spectral_norm_bound
 from ssm_study.columns import ITERATED, Column
 from ssm_study.systems import StructuredSystem
 
@@ -42,18 +42,18 @@ def bound_facts(model: Any) -> dict[str, Any]:
     bounds = {"input": jacobian_ball(model.scaffold_in), "output": jacobian_ball(model.scaffold_out)}
     for side, bound in bounds.items():
         facts |= {f"{side}_slope_lower": bound.lower, f"{side}_slope_upper": bound.upper}
-    norms = spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else bounds["input"]
-    facts |= {"input_slope_lower_spectral": norms.lower, "input_slope_upper_spectral": norms.upper}
+    norms = bounds["input"].lower, bounds["input"].upper
+    norms = spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else norms
+    facts |= {"input_slope_lower_spectral": norms[0], "input_slope_upper_spectral": norms[1]}
     facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
     if model.linear.spectral_radius < 1:
         hankel = hankel_singular_values(model.linear)
         facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
     facts |= {"spectral_radius": model.linear.spectral_radius}
     if not isinstance(getattr(model, "system", None), StructuredSystem):
-        balls = certified_balls(model)
         for name, local in (
-            ("controllability", local_property(model.linear.a, model.linear.b, balls.input)),
-            ("observability", local_property(model.linear.a.T, model.linear.c.T, balls.output)),
+            ("controllability", local_property(model.linear.a, model.linear.b, bounds["input"].ball)),
+            ("observability", local_property(model.linear.a.T, model.linear.c.T, bounds["output"].ball)),
         ):
             facts |= {f"local_{name}": local.holds, f"{name}_gramian_lower": local.lower}
             facts |= {f"{name}_gramian_upper": local.upper}

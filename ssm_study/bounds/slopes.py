@@ -20,13 +20,12 @@ class SlopeBound:
     """`lower <= slope <= upper`, and the ball `J = alpha I + beta Delta` that holds every Jacobian.
 
     For a scalar map the numbers are slopes with sign; in several dimensions they are the ends `alpha -+ beta` of the
-    ball (singular values for the norm bounds). `ball` is None when the bound says nothing about where in the plane the
-    Jacobians lie (norm bounds, whose lower end is unsound): such a figure may be printed, never certified with.
+    ball.
     """
 
     lower: float
     upper: float
-    ball: JacobianBall | None
+    ball: JacobianBall
     method: str
 
 
@@ -80,7 +79,7 @@ def network_bound(network: Network) -> SlopeBound:
 
 def _width(bound: SlopeBound) -> tuple[float, float]:
     """Balls that exclude zero by their relative radius, as the frontier sees them; the others by their radius."""
-    return (np.inf, np.inf) if bound.ball is None else (min(bound.ball.relative_radius, 1.0), bound.ball.beta)
+    return min(bound.ball.relative_radius, 1.0), bound.ball.beta
 
 
 def interval_bound(network: Network) -> SlopeBound:
@@ -103,11 +102,11 @@ def interval_bound(network: Network) -> SlopeBound:
     return bound_from_ball(ball_around_identity(last @ centre, float(np.linalg.norm(radius, 2))), method="interval")
 
 
-def spectral_norm_bound(network: Network) -> SlopeBound:
+def spectral_norm_bound(network: Network) -> tuple[float, float]:
     """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure, [Z26] section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map, yet the product is
-    positive. Neither says where the Jacobians lie, so there is no ball.
+    positive. Neither says where the Jacobians lie: figures to print, never to certify with.
     """
     lower = upper = 1.0
     for weight in network.weights:
@@ -116,7 +115,7 @@ def spectral_norm_bound(network: Network) -> SlopeBound:
     for _, _, *both in network.hidden():
         slopes = np.abs(np.concatenate(both))
         lower, upper = lower * float(slopes.min()), upper * float(slopes.max())
-    return SlopeBound(lower=lower, upper=upper, ball=None, method="spectral_norm")
+    return lower, upper
 
 
 def jacobian_ball(scaffold: Any) -> SlopeBound:
@@ -132,11 +131,5 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
 
 
 def certified_balls(model: Any) -> Balls:
-    """The balls of `scaffold_in` and `scaffold_out` for the theorems: sound on both sides, or `BadRequest`."""
-    balls = []
-    for name in ("scaffold_in", "scaffold_out"):
-        bound = jacobian_ball(getattr(model, name))
-        if bound.ball is None:
-            raise BadRequest(name, bound.method, "no sound ball of Jacobians is known", "choose another scaffold")
-        balls.append(bound.ball)
-    return Balls(input=balls[0], output=balls[1])
+    """The balls of `scaffold_in` and `scaffold_out` for the theorems, sound on both sides. Refuses as above."""
+    return Balls(input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball)

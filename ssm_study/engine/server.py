@@ -101,7 +101,13 @@ class Server:
 
     def _start(self) -> None:
         with _environment(thread_limits(self.threads)):
-            self._import()
+            try:
+                self.warm()
+            except Exception as error:  # whatever a module raises
+                source = traceback.extract_tb(error.__traceback__)[-1]
+                where = f"{source.filename}:{source.lineno}"
+                problem = f"{where}: importing it for the jobs failed ({type(error).__name__}: {error})"
+                raise BadRequest("program", Path(source.filename).name, problem, "mend it") from error
             gc.freeze()  # what has been imported is not looked at again: a job would copy all of it
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # what waits in a buffer would be written again by every job
@@ -111,15 +117,6 @@ class Server:
                 self.line.close()  # the server must not hold the sweep's end, or it would never see it close
                 _serve(theirs, self.tasks, self.threads)
             theirs.close()  # nor the sweep the server's: its death is then seen as the end of the line
-
-    def _import(self) -> None:
-        try:
-            self.warm()
-        except Exception as error:  # whatever a module raises
-            source = traceback.extract_tb(error.__traceback__)[-1]
-            where = f"{source.filename}:{source.lineno}"
-            problem = f"{where}: importing it for the jobs failed ({type(error).__name__}: {error})"
-            raise BadRequest("program", Path(source.filename).name, problem, "mend it") from error
 
 
 def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
+from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, AT_REST, RESPONSES, Mismatch, stuck
 
@@ -74,7 +75,10 @@ def _length(case: Case) -> Iterator[str]:
         told = f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over the longest record"
         yield f"{told}, so no log shows where it rests: try the loop, and refine with that log."
     elif max(samples) < RESPONSES * response:
-        yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: lengthen it."
+        remedy = "lengthen it"
+        if isinstance(case.model, StructuredSSM):  # it contracts, so an integrator looks like a slow mode
+            remedy += "; if the output integrates its input, use model.integrated=true"
+        yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: {remedy}."
 
 
 def _drift(case: Case) -> Iterator[str]:

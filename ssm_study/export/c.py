@@ -12,6 +12,7 @@ from jaxtyping import Float
 from ssm_study.bounds.inverse import Inverse
 from ssm_study.bounds.network import PortableMap
 from ssm_study.export.device import REALS, Device
+from ssm_study.export.rest_points import Joined
 from ssm_study.models.structured import NEURONS
 from ssm_study.refusal import require
 
@@ -70,22 +71,19 @@ def _header(device: Device, told: dict[str, str], name: str) -> str:
     if points is not None:
         maps += _inverse(f"{name}_s_in_inverse", points.inward, name, real)
         maps += _inverse(f"{name}_s_out_inverse", points.outward, name, real)
+        maps += "".join(_reached(f"{name}_{label}", part, name, real) for label, part in points.maps.items())
         defined = _SET_POINTS.substitute(sizes)
         declared = "".join(f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line)
+    # A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on.
+    rests = f"    else for (int i = {c.resting.start}; i < {c.resting.stop}; ++i) next[i] = state->x[i];\n"
     constants = sum(int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps))
     return _HEADER.substitute(
         sizes | told | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
-        within=WITHIN[points is not None].replace("#", name), resting=_resting(c.resting),
+        within=WITHIN[points is not None].replace("#", name), resting=rests if c.resting.stop > c.resting.start else "",
         step_s=repr(c.step_s), has_set_points=int(points is not None),
         bytes=constants * np.dtype(REALS[real]).itemsize, multiplications=device.multiplications,
         tiny=_number(1e-12, real), relative=_number(1e-9 if real == "double" else 1e-6, real),
     )  # fmt: skip
-
-
-def _resting(states: slice) -> str:
-    """A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on."""
-    rests = f"    else for (int i = {states.start}; i < {states.stop}; ++i) next[i] = state->x[i];\n"
-    return rests if states.stop > states.start else ""
 
 
 def harmless(text: str) -> str:
@@ -183,6 +181,16 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
         tables["w_out"] = portable.network.weights[-1]
         body += _product(prefix, "w_out", tables["w_out"], source, "out")
     return _function(name, "v", tables, body, real)
+
+
+def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, real: str) -> str:
+    """`out += part w`, or `out` between stored points."""
+    if not isinstance(part, Joined):
+        return _function(name, "w", {"linear": part}, _product(prefix, "linear", part, "w", "out"), real)
+    h, r = len(part.points), part.slopes.shape[1]
+    body = f"    int j;\n    for (j = 0; j < {h} && #at[j] <= w[0]; ++j) {{}}\n"
+    body += f"    for (int i = 0; i < {r}; ++i) out[i] = #slope[j * {r} + i] * w[0] + #offset[j * {r} + i];\n"
+    return _function(name, "w", {"at": part.points, "slope": part.slopes, "offset": part.offsets}, body, real)
 
 
 def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:

@@ -2,9 +2,10 @@
 
 For a set point r the law aims at the rest point of the model nearest to it: `v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped
 to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`, and applies
-`u = clamp(u_eq + s_u (v* + K (x - x*)))`. The observer is told the input that was applied, so a limit does not disturb
-the estimate, and no error enters an internal model while it acts: nothing winds up. `Device` is also its own oracle:
-`replay` runs the law in NumPy, one rounding for one rounding of the C code compiled with `-ffp-contract=off`.
+`u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons rest points are read from a curve (`rest_points`). The observer
+is told the input that was applied, so a limit does not disturb the estimate, and no error enters an internal model
+while it acts: nothing winds up. `Device` is also its own oracle: `replay` runs the law in NumPy, one rounding for one
+rounding of the C code compiled with `-ffp-contract=off`.
 """
 
 from dataclasses import dataclass
@@ -17,22 +18,33 @@ from jaxtyping import Float
 from ssm_study.bounds.inverse import Inverse, inverse_of
 from ssm_study.bounds.network import PortableMap
 from ssm_study.export.portable import PortableController, Vector, in_floats, times
+from ssm_study.export.rest_points import Curve, Joined, curve, reached
 from ssm_study.refusal import one_of
 from ssm_study.systems import StateSpace
 
 REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
+WIDEST = 5.0  # scaled inputs: as far as a curve of rest points goes where there is no limit
 IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
-    """`to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)` is G."""
+    """`to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)` is G.
 
-    to_lifted: Float[np.ndarray, "k q"]  # the least input where inputs outnumber outputs
-    at_rest: Float[np.ndarray, "n k"]
-    seen: Float[np.ndarray, "q k"]
+    With neurons each is a line through stored points, which misses what S_y reads by at most `missed`.
+    """
+
+    to_lifted: Float[np.ndarray, "k q"] | Joined  # the least input where inputs outnumber outputs
+    at_rest: Float[np.ndarray, "n k"] | Joined
+    seen: Float[np.ndarray, "q k"] | Joined
     inward: Inverse
     outward: Inverse
+    missed: float = 0.0
+
+    @property
+    def maps(self) -> dict[str, Any]:
+        """The first three by name."""
+        return {name: getattr(self, name) for name in ("to_lifted", "at_rest", "seen")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +52,7 @@ class Device:
     """A controller rounded to `real`, with input limits `lower, upper (m,)`, physical; infinite where there is none.
 
     `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, no constant input
-    reaches every output, or the rest points of neurons would have to be searched. Raises `BadRequest` for
-    another `real`.
+    reaches every output, or neurons stand between several inputs or outputs. Raises `BadRequest` for another `real`.
     """
 
     controller: PortableController
@@ -63,22 +74,37 @@ class Device:
         """From the rounded numbers, computed in float64 and rounded once more."""
         c = in_floats(self.controller, np.float64)
         model, inward, outward = c.recurrence(), inverse_of(c.s_in), inverse_of(c.s_out)
-        if not isinstance(model, StateSpace):
+        if inward is None or outward is None:
             return None
+        if not isinstance(model, StateSpace):
+            return self._along_curve(c, inward, outward)
         rest = np.linalg.solve(np.eye(model.order) - model.a, model.b)  # x = A x + B v
         gain = model.c @ rest + model.d
-        reached = np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) == len(gain)
-        if inward is None or outward is None or not reached:
+        if np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) < len(gain):
             return None
         at_rest = np.pad(rest, ((0, len(c.a) - model.order), (0, 0)))
         exact = SetPoints(to_lifted=np.linalg.pinv(gain), at_rest=at_rest, seen=gain, inward=inward, outward=outward)
         return in_floats(exact, REALS[self.real])
 
+    def _along_curve(self, c: PortableController, inward: Inverse, outward: Inverse) -> SetPoints | None:
+        """Every other point is stored; those between tell what is missed."""
+        if len(self.lower) > 1:
+            return None
+        ends = [c.scale.scaled_input(end.astype(float)) for end in (self.lower, self.upper)]
+        low, high = (float(_mapped(c.s_in, np.clip(end, -WIDEST, WIDEST))[0]) for end in ends)
+        full = curve(c, low, high)
+        if full is None:
+            return None
+        kept = Curve(lifted=full.lifted[::2], x=full.x[::2], read=full.read[::2])
+        seen = Joined.through(kept.lifted, kept.read[:, None])
+        at_rest = Joined.through(kept.lifted, np.pad(kept.x, ((0, 0), (0, len(c.a) - kept.x.shape[1]))))
+        missed = max(abs(float(seen(v[None])[0]) - y) for v, y in zip(full.lifted, full.read, strict=True))
+        told: Any = {"inward": inward, "outward": outward, "missed": missed}
+        return in_floats(SetPoints(to_lifted=kept.inverse(), at_rest=at_rest, seen=seen, **told), REALS[self.real])
+
     def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Every constant of the C code by name, in its order; those of the maps' networks are `layers`."""
-        sets = vars(self.set_points) if self.set_points else {}
-        matrices = {name: part for name, part in sets.items() if isinstance(part, np.ndarray)}
-        return self.controller.arrays() | {"lower": self.lower, "upper": self.upper} | matrices
+        """Every constant of the C code by name, in its order, but those of its maps."""
+        return self.controller.arrays() | {"lower": self.lower, "upper": self.upper}
 
     @property
     def multiplications(self) -> int:
@@ -86,6 +112,8 @@ class Device:
         c = self.controller
         maps = sum(w.size for s in (c.s_in, c.s_out) for w in (s.linear, *(s.network.weights if s.network else ())))
         products = sum(table.size for table in self.tables().values() if table.ndim == 2)
+        for part in self.set_points.maps.values() if self.set_points else ():
+            products += part.slopes.shape[1] if isinstance(part, Joined) else part.size
         if (inner := c.neurons) and inner.h.any():  # computed twice: for the output, then with its error
             products += inner.f.size + inner.g.size
         return products + maps + (maps + 2 * len(c.k) if self.set_points else 0)
@@ -95,7 +123,7 @@ class Device:
         c, points = self.controller, self.set_points
         if points is None:
             return np.zeros(len(c.a), dtype=REALS[self.real])
-        return times(points.at_rest, times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))))
+        return reached(points.at_rest, reached(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))))
 
     def track(self, x: Vector, y: Vector, r: Vector) -> tuple[Vector, Vector]:
         """The input for this sample, clamped, and the next state; without set points towards the equilibrium."""
@@ -122,11 +150,11 @@ class Device:
         c, points, real = self.controller, self.set_points, REALS[self.real]
         if points is None:
             return {"x": np.zeros(len(c.a), real), "v": np.zeros(len(c.k), real), "w": np.zeros(c.l.shape[1], real)}
-        wanted = times(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
+        wanted = reached(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
         u = np.clip(c.scale.physical_input(_undone(points.inward, wanted)), self.lower, self.upper)
         v = c.scale.scaled_input(u)
         lifted = _mapped(c.s_in, v)
-        return {"x": times(points.at_rest, lifted), "v": v, "w": _mapped(c.s_out, times(points.seen, lifted))}
+        return {"x": reached(points.at_rest, lifted), "v": v, "w": _mapped(c.s_out, reached(points.seen, lifted))}
 
     def replay(self, y: Float[np.ndarray, "T p"], r: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T m"]:
         """What the device applies to these measurements and set points, started at the first measurement."""

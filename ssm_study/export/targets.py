@@ -121,7 +121,7 @@ def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
         return ()
     model = _model(run)
     if not isinstance(model, SSM):
-        return ("Within the limits nothing is proved: the theorems on them know no neurons.",)
+        return ("Within the limits nothing is proved: the theorems on them know no neurons.", *_between(device))
     try:
         found = within_limits(model, design, lower, upper)
     except BadRequest as refusal:
@@ -137,6 +137,13 @@ def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
             "The limits are proved not to act from rest alone: the estimate cannot start at an output on the device."
         )
     return inside, beyond
+
+
+def _between(device: Device) -> tuple[str, ...]:
+    """How far set points are missed between stored rest points, in the output's scale."""
+    if device.set_points is None or not device.set_points.missed:
+        return ()
+    return (f"Set points lie on lines between stored rest points: missed by at most {device.set_points.missed:.1e}.",)
 
 
 def python_control_system(run: Path) -> Any:

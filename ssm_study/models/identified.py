@@ -161,5 +161,4 @@ def _mixing(scaffold: Scaffold) -> Float[np.ndarray, "m m"] | None:
 
 
 def _narrower(candidate: Scaffold, present: Scaffold) -> bool:
-    new, old = jacobian_ball(candidate).ball, jacobian_ball(present).ball
-    return new is not None and old is not None and new.relative_radius < old.relative_radius
+    return jacobian_ball(candidate).ball.relative_radius < jacobian_ball(present).ball.relative_radius

@@ -1,7 +1,8 @@
 """What `conf/model/structured.yaml` says, and the maps S_u and S_y as they are trained, derivatives written out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -96,6 +97,7 @@ class StructuredSpec(ModelSpec):
     `|x|_M` contracting by r per sample, by construction; null leaves the model free. `ridge` weighs the squared
     parameters. Each of `starts` trainings begins with the best of `draws` of neurons at random; `start_steps` of
     Levenberg-Marquardt for the linear fit, S_u and each free draw, before the set of contracting models is entered.
+    `among_starts` takes one of their results, null that of the best validation fit.
     `integrated`: the output is a running sum, an integrator in front of which the model contracts.
     Source: THEORY section 6.
     """
@@ -115,6 +117,7 @@ class StructuredSpec(ModelSpec):
     rate: float | None = 0.999
     ridge: float = 1e-6
     starts: int = 4
+    among_starts: Callable[[Any], Any] | None = None
     draws: int = 8
     start_steps: list[int] | tuple[int, int, int] = (15, 20, 10)
     integrated: bool = False

@@ -12,23 +12,23 @@ Why it is needed: docs/theory.md, "The verdict". Source of the balls: Johansson 
 from typing import Any
 
 import numpy as np
-from flint import arb_mat, ctx, fmpz_mat
+from flint import arb_mat, ctx, fmpq, fmpq_mat, fmpz_mat
 from jaxtyping import Float
 
 BITS = (128, 256, 512, 1024)  # floats have 53; certificates whose margin floats still see are decided by the first
 
 
 class Exact:
-    """`integer 2^-shift`: a matrix of binary fractions, which is what floats are and what their sums and products stay.
+    """A matrix of rationals, which is what floats are and what their sums and products stay.
 
-    `+, -, @, .T, [:, :]` as NumPy has them, with arrays and floats too; `*` scales by a number. No fraction is reduced.
+    `+, -, @, .T, [:, :]` as NumPy has them, with arrays and floats too; `*` scales by a number.
     """
 
     __array_ufunc__ = None  # NumPy leaves `array @ exact` to this class
-    __slots__ = ("integer", "shift")
+    __slots__ = ("rational",)
 
-    def __init__(self, integer: fmpz_mat, shift: int = 0) -> None:
-        self.integer, self.shift = integer, shift
+    def __init__(self, rational: fmpq_mat) -> None:
+        self.rational = rational
 
     @classmethod
     def of(cls, value: Any) -> "Exact":
@@ -36,51 +36,42 @@ class Exact:
         if isinstance(value, cls):
             return value
         matrix = np.atleast_2d(np.asarray(value, dtype=float))
-        ratios = [entry.as_integer_ratio() for entry in matrix.ravel().tolist()]
-        shift = max((bottom.bit_length() - 1 for _, bottom in ratios), default=0)
-        entries = [top << (shift + 1 - bottom.bit_length()) for top, bottom in ratios]
-        return cls(fmpz_mat(len(matrix), matrix.shape[1], entries), shift)
+        entries = [fmpq(*entry.as_integer_ratio()) for entry in matrix.ravel().tolist()]
+        return cls(fmpq_mat(len(matrix), matrix.shape[1], entries))
 
     @classmethod
     def block(cls, rows: list[list[Any]]) -> "Exact":
         """As `np.block`; raises `ValueError` where the blocks do not fit."""
-        blocks = [[cls.of(block) for block in row] for row in rows]
-        shift = max(block.shift for row in blocks for block in row)
-        return cls._of_entries(np.block([[block._entries(shift) for block in row] for row in blocks]), shift)
+        return cls._of_entries(np.block([[cls.of(block)._entries() for block in row] for row in rows]))
 
     @classmethod
-    def _of_entries(cls, entries: np.ndarray, shift: int) -> "Exact":
-        return cls(fmpz_mat(len(entries), entries.shape[1], entries.ravel().tolist()), shift)
+    def _of_entries(cls, entries: np.ndarray) -> "Exact":
+        return cls(fmpq_mat(len(entries), entries.shape[1], entries.ravel().tolist()))
 
-    def _entries(self, shift: int) -> np.ndarray:  # The integers at another shift, as an array of objects
-        return np.array(self._shifted(shift).tolist(), dtype=object).reshape(self.shape)
-
-    def _shifted(self, shift: int) -> fmpz_mat:
-        return self.integer * (1 << (shift - self.shift))
+    def _entries(self) -> np.ndarray:  # As an array of objects
+        return np.array(self.rational.tolist(), dtype=object).reshape(self.shape)
 
     @property
     def shape(self) -> tuple[int, int]:
-        return self.integer.nrows(), self.integer.ncols()
+        return self.rational.nrows(), self.rational.ncols()
 
     @property
     def T(self) -> "Exact":
-        return Exact(self.integer.transpose(), self.shift)
+        return Exact(self.rational.transpose())
 
     def __getitem__(self, index: tuple[slice, slice]) -> "Exact":
-        return Exact._of_entries(self._entries(self.shift)[index], self.shift)
+        return Exact._of_entries(self._entries()[index])
 
     def diagonal(self) -> "Exact":
         """The diagonal matrix of the entries of a row."""
-        return Exact._of_entries(np.diagflat(self._entries(self.shift)[0]), self.shift)
+        return Exact._of_entries(np.diagflat(self._entries()[0]))
 
     def rounded(self) -> Float[np.ndarray, "r c"]:
         """Each entry rounded once to the nearest float: the same bits on every machine."""
-        scale = 1 << self.shift
-        return np.array([[int(entry) / scale for entry in row] for row in self.integer.tolist()])
+        return np.array([[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()])
 
     def __add__(self, other: Any) -> "Exact":
-        right, shift = Exact.of(other), max(self.shift, Exact.of(other).shift)
-        return Exact(self._shifted(shift) + right._shifted(shift), shift)
+        return Exact(self.rational + Exact.of(other).rational)
 
     __radd__ = __add__
 
@@ -94,8 +85,7 @@ class Exact:
         return -self + other
 
     def __matmul__(self, other: Any) -> "Exact":
-        right = Exact.of(other)
-        return Exact(self.integer * right.integer, self.shift + right.shift)
+        return Exact(self.rational * Exact.of(other).rational)
 
     def __rmatmul__(self, other: Any) -> "Exact":
         return Exact.of(other) @ self
@@ -104,7 +94,7 @@ class Exact:
         number, matrix = (self, Exact.of(other)) if self.shape == (1, 1) else (Exact.of(other), self)
         if number.shape != (1, 1):
             raise ValueError("only a number scales a matrix")
-        return Exact(matrix.integer * number.integer[0, 0], matrix.shift + number.shift)
+        return Exact(matrix.rational * number.rational[0, 0])
 
     __rmul__ = __mul__
 
@@ -116,7 +106,7 @@ def exact_product(left: Float[np.ndarray, "r s"], right: Float[np.ndarray, "s c"
 
 def is_positive_definite(matrix: Exact) -> bool:
     """Whether a matrix of rationals is symmetric and positive definite; decided, not estimated."""
-    integer = matrix.integer  # the common denominator is positive
+    integer, _ = matrix.rational.numer_denom()  # the common denominator is positive
     if integer != integer.transpose():  # a quadratic form alone would not see it
         return False
     for bits in BITS:

@@ -23,7 +23,7 @@ predicted to settle the plant when it exceeds one and its controller is stable: 
 Source: THEORY sections 5 and 7 for small gain by amplitude; docs/trust.md for the phase and what was measured.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -80,8 +80,8 @@ def worst(
         return float("inf")
     integrates = bool((np.diagonal(pair.modes) == 1).any())
     largest, grid = 0.0, loops.FINE_ANGLES if shared is None else shared.angles
-    for linear, l, *slope in loops.ends(model.system, pair, balls):  # noqa: E741
-        loop = loops.sensitivity(linear, replace(pair, l=l), *slope)
+    for linear, own, *slope in loops.ends(model.system, pair, balls):
+        loop = loops.sensitivity(linear, own, *slope)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
             return float("inf")
@@ -92,7 +92,7 @@ def worst(
             on_grid = np.isin(angles, grid)
             answer = np.empty((len(angles), *loop.d.shape), dtype=complex)
             open_loop = np.empty((len(angles), *linear.d.shape), dtype=complex)
-            answer[on_grid] = shared.of(linear, pair.k, pair.modes, [l], *slope)[0]
+            answer[on_grid] = shared.of(linear, pair.k, pair.modes, [own.l], *slope)[0]
             open_loop[on_grid] = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
             answer[~on_grid] = frequency_response(loop, angles[~on_grid])
             open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])

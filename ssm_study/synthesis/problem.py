@@ -87,6 +87,14 @@ class Problem:
     def contraction(self) -> float:
         return float(np.sqrt(1 - self.rate))
 
+    @property
+    def a_hat(self) -> Float[np.ndarray, "n n"]:
+        return self.a / self.contraction
+
+    @property
+    def b_hat(self) -> Float[np.ndarray, "n m"]:
+        return self.b / self.contraction
+
     def at(self, rate: float) -> "Problem":
         """The same at another rate."""
         return replace(self, rate=rate)

@@ -94,8 +94,7 @@ MOST_CORNERS = 4  # neurons up to which every corner of their slopes is tried, b
 # Frequencies (rad/sample) of the weighted peak, beside those of the loop's own modes.
 FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
 
-# A system and an observer gain at frozen slopes of the neurons, and slopes of `S_u` and `S_y`.
-End = tuple[StateSpace, Float[np.ndarray, "*pairs n p"], float, float]
+End = tuple[StateSpace, Pair, float, float]  # system and gains at frozen slopes of the neurons, slopes of `S_u`, `S_y`
 
 
 def slopes(ball: JacobianBall) -> tuple[float, ...]:
@@ -105,13 +104,13 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
 
 def ends(system: System, pair: Pair, balls: Balls, at: Float[np.ndarray, "k q"] | None = None) -> Iterator[End]:
     """Every combination of slopes; those of neurons at the corners unless given (`at`), where L is `L + E S L_z`."""
-    frozen = [(system, pair.l)] if isinstance(system, StateSpace) else []
+    frozen: list[tuple[StateSpace, Pair]] = [(system, pair)] if isinstance(system, StateSpace) else []
     if not isinstance(system, StateSpace):
         for row in system.corners(MOST_CORNERS) if at is None else at:
             injected = 0.0 if pair.l_z is None else (system.e * row) @ pair.l_z
-            frozen.append((system.at_slopes(row), pair.l + injected))
-    for (linear, l), *slope in product(frozen, slopes(balls.input), slopes(balls.output)):  # noqa: E741
-        yield linear, l, *slope
+            frozen.append((system.at_slopes(row), replace(pair, l=pair.l + injected)))
+    for (linear, own), slope_in, slope_out in product(frozen, slopes(balls.input), slopes(balls.output)):
+        yield linear, own, slope_in, slope_out
 
 
 def sensitivity(linear: StateSpace, pair: Pair, slope_in: float, slope_out: float) -> StateSpace:
@@ -129,8 +128,7 @@ def sensitivity(linear: StateSpace, pair: Pair, slope_in: float, slope_out: floa
 
 def sensitivity_peak(system: System, pair: Pair, balls: Balls) -> float:
     """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is unstable."""
-    found = ends(system, pair, balls)
-    return max(hinf_norm(sensitivity(linear, replace(pair, l=l), *slope)) for linear, l, *slope in found)  # noqa: E741
+    return max(hinf_norm(sensitivity(*end)) for end in ends(system, pair, balls))
 
 
 def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndarray, "*pairs"]:
@@ -142,9 +140,9 @@ def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndar
     Source: Youla, Bongiorno & Lu, Automatica 10 (1974) 159-173.
     """
     on_state, largest = pair.k[..., : system.order], np.zeros(pair.k.shape[:-2])
-    for linear, l, slope_in, slope_out in ends(system, pair, balls):  # noqa: E741
+    for linear, own, slope_in, slope_out in ends(system, pair, balls):
         driven = slope_in * on_state
-        alone = linear.a + linear.b @ driven + slope_out * l @ (linear.c + linear.d @ driven)
+        alone = linear.a + linear.b @ driven + slope_out * own.l @ (linear.c + linear.d @ driven)
         largest = np.maximum(largest, np.abs(np.linalg.eigvals(alone)).max(axis=-1))
     return np.asarray(largest)
 
@@ -207,7 +205,7 @@ def peaks_on_grid(
     observers = Pair(k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs, internal=internal)  # of no controller
     for linear, frozen, *slope in ends(system, observers, balls, some):
         for k, peak in zip(ks, peaks, strict=True):
-            size = sizes(responses.of(linear, k, observers.modes, list(frozen), *slope))
+            size = sizes(responses.of(linear, k, observers.modes, list(frozen.l), *slope))
             np.maximum(peak, (weights * size).max(axis=1), out=peak)
     return peaks
 

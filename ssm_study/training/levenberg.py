@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jvp, vmap
+from torch.func import jacfwd
 
 Residual = Callable[[Float[Tensor, "P"]], Float[Tensor, "N"]]
 # Below the first a step is Gauss-Newton's up to rounding; above the second it is shorter than rounding.
@@ -72,7 +72,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         residual, group = self.residual, self.param_groups[0]
         assert residual is not None, "the training sets the residual"
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
-        r, j = residual(flat), jacobian(residual, flat)  # P + 1 forward passes
+        r, j = residual(flat), jacfwd(residual)(flat)  # P + 1 forward passes, those of the Jacobian in one batch
         loss, gradient, normal = float(r @ r), j.T @ r, j.T @ j
         self.seen(loss)
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
@@ -89,9 +89,3 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         if step is not None:
             torch.nn.utils.vector_to_parameters(flat + step, group["params"])
         return loss
-
-
-def jacobian(residual: Residual, at: Float[Tensor, "P"]) -> Float[Tensor, "N P"]:
-    """All columns at once, one tangent per parameter: P forward passes in one batch."""
-    tangents = torch.eye(len(at), dtype=at.dtype, device=at.device)
-    return vmap(lambda tangent: jvp(residual, (at,), (tangent,))[1])(tangents).T

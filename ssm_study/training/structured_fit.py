@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 
 from ssm_study.models.spec import scaled
-from ssm_study.models.structured import StructuredSSM, slopes
+from ssm_study.models.structured import Model, StructuredSSM, slopes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
@@ -161,11 +161,11 @@ class StructuredFit(pl.LightningModule):
             parts[name] = each.freeze(theta[name])
         return StructuredSSM(**parts)
 
-    def concluded(self) -> tuple[StructuredSSM, str]:
+    def concluded(self) -> tuple[Model, str]:
         """The model without the neurons that do nothing on the training inputs, and how many those were."""
         model = pruned(self.stored(), [record.u for record in self.data.training])
         idle = len(self.spec.each) - len(model.neurons)
-        return model, f"; neurons removed because they did nothing: {idle}" if idle else ""
+        return model.simplest, f"; neurons removed because they did nothing: {idle}" if idle else ""
 
 
 def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:

@@ -84,5 +84,6 @@ class Training:
             if isinstance(spec, SSMSpec):
                 again = replace(spec, start="ring", real_modes=spec.order - 2 * ((spec.order - 1) // 2))
             found.append(trained(self, again, data, seed + 1000 * start, folder / f"start_{start}", progress))
-        best = max(found, key=lambda one: one.fit_validation_percent)
+        rule = getattr(spec, "among_starts", None)
+        best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
         return replace(best, seconds=time.perf_counter() - began, choice=tuple(choice))

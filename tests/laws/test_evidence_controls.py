@@ -66,7 +66,14 @@ def run(folder: Path, u: np.ndarray, y: np.ndarray, *more: str) -> tuple[int, di
     log = folder / "log.csv"
     np.savetxt(log, np.column_stack([u, y]), delimiter=",", header="u,y", comments="", fmt="%.9g")
     given = ["data=recorded", f"data.path={log}", "data.input=u", "data.output=y", "data.step_s=0.1", "study=s"]
-    quick = ["model.order=3", "model.hidden_width=8", "training.max_epochs=12", "progress=false"]
+    quick = [
+        "model.order=3",
+        "model.neurons=3",
+        "model.starts=1",
+        "model.draws=2",
+        "training.max_epochs=12",
+        "progress=false",
+    ]
     status = main(["run", *given, *quick, f"results_dir={folder / 'r'}", *more])
     (record,) = (folder / "r" / "s").glob("*/record.json")
     return status, json.loads(record.read_text())

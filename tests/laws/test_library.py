@@ -19,7 +19,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 
 STEP_S = 0.1
-QUICK = ("model.order=2", "model.slope_lower=0.5", "model.hidden_width=4", "training.max_epochs=3")
+QUICK = ("model.order=2", "model.slope_lower=0.5", "model=ssm", "model.hidden_width=4", "training.max_epochs=3")
 GIVEN = ("synthesis=riccati", "synthesis.rate_controller=0.3", "synthesis.rate_observer=0.5")
 
 
@@ -115,7 +115,7 @@ def test_study_gives_its_table(design: library.Design) -> None:
         (np.ones(100), np.full(100, np.nan), (), "NaN|no number"),
         (np.ones(200), np.arange(200.0), (), "constant over the training records"),
         (np.arange(100.0), np.arange(100.0), ("model.ordr=3",), "ordr"),
-        (np.arange(100.0), np.arange(100.0), ("model.order=0",), "at least one state"),
+        (np.arange(100.0), np.arange(100.0), ("model.order=0",), "at least 1"),
     ],
 )
 def test_fit_refuses_as_the_command_does(u: object, y: object, words: tuple[str, ...], said: str) -> None:

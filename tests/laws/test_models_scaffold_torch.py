@@ -92,7 +92,6 @@ def test_every_kind_answers_every_question(name: str, seed: int, channels: int) 
     np.testing.assert_allclose(scaffold.portable()(v), scaffold(v), rtol=1e-9, atol=1e-9)
     bound = interval_bound(scaffold.network) if scaffold.kind == "mlp" else jacobian_ball(scaffold)
     direction = rng.normal(size=channels)
-    assert bound.ball is not None
     for at in v:
         slope = (scaffold(at + step * direction) - scaffold(at - step * direction)) / (2 * step)
         np.testing.assert_allclose(scaffold.jacobian(at) @ direction, slope, atol=1e-4, rtol=1e-4)

@@ -18,7 +18,8 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.device import Device
 from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.models.structured import NEURONS, model_from_json
+from ssm_study.loop.trajectory import equilibrium
+from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
@@ -134,14 +135,58 @@ def structured_run(folder: Path, kinds: tuple[str, ...], seen: float, integral: 
     return folder
 
 
-def test_with_neurons_the_header_says_what_is_not_there(tmp_path: Path) -> None:
-    """No set points, so no word of them; nothing proved of the limits, so that is said."""
-    run = write_recordings(structured_run(tmp_path / "run", ("relu",), 0.0))
+def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_found(tmp_path: Path) -> None:
+    run = write_recordings(structured_run(tmp_path / "run", ("tanh",), 0.0))
     header = c_sources(run, prefix="drive")["drive.h"]
     assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
-    assert "drive_init" not in header
-    assert "drive_track" not in header
-    assert "drive_clamp(u), apply, drive_advance" in header
+    assert "Set points lie on lines between stored rest points: missed by at most" in header
+    assert "drive_track(&state, y, r, u);" in header
+
+
+def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
+    """Rest points of the model by Newton's method, and the device's own curve; then the loop on the model itself."""
+    run = structured_run(tmp_path / "run", ("tanh", "softplus"), 0.05)
+    model = model_from_json(json.loads((run / "model.json").read_text()))
+    device = Device.of(load(run), "double", *(model.scale.physical_input(np.array([end])) for end in (-2.0, 2.0)))
+    assert device.set_points is not None
+    missed = device.set_points.missed
+    assert 1e-6 < missed < 1e-2
+    lifted = model.scaffold_in(np.array([[-1.0], [0.7]]))
+    for r in model.read(np.stack([rested(model, v) for v in lifted]), lifted):
+        x, u = equilibrium(model, r)
+        aimed = device.aim(r)
+        assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
+        assert np.abs(aimed["x"] - x).max() < 20 * missed
+        assert aimed["v"] == pytest.approx(u, abs=20 * missed)
+        state, truth = device.start(model.scale.output_equilibrium), np.zeros(model.order)
+        assert not state.any()
+        for _ in range(200):
+            y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
+            applied, state = device.track(state, y, r)
+            truth = model.advance(truth, lift(model, applied))
+        assert np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r)).max() < 20 * missed
+
+
+def lift(model: StructuredSSM, u: np.ndarray) -> np.ndarray:
+    return model.lift(u[None])[0]
+
+
+def rested(model: StructuredSSM, v: np.ndarray) -> np.ndarray:
+    x = np.zeros(model.order)
+    for _ in range(500):
+        x = model.advance(x, v)
+    return x
+
+
+def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) -> None:
+    """A relu that turns the falling output back at large inputs."""
+    made = load(structured_run(tmp_path / "run", ("relu",), 0.0))
+    assert made.neurons is not None
+    turned = {"f": np.zeros((1, 3)), "g": np.ones((1, 1)), "h": np.full((1, 1), 100.0), "bias": np.array([-0.1])}
+    folded = replace(made, neurons=replace(made.neurons, **turned, phi_bias=np.zeros(1)))
+    ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
+    assert Device.of(folded, "double", *ends).set_points is None
+    assert Device.of(made, "double", *ends).set_points is not None
 
 
 def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     model, design = motor_model(), motor_design()
     k, gain = design.state_feedback.k, design.observer.l
     angles = ANGLES
-    loops = [sensitivity(a, Pair(k=k, l=l), *at) for a, l, *at in ends(model.linear, Pair(k=k, l=gain), BALLS)]  # noqa: E741
+    loops = [sensitivity(*end) for end in ends(model.linear, Pair(k=k, l=gain), BALLS)]
     largest = np.max([sizes(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0)
     sensitive = np.array([(near(w)(FINE_ANGLES) * largest).max() for w in angles])
     shown = flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)

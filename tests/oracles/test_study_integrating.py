@@ -21,6 +21,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
         x = moved(x, volts)
     words = (
         "model.order=2",
+        "model=ssm",
         "model.hidden_width=4",
         "data.equilibrium=zero",
         "model.slope_lower=0.3",

@@ -191,7 +191,7 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     columns = np.column_stack([np.arange(600) * 0.05, u, y + 0.001 * rng.standard_normal(600)])
     np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header="t,volt,speed", comments="")
     data = [f"data.path={tmp_path / 'log.csv'}", "data.input=volt", "data.output=speed", "data.step_s=0.05"]
-    settings = ["data=recorded", *data, "model.order=2", "model.hidden_width=8", "training.max_epochs=15"]
+    settings = ["data=recorded", *data, "model=ssm", "model.order=2", "model.hidden_width=8", "training.max_epochs=15"]
     assert main(["run", f"results_dir={tmp_path / 'results'}", "study=mine", "progress=false", *settings]) == 0
     (path,) = (tmp_path / "results" / "mine").glob("*/record.json")
     record = json.loads(path.read_text())

@@ -31,7 +31,7 @@ TINY += [
     "+synthesis.output_noises=[0.01,0.1,1.0]",
 ]  # fewer candidates
 HIDDEN = ["data.trajectories=2", "data.samples=400", "data.validation_samples=600", "data.test_samples=400"]
-LOG = ["data=recorded", "data.input=input", "data.output=output", "data.step_s=0.05"]
+LOG = ["data=recorded", "model=ssm", "data.input=input", "data.output=output", "data.step_s=0.05"]
 
 
 def failing(run: Path) -> set[str]:

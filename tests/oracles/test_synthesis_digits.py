@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flint import arb, arb_mat, ctx, fmpz_mat
+from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
 from ssm_study.synthesis.exact import Exact
 from ssm_study.synthesis.frontier import frontier
@@ -66,9 +66,8 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
     ]
     ctx.prec = before
     shift = max(0, *(-int(exponent) for row in parts for _, exponent in row))
-    return Exact(
-        fmpz_mat([[int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts]), shift
-    )
+    scaled = [[int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts]
+    return Exact(fmpq_mat(scaled) * fmpq(1, 1 << shift))
 
 
 def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:

@@ -275,7 +275,7 @@ def test_a_finished_run_says_that_its_data_have_changed(tmp_path: Path, capsys: 
         "data.step_s=0.1",
         "model.slope_lower=0.5",
     ]
-    words += ["model.order=2", "synthesis=riccati", "loop.initial_conditions=2", "study=log"]
+    words += ["model=ssm", "model.order=2", "synthesis=riccati", "loop.initial_conditions=2", "study=log"]
     words += ["synthesis.rate_controller=0.5", "synthesis.rate_observer=0.6"]
     write(1.0)
     assert main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"]) == 0

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from flint import fmpz_mat
+from flint import fmpq_mat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_ratio import ratio_limit
@@ -97,8 +97,8 @@ def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
     """Determinant about `-0.375 2^-53`; in floats the matrix reads `[[1, 1], [1, 1 + 2^-52]]`, which is definite."""
     one, off, last = 2**57, 2**57 + 15, 2**57 + 3 * 2**3
     assert np.linalg.cholesky(np.array([[1.0, 1.0], [1.0, 1 + 2.0**-52]]))[1, 1] > 0
-    assert not exact.is_positive_definite(Exact(fmpz_mat([[one, off], [off, last]]), 57))
-    assert exact.is_positive_definite(Exact(fmpz_mat([[one, off], [off, last + 2**4]]), 57))
+    assert not exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last]])))
+    assert exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last + 2**4]])))
 
 
 def test_one_unit_in_the_last_place_decides() -> None:

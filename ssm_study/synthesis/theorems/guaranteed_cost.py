@@ -81,7 +81,7 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if inadmissible."""
-    ball, ah, bh = problem.ball, problem.a / problem.contraction, problem.b / problem.contraction
+    ball, ah, bh = problem.ball, problem.a_hat, problem.b_hat
     rt_over_tau = problem.input_weight / tau + ball.beta**2  # all over tau, see the statement
     kappa_times_tau = ball.alpha**2 / rt_over_tau - 1
     if not kappa_times_tau > 0:

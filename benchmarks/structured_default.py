@@ -1,0 +1,71 @@
+"""One layer or neurons inside, by held-out folds of the training records, each class by its yaml as it stands.
+
+    python benchmarks/structured_default.py [--only ced dc_motor ...] [--to FILE]
+
+writes results/reference/training/structured_default.csv: one row per plant or record and class with the mean, worst
+and best fit over four folds (whole records where there are four, else pieces of each) and processor seconds a fold.
+Validation and test records are not looked at. What it decided stands in docs/models.md.
+"""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import hydra
+import numpy as np
+from hydra import compose, initialize_config_dir
+
+from ssm_study.refusal import BadRequest
+from ssm_study.training.metrics import mean_fit
+from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
+from ssm_study.training.structured_choice import held_out
+
+ROOT = Path(__file__).resolve().parents[1]
+TARGET = ROOT / "results" / "reference" / "training" / "structured_default.csv"
+PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
+RECORDS = ("ced", "tanks_record", "silverbox", "emps")
+CLASSES = ("ssm", "structured")
+
+
+def row(where: str, model: str) -> dict[str, object]:
+    chosen = f"plant={where}" if where in PLANTS else f"data={where.replace('tanks_record', 'cascaded_tanks')}"
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("study", [chosen, f"model={model}", "study=default"])
+    part = {
+        name: hydra.utils.instantiate(config[name], _convert_="all")
+        for name in ("plant", "excitation", "data", "model", "training")
+    }
+    data = part["data"].build(part["plant"], part["excitation"], 0) if where in PLANTS else part["data"].build(0)
+    fits, began = [], time.process_time()
+    for fold in held_out(data):
+        with TemporaryDirectory() as folder:
+            try:
+                found = part["training"].identify(part["model"], fold, 0, Path(folder))
+                fits.append(mean_fit(found.model, fold.test, fold))
+            except BadRequest:  # the training left the finite
+                fits.append(-np.inf)
+    told = {"fit_percent": np.mean(fits), "worst_fold": min(fits), "best_fold": max(fits)}
+    told["seconds_per_fold"] = (time.process_time() - began) / len(fits)
+    return {"on": where, "model": model} | {name: f"{value:.4g}" for name, value in told.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=(*PLANTS, *RECORDS), default=(*PLANTS, *RECORDS))
+    parser.add_argument("--to", type=Path, default=TARGET)
+    options = parser.parse_args()
+    rows = []
+    for where in options.only:
+        for model in CLASSES:
+            rows.append(row(where, model))
+            print(",".join(map(str, rows[-1].values())), flush=True)
+            with options.to.open("w", newline="") as file:
+                writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Which of several trained models is kept: of those that fit about as well, the one that can be controlled fastest.
+
+Models that fit as well differ much in the rate that can be certified: one of them may let a neuron cut off the input.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.refusal import at_least
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace, System
+
+if TYPE_CHECKING:
+    from ssm_study.training.metrics import Identification
+
+
+@dataclass(frozen=True, kw_only=True)
+class FastestCertified:
+    """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
+
+    Records decide as long as they tell models apart. THEORY section 6, "The trap", takes the best fit of the models
+    that can be made twice as fast as they are alone; that rule says nothing where no start is.
+    """
+
+    within_percent: float = 0.3
+
+    def __post_init__(self) -> None:
+        remedy = "use 0.3, or model.among_starts=null for the best fit"
+        at_least(0, "model.among_starts.within_percent", self.within_percent, remedy)
+
+    def __call__(self, found: "Sequence[Identification]") -> "Identification":
+        """One of `found`."""
+        fits = [one.fit_validation_percent for one in found]
+        near = [one for one, fit in zip(found, fits, strict=True) if fit >= max(fits) - self.within_percent]
+        if len(near) == 1:
+            return near[0]
+        models: list[Any] = [one.model for one in near]  # structured, or one layer
+        rates = [fastest(model.system, certified_balls(model).input) for model in models]
+        return near[rates.index(max(rates))]
+
+
+def fastest(system: System, ball: JacobianBall) -> float:
+    """The largest rate of any state feedback: exact for a linear recurrence, with neurons as bisection finds it."""
+    if isinstance(system, StateSpace):
+        return controller_frontier(system, ball).rate_limit
+    from ssm_study.synthesis.structured_lmi import largest_rate  # CVXPY: only where there are neurons
+
+    return largest_rate(RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).problem(system, ball))

@@ -1,0 +1,49 @@
+"""Among trained models that fit about as well, the one whose controller may be fastest is kept."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.among_starts import FastestCertified, fastest
+from ssm_study.systems import JacobianBall, StructuredSystem
+from tests.structured_cases import drawn, model
+
+BALL = JacobianBall.from_slopes(0.5, 1.0)
+
+
+def trained(of: StructuredSSM, fit: float) -> SimpleNamespace:
+    return SimpleNamespace(model=of, fit_validation_percent=fit)
+
+
+def slower(of: StructuredSSM) -> StructuredSSM:
+    """The same with a mode that no input reaches."""
+    a, b = of.a.copy(), of.b.copy()
+    a[0], a[:, 0], b[0] = 0.0, 0.0, 0.0
+    a[0, 0] = 0.99
+    return replace(of, a=a, b=b, e=np.vstack([0.0 * of.e[:1], of.e[1:]]))
+
+
+def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_not() -> None:
+    fast, slow, rule = model(), slower(model()), FastestCertified(within_percent=0.3)
+    found = [trained(slow, 98.0), trained(fast, 97.8), trained(fast, 97.6)]
+    assert rule(found) is found[1]
+    assert rule([trained(slow, 98.0), trained(fast, 97.6)]).model is slow
+    assert FastestCertified(within_percent=0.0)(found) is found[0]
+
+
+def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
+    """Bisection on the inequality with neurons, and the frontier in closed form."""
+    idle = drawn(seed=3, size=1e-6)
+    assert isinstance(idle, StructuredSystem)
+    exact = fastest(idle.at_slopes(np.zeros(idle.neurons)), BALL)
+    assert fastest(idle, BALL) == pytest.approx(exact, abs=2e-3)
+    assert fastest(idle, BALL) <= exact
+
+
+def test_a_negative_share_is_refused() -> None:
+    with pytest.raises(BadRequest, match="within_percent"):
+        FastestCertified(within_percent=-1.0)
