@@ -16,7 +16,8 @@ from ssm_study.loop.trajectory import Plan, Reference
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import at_least
 from ssm_study.synthesis.area import relative_areas
-from ssm_study.synthesis.auto import Auto, Candidates
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.prediction import predict
 from ssm_study.systems import Pair
 

@@ -12,16 +12,18 @@ that any optimism of g lets through. Nothing of the closed-loop test enters. Sou
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.models.structured import Model
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import Model, slopes
 from ssm_study.refusal import require
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.candidates import Candidates, Found
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.design import Synthesis, contraction_rate
@@ -32,7 +34,7 @@ from ssm_study.synthesis.problem import NoSolution, Solution, dual
 from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, frequencies, internal_model, with_modes
-from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System
+from ssm_study.systems import Balls, JacobianBall, StateSpace, System
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
@@ -40,38 +42,8 @@ ATTEMPTS = 20  # how many candidates are verified exactly before the search give
 LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
 WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, where none are given
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
+Slopes = Float[np.ndarray, "q"]
 LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is what Welch's estimate alone scatters by
-
-Found = tuple[RiccatiSynthesis, Solution]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Candidates:
-    """Gains on the grid, and the specification of each; `integral` is the internal model's weight, 0 without one."""
-
-    feedback: tuple[RiccatiSynthesis, ...]
-    integral: tuple[float, ...]
-    ks: Float[np.ndarray, "C m s"]
-    observing: tuple[RiccatiSynthesis, ...]
-    ls: Float[np.ndarray, "O n p"]
-    l_zs: Float[np.ndarray, "O q p"] | None = None
-    modes: tuple[str, ...] = ()
-    internal: Float[np.ndarray, "z z"] | None = None
-    unsolved: int = 0
-
-    def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Pair:
-        """The gains of one pair, or of many."""
-        l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
-        return Pair(k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
-
-    def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis | IntegralSynthesis:
-        feedback, observing, weight = self.feedback[pair[0]], self.observing[pair[1]], self.integral[pair[0]]
-        names = ("rate_observer", "input_noise", "state_noise", "output_noise")
-        near: Any = {**feedback.near, **observing.near}
-        chosen = replace(feedback, near=near, **{name: getattr(observing, name) for name in names})
-        if not weight:
-            return chosen
-        return IntegralSynthesis(synthesis=chosen, integral_weight=weight, internal_model=self.modes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,12 +141,14 @@ class Auto:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
-        grids = {}
+        grids, rest = {}, None
+        if not isinstance(model, SSM) and model.neurons:
+            rest = slopes(model.neurons, model.bias)
         for weight in self._weights:
             controlled = with_modes(model, self.modes, weight) if weight else model.system
-            grids[weight] = self._solved(controlled, balls.input, observes=False)
+            grids[weight] = self._solved(controlled, balls.input, False, rest)
         feedback = [(made, weight, found) for weight, (solved, _) in grids.items() for made, found in solved]
-        observing, unsolved = self._solved(model.system, balls.output, observes=True)
+        observing, unsolved = self._solved(model.system, balls.output, True, rest)
         if not feedback or not observing:
             return None
         injected = [found.k_w for _, found in observing]
@@ -190,7 +164,9 @@ class Auto:
             internal=internal_model(self.modes, model.step_s, model.scale.outputs) if self.modes else None,
         )
 
-    def _solved(self, system: System, ball: JacobianBall, observes: bool) -> tuple[list[Found], int]:
+    def _solved(
+        self, system: System, ball: JacobianBall, observes: bool, rest: Slopes | None = None
+    ) -> tuple[list[Found], int]:
         """What the grid of one side gives, and how many of its requests have no solution (or none that floats hold)."""
         side, linear = "observer" if observes else "controller", isinstance(system, StateSpace)
         # what the system does by itself; its radius proves nothing where there are neurons
@@ -202,15 +178,11 @@ class Auto:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
             limit, fastest = structured_lmi.fastest(self._specification().problem(system, ball, observes))
-        rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
-        rates += [] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares]
-        asked = self._asked(getattr(self, f"rate_{side}"))
-        rates = rates if asked == "auto" else [float(asked)]
         weight, weights = ("output_noise", self.output_noises) if observes else ("input_weight", self.input_weights)
         found: list[Found] = []
         near: dict[float, Solution] = {}  # by weight, of a faster rate: it holds, so a search may start there
         unsolved = 0
-        down = sorted((rate for rate in rates if 0 < rate < limit), reverse=True)
+        down = sorted((rate for rate in self._rates(observes, linear, own, limit) if 0 < rate < limit), reverse=True)
         for rate, value in product(down, sorted(weights, reverse=True)):
             start = near.get(value, found[-1][1] if found else fastest)
             started = {} if start is None else {observes: start}
@@ -220,7 +192,35 @@ class Auto:
                 found.append((replace(specification, near={observes: near[value]}), near[value]))
             except NoSolution:
                 unsolved += 1
+        if rest is not None and down:
+            found += self._frozen(system, ball, observes, rest, down[-1])
         return found[::-1], unsolved
+
+    def _rates(self, observes: bool, linear: bool, own: float, limit: float) -> list[float]:
+        """The grid of one side, from half of what the system does by itself to near the limit; or the one asked for."""
+        asked = self._asked(self.rate_observer if observes else self.rate_controller)
+        if asked != "auto":
+            return [float(asked)]
+        rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
+        return rates + ([] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares])
+
+    def _frozen(self, system: Any, ball: JacobianBall, observes: bool, rest: Slopes, rate: float) -> list[Found]:
+        """Gains as of one layer, the neurons' slopes frozen at rest or half way: those proved for every slope.
+
+        A cost for the worst slopes guards against what the model may never do; the certificate does not ask for it.
+        """
+        from ssm_study.synthesis.structured_lmi import of_gain
+
+        kept, side = [], "rate_observer" if observes else "rate_controller"
+        frozen = (self._solved(system.at_slopes(at), ball, observes)[0] for at in (rest, 0.5 * np.ones_like(rest)))
+        for made, found in chain.from_iterable(frozen):
+            try:
+                proved = of_gain(made.problem(system, ball, observes).at(rate), found.k)
+            except NoSolution:
+                continue
+            told: Any = {side: rate, "near": {observes: proved}}
+            kept.append((replace(made, **told), proved))
+        return kept
 
     def _asked(self, own: float | str) -> float | str:
         return self.rate if own == "auto" else own
@@ -252,7 +252,7 @@ class Auto:
         scored: list[tuple[float, int]] = []
 
         def expected(index: int, shared: Responses) -> tuple[float, float]:
-            number = worst(model, candidates.gains(pairs[index]), balls, shown, shared)
+            number = worst(model, candidates.gains(pairs[index]), balls, shown, shared, 1 / self.margin)
             return expected_area(float(areas[index]), number, shown.spread), number
 
         order = np.argsort(areas, kind="stable")

@@ -62,11 +62,19 @@ def predict(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> Predicti
     )
 
 
-def worst(model: Model, pair: Pair, balls: Balls, shown: Mismatch, shared: loops.Responses | None = None) -> float:
+def worst(
+    model: Model,
+    pair: Pair,
+    balls: Balls,
+    shown: Mismatch,
+    shared: loops.Responses | None = None,
+    refused: float = float("inf"),
+) -> float:
     """The largest number that must stay below one, over views, mixtures and slopes; infinite for an unstable loop.
 
     On `FINE_ANGLES` and at the angles of the loop's own modes, where it is sharpest. With `shared`, on its angles, and
-    what pairs have in common is computed once for all: the same number but for rounding.
+    what pairs have in common is computed once for all: the same number but for rounding. From `refused` on it is the
+    first that is found: the rest cannot make it smaller.
     """
     if not shown.rests:
         return float("inf")
@@ -94,6 +102,8 @@ def worst(model: Model, pair: Pair, balls: Balls, shown: Mismatch, shared: loops
         at_rest = np.eye(len(open_loop[0])) + slope[0] * slope[1] * open_loop[0] @ answer[0]
         left = shown.offset * float(np.linalg.norm(at_rest, 2))
         largest = max(largest, left, _over_views(shown, parts))
+        if largest >= refused:
+            break
     return largest
 
 

@@ -119,6 +119,17 @@ def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
     return fastest(problem, fixed)[0]
 
 
+def of_gain(problem: Problem, k: Rows) -> Solution:
+    """Matrices that prove the rate of a gain that is given, nothing injected; raises `NoSolution` without any."""
+    assert problem.neurons is not None
+    one, none = np.eye(len(problem.a)), np.zeros((len(k), problem.neurons.e.shape[1]))
+    fixed = Solution(p=one, y=one, k=k, sigma=1.0, status="", k_w=none)
+    found = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed).solve(problem.rate)
+    if not holds(problem, found):
+        raise NoSolution(f"not certified for all slopes at rate {problem.rate:.6g}")
+    return found
+
+
 def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
     """That rate, and the matrices at it, from whose multipliers a search for the least cost may start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)

@@ -39,11 +39,12 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck before the rate.
 
     It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a solution at a
-    faster rate, since smaller weights and a slower rate only relax the inequality.
+    faster rate, since smaller weights and a slower rate only relax the inequality. Without any it is the solution.
     """
-    game = game_of(problem)
-    known = () if near is None or near.logs is None else near.logs + ROOM[:, None]
-    for logs in known:
+    if near is not None and near.logs is None:
+        return near  # it is the solution itself
+    game, known = game_of(problem), None if near is None else near.logs
+    for logs in () if known is None else known + ROOM[:, None]:
         if np.isfinite(evaluate(game, logs, 0.0).goal):
             return solution(problem, game, cheapest(game, logs))
     for effort in TRIES:

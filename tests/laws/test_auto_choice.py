@@ -22,6 +22,8 @@ from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import Prediction, predict
+from ssm_study.synthesis.problem import NoSolution
+from ssm_study.synthesis.structured_lmi import of_gain
 from ssm_study.synthesis.theorems.integral_action import with_modes
 from ssm_study.systems import Balls, JacobianBall, Pair
 
@@ -49,6 +51,9 @@ def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
     assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
 
 
+FEW = {"stretch_shares": (0.6,), "observer_rates": (0.3,), "input_weights": (0.1,), "output_noises": (0.1,)}
+
+
 def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
     """A model with neurons, and a record that misses it by noise."""
     stand, rng = model(), np.random.default_rng(0)
@@ -63,7 +68,7 @@ def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
 def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_response(case):
     """The search looks at few; here is every pair, each predicted by itself on the fine grid."""
     given, balls, record = case()
-    auto = replace(SMALL, input_weights=(0.01, 1.0), output_noises=(0.01, 1.0))
+    auto = replace(SMALL, **FEW) if isinstance(given, StructuredSSM) else SMALL
     candidates, shown = auto.candidates(given, balls), mismatch(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     areas = relative_areas(given, candidates.gains(pairs), (record,))
@@ -78,6 +83,19 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     margin = predict(given, own, balls, shown).resolved_margin
     area = expected_area(relative_areas(given, one, (record,))[0], 1 / margin, shown.spread)
     assert area == pytest.approx(expected[keeps].min(), rel=0.01)
+
+
+def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope():
+    """As of one layer for the model at rest or half way; a faster rate than they have refuses them."""
+    stand, balls, _ = with_neurons()
+    candidates = replace(SMALL, **FEW).candidates(stand, balls)
+    frozen = [i for i, made in enumerate(candidates.feedback) if made.near[False].logs is None]
+    assert frozen
+    design = candidates.specification(np.array([frozen[0], 0])).design(stand, balls)
+    assert design.certified
+    np.testing.assert_array_equal(design.state_feedback.k, candidates.ks[frozen[0]])
+    with pytest.raises(NoSolution):
+        of_gain(candidates.feedback[frozen[0]].problem(stand.system, balls.input).at(0.999), candidates.ks[frozen[0]])
 
 
 def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():

@@ -112,6 +112,7 @@ def test_what_pairs_share_changes_no_number(seed):
         pair = RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(model, BALLS).pair
         alone = worst(model, pair, BALLS, shown)
         assert worst(model, pair, BALLS, shown, shared) == pytest.approx(alone, rel=1e-9)
+        assert alone / 2 <= worst(model, pair, BALLS, shown, shared, refused=alone / 2) <= alone * (1 + 1e-9)
         assert 0 < alone < np.inf
 
 
