@@ -15,6 +15,7 @@ AS_TRAINED = "the model as it was trained is kept in the store, not in the run's
 NOT_KEPT = "the outputs of the training records are not kept in the run's folder"
 
 COLUMNS = (
+    Column("model", "string", word="Model class", setting="model"),
     Column("order", "Int64", word="Model order", setting="model.order"),
     Column("hidden_width", "Int64", head="width", word="Hidden width", setting="model.hidden_width"),
     Column("slope_lower", "Float64", "", "mu", "Requested slope floor", "–", setting="model.slope_lower"),

@@ -124,6 +124,7 @@ class Study(Task["Specification"]):
         auto = asked["rates_chosen"] == "auto"
         chosen = [side for side in ("controller", "observer") if auto and asked[f"rate_{side}"] == "auto"]
         return {name: value for name, value in asked.items() if isinstance(value, int | float | None)} | {
+            "model": (kind_of(model) or "").removesuffix("spec"),
             "scaffold_in": kind_of(model.get("scaffold_in")),
             "scaffold_out": kind_of(model.get("scaffold_out")),
             "plant": type(request.plant).__name__ if request.plant else None,

@@ -96,8 +96,8 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
     assert table.loc["e", "mismatch_gain"] == float("inf")
     assert table.loc["d", "controller_feasible"] == False  # noqa: E712
     lines = (study / "runs.csv").read_text().splitlines()
-    assert lines[0].startswith("study,run,status,plant,seed,excitation,fold,order,hidden_width")
-    assert lines[3].startswith("study,c,failed,,,,,8,,")
+    assert lines[0].startswith("study,run,status,plant,seed,excitation,fold,model,order,hidden_width")
+    assert lines[3].startswith("study,c,failed,,,,,,8,,")
 
 
 def test_a_value_of_another_type_is_missing(study: Path) -> None:

@@ -79,7 +79,7 @@ ABSENT = (
     "unsettled_as",
     "limited_rate",
 )  # here: all settle
-REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower", "slope_upper", "scaffold_in",
+REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower", "slope_upper", "model", "scaffold_in",
              "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source", "loop_on",
              "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
