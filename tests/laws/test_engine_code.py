@@ -99,8 +99,8 @@ def test_an_import_inside_a_function_counts(scratch: Path) -> None:
 
 TOY = {
     "a.py": "from toy.b import used\n\ndef root(x):\n    return used(x)\n",
-    "b.py": "import numpy as np\n\nSCALE = 2\n\ndef used(x):\n    from toy.c import inner\n"
-    "    return inner(x) * SCALE\n\ndef unused(x):\n    return np.zeros(x)\n",
+    "b.py": "import numpy as np\n\nSCALE = 2\nif SCALE:\n    SHIFT = 1\n\ndef used(x):\n    from toy.c import inner\n"
+    "    return inner(x) * SCALE + SHIFT\n\ndef unused(x):\n    return np.zeros(x)\n",
     "room/__init__.py": "",
     "room/member.py": "found = 1\n",
     "c.py": "from toy import room\n\ndef inner(x: 'Hint') -> 'Hint':\n"
@@ -111,6 +111,7 @@ TOY = {
 }
 EDITS = {
     ("b.py", "SCALE = 2", "SCALE = 3"): True,
+    ("b.py", "SHIFT = 1", "SHIFT = 2"): True,
     ("c.py", "    return x", "    return -x"): True,
     ("c.py", "'Hint'", "'Other'"): True,
     ("room/member.py", "= 1", "= 2"): True,

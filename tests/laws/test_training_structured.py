@@ -203,6 +203,10 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(data: DataSe
     left = pruned(idle, [data.training[0].u])
     assert left.neurons == ("tanh",)
     np.testing.assert_allclose(left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5)
+    through = replace(idle, g=np.array([[0.0], [1.0]]), h=np.array([[0.0, 1e-9]]))
+    assert pruned(through, [data.training[0].u]).neurons == idle.neurons  # its mean slope would be a feedthrough
+    beside = replace(idle, h=np.array([[0.0, 1e-9]]))
+    assert pruned(beside, [data.training[0].u]).neurons == ("tanh",)
 
 
 @pytest.mark.parametrize(

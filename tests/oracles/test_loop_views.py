@@ -78,6 +78,7 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
         view = shown.views[0]
         np.testing.assert_allclose(view.linear, factor, rtol=1e-6)
         assert view.rest.max() < 1e-6 * view.by_frequency.max()
+        assert view.amplitude == pytest.approx(np.linalg.norm(record.u) / np.sqrt(record.u.size), rel=0.1)
         found = predict(model, design.pair, ONES, shown).resolved_margin > 1
         stable = radius(model, design.pair, factor) < 1
         assert found == stable
