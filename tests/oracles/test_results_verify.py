@@ -80,8 +80,8 @@ ABSENT = (
     "limited_rate",
 )  # here: all settle
 REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower", "slope_upper", "model",
-             "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source", "loop_on",
-             "evidence", "evidence_reasons")  # fmt: skip
+             "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source",
+             "loop_on", "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
     *("files", "certificate limits", "evidence.json", "model.json step_s", "excitation.mcap"),
     *("trials.mcap records", "closed_loop.mcap loop_on"),
