@@ -26,6 +26,8 @@ INLINE, INDENTED = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`"), re.compile(rf"^ 
 # The rule. The same command with these settings appended (or in place of its own), where its configuration has them;
 # of every swept list the first value; `experiment=smoke` is small as it is and stays whole, but for long sweeps.
 SMALL = {
+    "model.starts": "1",
+    "model.draws": "1",
     "data.trajectories": 2,
     "data.samples": 200,
     "data.validation_samples": 200,

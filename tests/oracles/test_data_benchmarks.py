@@ -215,7 +215,13 @@ def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() ->
     u = np.random.default_rng(0).uniform(-1, 1, 100).repeat(8)
     y = signal.lfilter([0, 0.1], [1, -0.9], u)
     train, test = (official.Input_output_data(u[part], y[part], 0.1) for part in (slice(500), slice(0, 800)))
-    overrides = ("model.order=1", "model.hidden_width=4", "training.max_epochs=20", "data.equilibrium=zero")
+    overrides = (
+        "model=ssm",
+        "model.order=1",
+        "model.hidden_width=4",
+        "training.max_epochs=20",
+        "data.equilibrium=zero",
+    )
     assert names["entry"](train, test, *overrides) < 0.05 * y.std()
     sequences = [SimpleNamespace(u=u[:500, None], y=y[:500, None], attrs={"fs": 10.0})]
     told = {"hyperparameters": {"overrides": overrides}}
