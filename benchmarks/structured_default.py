@@ -8,7 +8,6 @@ Validation and test records are not looked at. What it decided stands in docs/mo
 """
 
 import argparse
-import csv
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +15,7 @@ from tempfile import TemporaryDirectory
 import hydra
 import numpy as np
 from hydra import compose, initialize_config_dir
+from structured_plants import written
 
 from ssm_study.refusal import BadRequest
 from ssm_study.training.metrics import mean_fit
@@ -60,11 +60,7 @@ def main() -> None:
     for where in options.only:
         for model in CLASSES:
             rows.append(row(where, model))
-            print(",".join(map(str, rows[-1].values())), flush=True)
-            with options.to.open("w", newline="") as file:
-                writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
+            written(rows, options.to)
 
 
 if __name__ == "__main__":

@@ -60,6 +60,15 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
     return sizes | {name: f"{value:.4g}" for name, value in numbers.items()}
 
 
+def written(rows: list[dict[str, object]], to: Path) -> None:
+    """The rows so far; the last one is printed."""
+    print(",".join(map(str, rows[-1].values())), flush=True)
+    with to.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plants", nargs="+")
@@ -71,11 +80,7 @@ def main() -> None:
     for plant in options.plants:
         for seed in range(options.seeds):
             rows.append(row(plant, seed, options.set))
-            print(",".join(map(str, rows[-1].values())), flush=True)
-            with options.to.open("w", newline="") as file:
-                writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
+            written(rows, options.to)
 
 
 if __name__ == "__main__":

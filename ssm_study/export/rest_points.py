@@ -10,7 +10,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from ssm_study.export.portable import PortableController, Vector, times
+from ssm_study.export.portable import PortableController, PortableNeurons, Vector, times
 from ssm_study.models.structured import phi, slopes
 from ssm_study.systems import StructuredSystem
 
@@ -65,21 +65,28 @@ def curve(controller: PortableController, low: float, high: float) -> Curve | No
     sides = [np.linspace(0.0, end, 2 * PIECES + 1) for end in (low, high) if end != 0.0]  # each begins at rest
     found: dict[float, Vector] = {}
     for side in sides:
-        x = np.zeros(model.order)
+        near = np.zeros(model.order)
         for v in side:
-
-            def missing(x: Vector, v: float = v) -> tuple[Vector, Float[np.ndarray, "n n"]]:
-                z = model.f @ x + model.g[:, 0] * v + inner.bias
-                w, at = phi(inner.kinds, z) - inner.phi_bias, model.at_slopes(slopes(inner.kinds, z))
-                return model.a @ x + model.b[:, 0] * v + model.e @ w - x, at.a - np.eye(len(x))
-
-            solved = scipy.optimize.root(missing, x, jac=True, tol=1e-12)
-            if np.abs(solved.fun).max(initial=0.0) > FOUND:  # at a kink it ends without success, and exactly there
+            x = _rest(model, inner, v, near)
+            if x is None:
                 return None
-            found[float(v)] = x = solved.x
+            found[float(v)] = near = x
     lifted = np.array(sorted(found))
     x = np.array([found[v] for v in lifted])
     w = phi(inner.kinds, x @ model.f.T + lifted[:, None] * model.g.T + inner.bias) - inner.phi_bias
     read = x @ model.c[0] + lifted * model.d[0, 0] + w @ model.h[0]
     apart = np.diff(read)
     return Curve(lifted=lifted, x=x, read=read) if (apart > 0).all() or (apart < 0).all() else None
+
+
+def _rest(model: StructuredSystem, inner: PortableNeurons, v: float, near: Vector) -> Vector | None:
+    """The state that one lifted input holds, searched from a neighbour's."""
+
+    def missing(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
+        z = model.f @ x + model.g[:, 0] * v + inner.bias
+        w, at = phi(inner.kinds, z) - inner.phi_bias, model.at_slopes(slopes(inner.kinds, z))
+        return model.a @ x + model.b[:, 0] * v + model.e @ w - x, at.a - np.eye(len(x))
+
+    solved = scipy.optimize.root(missing, near, jac=True, tol=1e-12)
+    # at a kink it ends without success, and exactly there
+    return solved.x if np.abs(solved.fun).max(initial=0.0) <= FOUND else None
