@@ -209,13 +209,14 @@ class Auto:
 
         A cost for the worst slopes guards against what the model may never do; the certificate does not ask for it.
         """
-        from ssm_study.synthesis.structured_lmi import of_gain
+        from ssm_study.synthesis.structured_lmi import StructuredLmi
 
+        program = StructuredLmi.of_gains(self._specification().problem(system, ball, observes).at(rate))
         kept, side = [], "rate_observer" if observes else "rate_controller"
         frozen = (self._solved(system.at_slopes(at), ball, observes)[0] for at in (rest, 0.5 * np.ones_like(rest)))
         for made, found in chain.from_iterable(frozen):
             try:
-                proved = of_gain(made.problem(system, ball, observes).at(rate), found.k)
+                proved = program.proved(found.k)
             except NoSolution:
                 continue
             told: Any = {side: rate, "near": {observes: proved}}

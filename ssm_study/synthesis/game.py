@@ -5,6 +5,8 @@ Its loops are compiled, with the eliminations of small matrices written out; the
 an evaluation and saves the compiler most of half a minute.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -20,7 +22,8 @@ STRIDE = 2.0  # the largest change of a log multiplier in one step
 FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goal
 
 
-class Game(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Game:
     """One side's data: a state feedback's own; an observer's transposed, `C', F', E', H'` for `b, e, f, g`.
 
     `a (n, n)`, `b (n, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, rows in sequence; the ball `alpha, beta`; the factor
@@ -38,6 +41,18 @@ class Game(NamedTuple):
     state_weight: Float[np.ndarray, "n n"]
     input_weight: float
     injects: bool
+
+    @cached_property
+    def moved(self) -> Matrix:
+        """How u, and p where the ball has a radius, enter the neurons."""
+        return np.hstack([self.alpha * self.g, self.beta * self.g][: 1 + (self.beta > 0)])
+
+    @cached_property
+    def loop(self) -> tuple[Matrix, Matrix]:
+        """`A` and `B` of the equation, inputs `(u, p, v)`: `w = (z + v) / 2`, so half of each neuron is linear."""
+        drive, half = self.b + self.e @ self.g / 2, self.e / 2
+        moves = [self.alpha * drive, self.beta * drive][: 1 + (self.beta > 0)]
+        return (self.a + half @ self.f) / self.r, np.hstack([*moves, half]) / self.r
 
 
 class Saddle(NamedTuple):
@@ -128,33 +143,28 @@ def _summed(a, source):
     return source
 
 
-def _moved(game: Game) -> Matrix:
-    """How u, and p where the ball has a radius, enter the neurons."""
-    return np.hstack([game.alpha * game.g, game.beta * game.g]) if game.beta > 0 else game.alpha * game.g
-
-
-def _matrices(game: Game, logs: Vector) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
-    """`A, B, Q, R, S` of the equation, inputs `(u, p, v)`, at these log multipliers."""
-    (m, q), r, moved = (game.b.shape[1], len(game.f)), game.r, _moved(game)
-    weights, inputs = np.exp(logs[:q]), moved.shape[1]
-    drive, scaled = game.b + game.e @ game.g / 2, game.f.T * (weights / 2)  # w = (z + v) / 2: half of each is linear
-    moves = [game.alpha * drive, game.beta * drive][: inputs // m]
+def _costs(game: Game, logs: Vector) -> tuple[Matrix, Matrix, Matrix]:
+    """`Q, R, S` of the equation, inputs `(u, p, v)`, at these log multipliers."""
+    (n, m), q, inputs = game.b.shape, len(game.f), game.moved.shape[1]
+    weights = np.exp(logs[:q])
+    scaled = game.f.T * (weights / 2)
+    own, s = np.zeros((inputs + q, inputs + q)), np.zeros((n, inputs + q))
+    own[:inputs, :inputs], s[:, :inputs] = game.moved.T * (weights / 2) @ game.moved, scaled @ game.moved
     bound = float(np.exp(logs[q])) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
-    diagonal = [[game.input_weight + bound] * m, [-bound] * (inputs - m), -weights / 2]  # |v_i| <= |z_i|, by Lambda
-    own, s = np.diag(np.concatenate(diagonal)), np.zeros((len(game.a), inputs + q))
-    own[:inputs, :inputs] += moved.T * (weights / 2) @ moved
-    s[:, :inputs] = scaled @ moved
-    b, cost = np.hstack([*moves, game.e / 2]), game.state_weight + scaled @ game.f
-    return (game.a + game.e @ game.f / 2) / r, b / r, cost / r**2, own / r**2, s / r**2
+    diagonal = own.reshape(-1)[:: inputs + q + 1]
+    diagonal[:m] += game.input_weight + bound
+    diagonal[m:inputs] -= bound
+    diagonal[inputs:] = weights / -2  # |v_i| <= |z_i|, by Lambda
+    return (game.state_weight + scaled @ game.f) / game.r**2, own / game.r**2, s / game.r**2
 
 
 def _constraint(game: Game, h: Matrix) -> Matrix:
-    """`T` with `T'H T < 0` the order of play: (p, v) after u; or, where the gain answers v, what v has left then."""
-    m = game.b.shape[1]
+    """`T` with `T'H T < 0` the order of play: (p, v) after u; or, where the gain answers v, v, then u, then p."""
+    m, inputs = game.b.shape[1], len(h) - len(game.f)
     t = np.eye(len(h))[:, m:]
     if game.injects:
         _log_det(h[:m, :m])
-        t[:m] = -np.linalg.solve(h[:m, :m], h[:m, m:])
+        t[:inputs, inputs - m :] = -np.linalg.solve(h[:inputs, :inputs], h[:inputs, inputs:])
     return t
 
 
@@ -165,7 +175,7 @@ def _log_det(matrix: Matrix) -> float:
 
 def _saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
     """As `evaluate`; raises `LinAlgError` where there is none."""
-    a, b, cost, own, s = _matrices(game, logs)
+    (a, b), (cost, own, s) = game.loop, _costs(game, logs)
     (n, m), q = game.b.shape, len(game.f)
     inverse = np.linalg.solve(own, np.hstack([s.T, b.T]))
     x = _doubled(a - b @ inverse[:, :n], b @ inverse[:, n:], cost - s @ inverse[:, :n])
@@ -183,7 +193,7 @@ def _saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
 
 def _gradient(game: Game, logs: Vector, barrier: float, saddle: Matrix, reach: Matrix, shadow: Matrix) -> Vector:
     """The goal's, from the saddle point `(u, p, v)`, the loop's Gramian `reach` and `shadow` of `_saddle`."""
-    m, moved = game.b.shape[1], _moved(game)
+    m, moved = game.b.shape[1], game.moved
     (q, inputs), still = moved.shape, np.diagonal(shadow)
     z, v = game.f + moved @ saddle[:inputs], saddle[inputs:]  # what drives each neuron there
     flow = (z @ reach * z - v @ reach * v).sum(axis=1)

@@ -37,7 +37,8 @@ class StructuredLmi:
     """One problem with neurons, ready to be solved at any rate.
 
     `objective` as in `lmi.aim`; a state feedback's cost stands beside the state, an observer's noise where the step
-    arrives. With `fixed` the gains are that solution's, and only the metric and the multipliers are sought.
+    arrives. With `fixed` the gains are that solution's, and only the metric and the multipliers are sought; `of.k`
+    holds the gain, so that one program proves many.
     """
 
     problem: Problem
@@ -49,9 +50,11 @@ class StructuredLmi:
     def __post_init__(self) -> None:
         assert self.problem.neurons is not None
         neurons, ball, (n, m) = self.problem.neurons.scaled(), self.problem.ball, self.problem.b.shape
+        k = cp.Parameter((m, n), value=None if self.fixed is None else self.fixed.k)
         of = SimpleNamespace(
             p=(p := cp.Variable((n, n), symmetric=True)),
-            x=cp.Variable((m, n)) if self.fixed is None else self.fixed.k @ p,
+            x=cp.Variable((m, n)) if self.fixed is None else k @ p,
+            k=k,
             t=cp.Variable(neurons.e.shape[1]),
             sigma=cp.Variable() if ball.beta > 0 else 0.0,
             rate=cp.Parameter(),
@@ -93,7 +96,7 @@ class StructuredLmi:
         of.rate.value = rate
         status = solved(self.program, solver)
         p = (of.p.value + of.p.value.T) / 2
-        k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T if fixed is None else fixed.k
+        k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T if fixed is None else of.k.value
         weights, k_w = of.t.value if neurons.observes else 1 / of.t.value, np.zeros((len(k), len(of.t.value)))
         if fixed is None and neurons.injects:
             k_w = (of.n.value / weights[:, None]).T
@@ -101,6 +104,23 @@ class StructuredLmi:
         found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
         found = found.of_neurons(neurons)
         return found if fixed is None else replace(found, k_w=fixed.k_w)
+
+    @classmethod
+    def of_gains(cls, problem: Problem) -> "StructuredLmi":
+        """The program that `proved` asks, for gains that inject nothing."""
+        (n, m), one = problem.b.shape, np.eye(len(problem.a))
+        assert problem.neurons is not None
+        none = np.zeros((m, problem.neurons.e.shape[1]))
+        fixed = Solution(p=one, y=one, k=np.zeros((m, n)), sigma=1.0, status="", k_w=none)
+        return cls(problem=problem, objective="largest_margin", fixed=fixed)
+
+    def proved(self, k: Rows) -> Solution:
+        """Matrices that prove the problem's rate for this gain; raises `NoSolution` without any."""
+        self.of.k.value = k
+        found = self.solve(self.problem.rate)
+        if not holds(self.problem, found):
+            raise NoSolution(f"not certified for all slopes at rate {self.problem.rate:.6g}")
+        return found
 
 
 def holds(problem: Problem, found: Solution) -> bool:
@@ -117,17 +137,6 @@ def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
     Over all gains, the best possible rate of the model as far as the solver finds it; or, `fixed`, of these gains.
     """
     return fastest(problem, fixed)[0]
-
-
-def of_gain(problem: Problem, k: Rows) -> Solution:
-    """Matrices that prove the rate of a gain that is given, nothing injected; raises `NoSolution` without any."""
-    assert problem.neurons is not None
-    one, none = np.eye(len(problem.a)), np.zeros((len(k), problem.neurons.e.shape[1]))
-    fixed = Solution(p=one, y=one, k=k, sigma=1.0, status="", k_w=none)
-    found = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed).solve(problem.rate)
-    if not holds(problem, found):
-        raise NoSolution(f"not certified for all slopes at rate {problem.rate:.6g}")
-    return found
 
 
 def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:

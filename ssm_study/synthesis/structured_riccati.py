@@ -9,13 +9,15 @@ With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = D
     R = diag([R_u + lambda_p I + alpha^2 C, alpha beta C; ., -lambda_p I + beta^2 C], -Lambda/2)/r^2.
 
 It holds if `X > 0` and the (p, v) block of `H = R + B'X B` is negative definite: then `P = X^{-1}` and K is the first
-row of the saddle point. An observer is the same for transposed data; one that injects knows v before it acts, so its u
-block is positive, what is left of the v block negative, and with `g = B'X A + S'` `L' = -H_11^{-1} (g_1 - H_12 E')`,
-`L_z' = -2 H_11^{-1} H_12`; where `beta > 0` it does not inject. The gradient costs one Lyapunov equation, because the
-saddle point stays put to first order: in the norm of the loop's Gramian it is `(|z_i|^2 - |v_i|^2) / 2 r^2` for
-`Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`. Source: THEORY section 6; Basar & Bernhard 1995 (games),
+row of the saddle point. An observer is the same for transposed data. One that injects plays after v and before p: the p
+block is negative, and what v has left once (u, p), block 1, answer it; then u is positive. With `g = B'X A + S'` the
+u rows of `-H_11^{-1} (g_1 - H_12 E')` and `-2 H_11^{-1} H_12` are `L'` and `L_z'`. The gradient costs one Lyapunov
+equation, because the saddle point stays put to first order: in the norm of the loop's Gramian it is
+`(|z_i|^2 - |v_i|^2) / 2 r^2` for `Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`. Source: THEORY section 6; Basar & Bernhard 1995 (games),
 Petersen & Hollot 1986 (guaranteed cost).
 """
+
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -64,7 +66,7 @@ def game_of(problem: Problem) -> Game:
     return Game(
         **{name: np.array(part, dtype=float, order="C") for name, part in parts.items()},
         alpha=float(ball.alpha), beta=float(ball.beta), r=problem.contraction,
-        input_weight=float(problem.input_weight), injects=bool(problem.neurons.injects and ball.beta == 0),
+        input_weight=float(problem.input_weight), injects=problem.neurons.injects,
     )  # fmt: skip
 
 
@@ -78,7 +80,7 @@ def searched(
         logs = np.append(logs, np.log(1 + 4 * game.beta**2 * np.linalg.norm(game.b.T @ game.state_weight @ game.b, 2)))
     slow, share = game, 1.0
     while np.isinf(evaluate(slow, logs, 0.0).goal):
-        slow = slow._replace(r=slow.r * SLOWER)
+        slow = replace(slow, r=slow.r * SLOWER)
         if slow.r > SLOWEST:
             return logs, slow.r
     while slow.r > game.r:
@@ -110,7 +112,7 @@ def logs_of(problem: Problem, found: Solution) -> Float[np.ndarray, "s"]:
 
 
 def _between(game: Game, slow: Game, share: float) -> Game:
-    return game if share == 1.0 else game._replace(r=slow.r * (game.r / slow.r) ** share)
+    return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
 
 
 def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solution:
@@ -122,7 +124,8 @@ def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solu
     x, h, toward = saddle.x, saddle.h, saddle.toward
     m, q = game.b.shape[1], game.e.shape[1]
     if game.injects:
-        known = np.linalg.solve(h[:m, :m], np.hstack([toward[:m], h[:m, m:]]))
+        inputs = len(h) - q
+        known = np.linalg.solve(h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]]))[:m]
         k, k_w = known[:, len(x) :] @ game.f - known[:, : len(x)], -2 * known[:, len(x) :]
     else:
         k, k_w = -np.linalg.solve(h, toward)[:m], np.zeros((m, q))

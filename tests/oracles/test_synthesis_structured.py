@@ -1,6 +1,7 @@
 """The theorems of models with neurons: sampled slopes, exact frontiers, each other, and what they must refuse."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, 
 
 
 @pytest.mark.parametrize("barrier", [0.0, 0.5])
-@pytest.mark.parametrize(("side", "ball"), [("state_feedback", WIDE), ("state_feedback", KNOWN), ("observer", KNOWN)])
+@pytest.mark.parametrize(("side", "ball"), list(product(SIDES, (WIDE, KNOWN))))
 def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier: float) -> None:
     game = game_of(asked(drawn(2, m=2), side, ball, 0.1))
     logs, reached = searched(game)
@@ -105,10 +106,10 @@ def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier
     assert evaluate(game, descend(game, logs, barrier, 20), barrier).goal <= evaluate(game, logs, barrier).goal
 
 
-@pytest.mark.parametrize(("side", "ball"), [("state_feedback", WIDE), ("state_feedback", KNOWN), ("observer", KNOWN)])
+@pytest.mark.parametrize(("side", "ball"), list(product(SIDES, (WIDE, KNOWN))))
 def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_does(side: str, ball) -> None:
     """From the solver's matrices at the largest rate, and from the solution with larger weights; none of a slow one."""
-    system = drawn(6)
+    system = drawn(5)
     rate, best = fastest(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.6 * rate)
     dear = replace(problem, input_weight=10.0)
