@@ -159,7 +159,7 @@ def fit(u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str
 
     `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the channels), or lists of
     them, one per experiment. The last 40 % of each validate and test it, or blocks of it where its end is unlike its
-    beginning (`data.split`). Raises `BadRequest`, before any long work, for what the command refuses of `data=recorded`.
+    beginning (`data.split`). Raises `BadRequest`, before any long work, for what `data=recorded` refuses.
 
     >>> import numpy as np, ssm_study as st
     >>> rng = np.random.default_rng(0)
