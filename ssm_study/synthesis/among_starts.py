@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
-    Records decide as long as they tell models apart. THEORY section 6, "The trap", takes the best fit of the models
-    that can be made twice as fast as they are alone; that rule says nothing where no start is.
+    Records decide as long as they tell models apart. The best fit of those that can be
+    made twice as fast as they are alone would be another rule; it says nothing where no start can. Rates: docs/theory.md.
     """
 
     within_percent: float = 0.3
