@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
-    Records decide as long as they tell models apart. The best fit of those that can be
-    made twice as fast as they are alone would be another rule; it says nothing where no start can. Rates: docs/theory.md.
+    Records decide as long as they tell models apart. To take the best fit of the models that can be made twice as fast
+    as they are alone says nothing where no model can. Source of the rate: docs/theory.md, "The frontier".
     """
 
     within_percent: float = 0.3
