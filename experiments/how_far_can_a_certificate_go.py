@@ -84,7 +84,7 @@ print(f"{sum(v for *_, v in verdicts)} certified, {sum(not v for *_, v in verdic
 # ## What does a rate cost?
 #
 # The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate is a statement about
-# the *model*: a gain in the thousands is certified just as well, and the plant becomes unstable with it.
+# the *model*: it does not say how large a gain the plant bears.
 
 # %%
 ball = certified_balls(run.model).input

@@ -11,7 +11,7 @@
 # *Controller Design for Structured State-space Models via Contraction Theory* (Zakwan, Gupta, Karimi, Balta,
 # Ferrari-Trecate; arXiv 2604.07069): a nonlinear motor is identified from data as a structured state-space model
 # `x⁺ = A x + B S_u(u)`, `y = S_y(C x)`; a state feedback and an observer are designed for the model with a
-# certificate of contraction; both are then put on the *true* motor.
+# certificate of contraction; both are then put on the *simulated* motor.
 #
 # Everything below is the command `ssm-study run experiment=paper` and a look at what it leaves.
 
@@ -82,7 +82,7 @@ for side in ("state_feedback", "observer"):
 show("certified_decay")
 
 # %% [markdown]
-# ## The true motor
+# ## The simulated motor
 #
 # Ten initial speeds, measured with noise, controlled through the observer; beside them the same starts left alone.
 

@@ -158,8 +158,8 @@ def fit(u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str
     """`model=structured`, or what `overrides` name, fitted to `u[k]`, held over `step_s` seconds, and `y[k]`.
 
     `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the channels), or lists of
-    them, one per experiment. The last 40 % of each validate and test it (`data.validation_fraction`). Raises
-    `BadRequest`, before any long work, for whatever the command refuses of `data=recorded`.
+    them, one per experiment. The last 40 % of each validate and test it, or blocks of it where its end is unlike its
+    beginning (`data.split`). Raises `BadRequest`, before any long work, for what `data=recorded` refuses.
 
     >>> import numpy as np, ssm_study as st
     >>> rng = np.random.default_rng(0)

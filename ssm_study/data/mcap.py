@@ -35,7 +35,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 
-CHUNK_BYTES = 65536  # limits what a crash loses, see the measurements in docs/data.md
+CHUNK_BYTES = 65536  # limits what a crash loses
 METADATA_NAME = "ssm-study"
 NANOSECONDS = 1_000_000_000
 LARGEST = 2**28  # bytes of a recording, unpacked: what a reader may ask of the memory

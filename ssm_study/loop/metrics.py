@@ -32,7 +32,7 @@ COLUMNS = (
     Column("left_bound_count", "Int64", "low", word="Starts stopped at the bound"),
     Column("left_bound_first_s", "Float64", word="First stop at the bound", unit="s"),
     Column("noise_gain_measured", "Float64", "low", word="Sensor noise on the output, measured", unit="share"),
-    Column("empirical_rate", "Float64", "high", word="Measured contraction, r", unit="1/sample"),
+    Column("empirical_rate", "Float64", "high", word="Measured contraction rate, ρ", unit="1/sample"),
     Column("certified_bound_violations", "Int64", "low", word="Violations of the certified bound"),
     Column("estimate_decay_rate", "Float64", "high", word="Measured decay of the estimate's error", unit="1/sample"),
     Column("certified_bound_excess_plant", "Float64", "low", word=BEYOND, unit="share of its start"),

@@ -12,7 +12,7 @@ from ssm_study.engine.settings import plain
 from ssm_study.extensions import packages
 from ssm_study.refusal import require
 
-# The rooms whose classes are specifications; the others (cli, results, report) act on the world.
+# The rooms whose classes are specifications; the others (cli, study, report) act on the world.
 ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop")
 TORCH = re.compile(r"torch\.optim\.(lr_scheduler\.)?[A-Z][A-Za-z]+")
 LIGHTNING = re.compile(
