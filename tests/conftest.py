@@ -40,12 +40,13 @@ DRAWING = {"test_study_line", "test_docs_notebooks"}
 
 @contextmanager
 def shapes_unchecked(unchecked: bool = True) -> Iterator[None]:
-    """Without jaxtyping's check of every call."""
+    """Without jaxtyping's check of every call; afterwards as before."""
+    before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", unchecked)
     try:
         yield
     finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+        jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +63,7 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
         if module in WHOLE_RUNS - DRAWING:  # a third of a short run
             patch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())
         yield
+        assert jaxtyping.config.jaxtyping_disable == (module in WHOLE_RUNS), "a fixture left it otherwise"
 
 
 # What `verify` makes again of a run: pure functions of their parts.
