@@ -35,7 +35,7 @@ from ssm_study import extensions
 from ssm_study.cli import main as cli
 from ssm_study.cli.main import ACTIONS
 from ssm_study.loop.peers import designs
-from ssm_study.report import figures, style
+from ssm_study.report import figures
 from ssm_study.synthesis.auto import Auto
 
 COMMANDS = every_command()
@@ -86,7 +86,6 @@ def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
 
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(style._PAPER["savefig"], "dpi", 40)  # rendering pixels is most of a report's time
     monkeypatch.setattr(designs, "Auto", partial(Auto, **FEW))  # of the peers as of a run
     monkeypatch.setattr(time, "perf_counter", time.perf_counter)  # one benchmark puts its own clock there
     monkeypatch.setattr(sys, "path", list(sys.path))
