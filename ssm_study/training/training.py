@@ -79,10 +79,12 @@ class Training:
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
         found = [trained(self, spec, data, seed, folder, progress)]
-        for start in range(1, spec.starts if isinstance(spec, StructuredSpec) else self.starts):
+        for start in range(1, spec.trainings if isinstance(spec, StructuredSpec) else self.starts):
             again = spec  # of one layer a further start begins with random modes, real ones only to make pairs
             if isinstance(spec, SSMSpec):
                 again = replace(spec, start="ring", real_modes=spec.order - 2 * ((spec.order - 1) // 2))
+            elif isinstance(spec, StructuredSpec):
+                again = spec.at_start(start)
             found.append(trained(self, again, data, seed + 1000 * start, folder / f"start_{start}", progress))
         rule = getattr(spec, "among_starts", None)
         best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
