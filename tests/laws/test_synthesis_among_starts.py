@@ -37,7 +37,7 @@ def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_no
 
 
 def test_neurons_must_gain_a_percent_point() -> None:
-    """A model without them is kept where it fits nearly as well and may be controlled faster, not where they gain more."""
+    """A model without them is kept where it fits nearly as well and is faster to control, not where they gain more."""
     slow, rule = slower(model()), FastestCertified()
     none = {"e": slow.e[:, :0], "f": slow.f[:0], "g": slow.g[:0], "h": slow.h[:, :0], "bias": slow.bias[:0]}
     plain = replace(model(), **none, neurons=())
