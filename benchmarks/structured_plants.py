@@ -54,7 +54,7 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
         "radius_at_rest": float(np.abs(np.linalg.eigvals(at_rest.a)).max()),
         "r_controller": factors[0],
         "r_observer": factors[1],
-        "seconds_per_start": spent / part["model"].starts,
+        "seconds_per_start": spent / part["model"].trainings,
     }
     sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(model.neurons)}
     return sizes | {name: f"{value:.4g}" for name, value in numbers.items()}

@@ -38,14 +38,21 @@ WHOLE_RUNS = {
 DRAWING = {"test_study_line", "test_docs_notebooks"}
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The long ones first, else in pytest-randomly's order: no worker begins a long one when the others are done."""
+    items.sort(key=lambda item: item.path.stem not in WHOLE_RUNS)
+
+
 @contextmanager
 def shapes_unchecked(unchecked: bool = True) -> Iterator[None]:
-    """Without jaxtyping's check of every call."""
+    """Without jaxtyping's check of every call; afterwards as before."""
+    before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", unchecked)
     try:
         yield
     finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+        jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(autouse=True)
@@ -59,9 +66,11 @@ def _no_composition_left() -> Iterator[None]:
 def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
     module = request.module.__name__.rpartition(".")[2]
     with shapes_unchecked(module in WHOLE_RUNS), pytest.MonkeyPatch.context() as patch:
-        if module in WHOLE_RUNS - DRAWING:  # a third of a short run
+        if module in WHOLE_RUNS - DRAWING:  # a third of a short run, and rendering is half of a report
             patch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())
+            patch.setitem(resolve_name("ssm_study.report.style:_PAPER")["savefig"], "dpi", 40)
         yield
+        assert jaxtyping.config.jaxtyping_disable == (module in WHOLE_RUNS), "a fixture left it otherwise"
 
 
 # What `verify` makes again of a run: pure functions of their parts.

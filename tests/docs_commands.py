@@ -42,9 +42,10 @@ SMALL = {
     "progress": "false",
 }
 # Of parts of this kind: records for the mismatch alone, and most candidates, are left out.
+FEW = {"input_weights": [0.01, 1.0], "output_noises": [0.01, 1.0], "stretch_shares": [0.3], "observer_rates": [0.2]}
 FEWER = (
     ("data", ".SimulatedData", {"trials": "false"}),
-    ("synthesis", ".Auto", {"input_weights": "[0.01,1.0]", "output_noises": "[0.01,1.0]"}),
+    ("synthesis", ".Auto", {name: str(values).replace(" ", "") for name, values in FEW.items()}),
 )
 # A benchmark runs as a copy, its tables go beside the copy, with these options or this source instead of its own.
 SMALL_OPTIONS = {

@@ -2,7 +2,6 @@
 
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import jaxtyping
@@ -27,14 +26,14 @@ EVERY = [
 ]
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _no_more_than_the_line() -> Iterator[None]:
-    """Without the check of every call that a test run may ask of jaxtyping: here whole lines run, step by step."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())  # each draws the same two, for a third of its time
-        yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+@pytest.fixture(autouse=True)
+def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the check of every call that a test run may ask of jaxtyping: here whole lines run, step by step.
+
+    No generator: of a module that jaxtyping checks, pytest would take its fixture for one that returns.
+    """
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    monkeypatch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())  # each draws the same two, for a third of its time
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
+from ssm_study.models.structured import Model
 from ssm_study.signals import DataSet, Trajectory
 
 Level = Literal["note", "doubt", "cannot judge"]
@@ -30,7 +30,7 @@ class Case:
     """What is judged: the records, and the model's free runs of validation and test."""
 
     data: DataSet
-    model: SSM
+    model: Model
     validation: Simulation
     test: Simulation
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from ssm_study.evidence import feedback, fit, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, note
-from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
+from ssm_study.models.structured import Model
 from ssm_study.signals import DataSet
 from ssm_study.synthesis.mismatch import Mismatch
 
@@ -37,7 +37,7 @@ class Judgement:
         return cls(findings=tuple(Finding(**entry) for entry in content))
 
 
-def judge(data: DataSet, model: SSM, validation: Simulation, test: Simulation, shown: Mismatch) -> Judgement:
+def judge(data: DataSet, model: Model, validation: Simulation, test: Simulation, shown: Mismatch) -> Judgement:
     """Every finding about these records, this model and the mismatch that they show."""
     case = Case(data=data, model=model, validation=validation, test=test)
     found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *feedback.findings(case)]

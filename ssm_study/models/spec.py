@@ -161,6 +161,10 @@ class ModelSpec(ABC):
     @abstractmethod
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
+    def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
+        """What training k of several is of; they differ in the seed."""
+        return self
+
 
 @dataclass(frozen=True, kw_only=True)
 class SSMSpec(ModelSpec):
@@ -203,6 +207,10 @@ class SSMSpec(ModelSpec):
                 fits = len(ends) == 2 and 0 <= ends[0] < ends[1] <= most
                 problem = f"needs two increasing numbers in [0, {most:g}]"
                 require(fits, f"model.{name}", ends, problem, "correct the range")
+
+    def at_start(self, start: int) -> "SSMSpec":
+        """A further start begins with random modes, real ones only to make pairs."""
+        return replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2)) if start else self
 
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
         from ssm_study.models.torch_ssm import LRU, TorchSSM

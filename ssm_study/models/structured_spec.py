@@ -1,7 +1,7 @@
 """What `conf/model/structured.yaml` says, and the maps S_u and S_y as they are trained, derivatives written out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -97,7 +97,7 @@ class StructuredSpec(ModelSpec):
     `|x|_M` contracting by r per sample, by construction; null leaves the model free. `ridge` weighs the squared
     parameters. Each of `starts` trainings begins with the best of `draws` of neurons at random; `start_steps` of
     Levenberg-Marquardt for the linear fit, S_u and each free draw, before the set of contracting models is entered.
-    `among_starts` takes one of their results, null that of the best validation fit.
+    `among_starts` takes one of their results, null that of the best validation fit (`at_start`).
     `integrated`: the output is a running sum, an integrator in front of which the model contracts.
     Source: docs/theory.md, "With neurons".
     """
@@ -144,6 +144,21 @@ class StructuredSpec(ModelSpec):
         kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
         require(len(kinds) > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
         return tuple(kinds[i % len(kinds)] for i in range(self.neurons))
+
+    @property
+    def trainings(self) -> int:
+        """`starts`, and with `among_starts` one more."""
+        return self.starts + (self.among_starts is not None)
+
+    def at_start(self, start: int) -> "StructuredSpec":
+        """What start k trains. With `among_starts` each odd k has half the states, rounded up, and the last no neurons.
+
+        More can be certified of such models, where they suffice.
+        """
+        if self.among_starts is None:
+            return self
+        smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 else self
+        return replace(self, neurons=0) if start == self.starts else smaller
 
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""

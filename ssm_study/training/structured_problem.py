@@ -123,9 +123,9 @@ class Residuals:
         free = {name: theta[name] for name in FREE_CORE}
         shapes = {name: part.shape for name, part in free.items()}
         unit = split(shapes, np.eye(sum(part.size for part in free.values())))
-        change = Free(**{name: part.reshape(-1, *shapes[name]) for name, part in unit.items()})
+        change = Free(**{name: part.reshape(len(part), *shapes[name]) for name, part in unit.items()})
         turned = derivative(Free(**free), change, self.rate or 1.0)
-        return np.concatenate([part.reshape(len(part), -1) for part in turned], axis=1).T
+        return np.concatenate([part.reshape(len(part), part[0].size) for part in turned], axis=1).T
 
     def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
         """Every record has a start of its own, and with `integrated` an output it begins at."""

@@ -59,7 +59,6 @@ class Training:
     ) -> "Identification":
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
         from ssm_study.models.baselines.solved import SolvedSpec
-        from ssm_study.models.spec import SSMSpec
         from ssm_study.models.structured_spec import AUTO, StructuredSpec
         from ssm_study.training.metrics import Identification
 
@@ -79,11 +78,9 @@ class Training:
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
         found = [trained(self, spec, data, seed, folder, progress)]
-        for start in range(1, spec.starts if isinstance(spec, StructuredSpec) else self.starts):
-            again = spec  # of one layer a further start begins with random modes, real ones only to make pairs
-            if isinstance(spec, SSMSpec):
-                again = replace(spec, start="ring", real_modes=spec.order - 2 * ((spec.order - 1) // 2))
-            found.append(trained(self, again, data, seed + 1000 * start, folder / f"start_{start}", progress))
+        for start in range(1, spec.trainings if isinstance(spec, StructuredSpec) else self.starts):
+            one = trained(self, spec.at_start(start), data, seed + 1000 * start, folder / f"start_{start}", progress)
+            found.append(one)
         rule = getattr(spec, "among_starts", None)
         best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
         return replace(best, seconds=time.perf_counter() - began, choice=tuple(choice))

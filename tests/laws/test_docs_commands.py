@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pandas as pd
 import pytest
 from docs_commands import (
     ELSEWHERE,
+    FEW,
     ROOT,
     composed,
     every_command,
@@ -32,7 +34,9 @@ import ssm_study.synthesis
 from ssm_study import extensions
 from ssm_study.cli import main as cli
 from ssm_study.cli.main import ACTIONS
-from ssm_study.report import figures, style
+from ssm_study.loop.peers import designs
+from ssm_study.report import figures
+from ssm_study.synthesis.auto import Auto
 
 COMMANDS = every_command()
 ROOMS = {
@@ -82,7 +86,7 @@ def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
 
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(style._PAPER["savefig"], "dpi", 40)  # rendering pixels is most of a report's time
+    monkeypatch.setattr(designs, "Auto", partial(Auto, **FEW))  # of the peers as of a run
     monkeypatch.setattr(time, "perf_counter", time.perf_counter)  # one benchmark puts its own clock there
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv(extensions.FOLDER, "")

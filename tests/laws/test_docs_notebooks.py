@@ -1,18 +1,37 @@
 """The notebooks run from top to bottom without a display or a network, on the smoke configuration."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from docs_commands import FEW
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted(path for path in (ROOT / "experiments").glob("*.py") if "# %%" in path.read_text())
 
 
+# One trains on logs of its own, with settings of its own: the same, shorter, and of the designs' grid as of commands'.
+WHOLE = '"training.max_epochs=60")'
+SHORT = ['"training.max_epochs=12"', '"model.starts=1"', '"model.draws=1"']
+SHORT += [f'"+synthesis.{name}={values}"' for name, values in FEW.items()]
+
+
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("notebooks") / "results"  # shared: what one has trained the next one finds
+def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One for all notebooks, emptied before each: to load the libraries takes longer than a short notebook.
+
+    Their results are shared too: what one has trained the next one finds.
+    """
+    nbclient = pytest.importorskip("nbclient", reason="the extra `notebooks` is not installed")
+    nbformat = pytest.importorskip("nbformat", reason="the extra `notebooks` is not installed")
+    first = nbclient.NotebookClient(nbformat.v4.new_notebook(), kernel_name="python3")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SSM_STUDY_EXPERIMENT", "smoke")
+        patch.setenv("SSM_STUDY_RESULTS", str(tmp_path_factory.mktemp("notebooks") / "results"))
+        with first.setup_kernel(cwd=str(ROOT)):
+            yield first.km
 
 
 def test_there_are_four() -> None:
@@ -20,13 +39,13 @@ def test_there_are_four() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs(path: Path, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_runs(path: Path, kernel: Any) -> None:
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
     nbclient = pytest.importorskip("nbclient", reason="the extra `notebooks` is not installed")
-    monkeypatch.setenv("SSM_STUDY_EXPERIMENT", "smoke")
-    monkeypatch.setenv("SSM_STUDY_RESULTS", str(results))
-    notebook = jupytext.read(path)
-    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute(cwd=str(ROOT))
+    script = "# %%\n%reset -f\n" + path.read_text()
+    assert (WHOLE in script) == (path.stem == "your_own_data")
+    notebook = jupytext.reads(script.replace(WHOLE, ", ".join(SHORT) + ")"), fmt="py:percent")
+    nbclient.NotebookClient(notebook, timeout=300, km=kernel).execute()
     assert pictures(notebook) >= 1, text(notebook)
     assert "Traceback" not in text(notebook), text(notebook)
     assert "$" not in shown_as_markdown(notebook), "exported to HTML, a formula between $ needs a network to be shown"

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ssm_study.models.structured import StructuredSSM
+from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.among_starts import FastestCertified, fastest
 from ssm_study.systems import JacobianBall, StructuredSystem
@@ -33,6 +34,23 @@ def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_no
     assert rule(found) is found[1]
     assert rule([trained(slow, 98.0), trained(fast, 97.6)]).model is slow
     assert FastestCertified(within_percent=0.0)(found) is found[0]
+
+
+def test_neurons_must_gain_a_percent_point() -> None:
+    """A model without them is kept where it fits nearly as well and is faster to control, not where they gain more."""
+    slow, rule = slower(model()), FastestCertified()
+    none = {"e": slow.e[:, :0], "f": slow.f[:0], "g": slow.g[:0], "h": slow.h[:, :0], "bias": slow.bias[:0]}
+    plain = replace(model(), **none, neurons=())
+    assert rule([trained(slow, 98.0), trained(plain, 97.1)]).model is plain
+    assert rule([trained(slow, 98.0), trained(plain, 96.9)]).model is slow
+
+
+def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None:
+    spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=FastestCertified())
+    sizes = [(one.order, one.neurons) for one in map(spec.at_start, range(spec.trainings))]
+    assert sizes == [(5, 4), (3, 4), (5, 4), (5, 0)]
+    best = replace(spec, among_starts=None)
+    assert [best.at_start(k) for k in range(best.trainings)] == [best] * 3
 
 
 def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:

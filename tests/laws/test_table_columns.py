@@ -31,20 +31,28 @@ ADDED = {
         "return {": '"curve_rows": len(ended),',
     },
 }
-SEEN = """
-import json, sys
+# One program for all: to load the libraries takes longer than what it does with them.
+PROGRAM = """
+import json
 from pathlib import Path
+from ssm_study.cli import endings
+from ssm_study.cli.main import main
 from ssm_study.report.page.data import page_data
 from ssm_study.report.study_folder import StudyFolder
-data = page_data(StudyFolder(folder=Path(sys.argv[1])))
-print(json.dumps([data["words"][name] for name in ("input_mean_square", "curve_rows")]))
+endings.RUN_FIGURES = ()
+assert main(["run", "experiment=smoke", "results_dir=results", "progress=false"]) == 0
+(run,) = (path.parent for path in Path("results/smoke").glob("*/record.json"))
+assert main(["show", str(run.parent), "--columns"]) == 0
+words = page_data(StudyFolder(folder=run.parent))["words"]
+print(json.dumps([words[name] for name in ("input_mean_square", "curve_rows")]))
+assert main(["verify", str(run)]) == 0
 """
 
 
 def scratch_copy(folder: Path) -> Path:
     """The package and its configuration with two more columns, each written into one file."""
     for name in ("ssm_study", "hydra_plugins", "conf"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc"))
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*", "*.tmp.*"))  # half written
     for file, additions in ADDED.items():
         text = (folder / file).read_text()
         for mark, added in additions.items():
@@ -54,31 +62,20 @@ def scratch_copy(folder: Path) -> Path:
     return folder
 
 
-def python(scratch: Path, *arguments: str) -> str:
-    environment = os.environ | {"PYTHONPATH": str(scratch)}
-    done = subprocess.run(
-        [sys.executable, *arguments], cwd=scratch, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 def test_a_new_column_is_one_file(tmp_path: Path) -> None:
     scratch = scratch_copy(tmp_path / "scratch")
-    command = ("-m", "ssm_study.cli")
-    python(scratch, *command, "run", "experiment=smoke", "results_dir=results", "progress=false")
-    (run,) = (path.parent for path in (scratch / "results" / "smoke").glob("*/record.json"))
-    columns = list(pd.read_csv(run.parent / "runs.csv").columns)
+    environment = os.environ | {"PYTHONPATH": str(scratch)}
+    command = [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(command, cwd=scratch, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    columns = list(pd.read_csv(scratch / "results" / "smoke" / "runs.csv").columns)
     assert columns.index("training_ended") > columns.index("curve_rows") > columns.index("fit_test_percent")
     assert columns.index("settling_time_mean_s") > columns.index("input_mean_square") > columns.index("resolved_margin")
-    shown = python(scratch, *command, "show", str(run.parent), "--columns")
-    assert "Mean square of the input (V²)" in shown
-    assert "not checked: the curve is not kept" in shown
-    assert "declared nowhere" not in shown
-    assert (
-        python(scratch, "-c", SEEN, str(run.parent)) == '["Mean square of the input (V\\u00b2)", "Rows of the curve"]\n'
-    )
-    assert "holds  input_mean_square" in python(scratch, *command, "verify", str(run))
+    assert "Mean square of the input (V²)" in done.stdout
+    assert "not checked: the curve is not kept" in done.stdout
+    assert "declared nowhere" not in done.stdout
+    assert '["Mean square of the input (V\\u00b2)", "Rows of the curve"]\n' in done.stdout
+    assert "holds  input_mean_square" in done.stdout
 
 
 def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:

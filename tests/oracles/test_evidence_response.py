@@ -5,14 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.signal
+from structured_cases import model
 from test_loop_prediction import linear_model
 
 from ssm_study.data.assembly import assemble
 from ssm_study.evidence import feedback
-from ssm_study.evidence.finding import Case
+from ssm_study.evidence.finding import CANNOT_JUDGE, Case
+from ssm_study.evidence.judgement import judge
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
+from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.systems import StateSpace
 
 RNG = np.random.default_rng(0)
@@ -157,3 +160,10 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
 def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
     assert feedback.fed_back(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
     assert feedback.fed_back(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < feedback.EARLIER / 2
+
+
+def test_a_model_with_neurons_is_judged():
+    """One that has nothing to do with the log: no judgement of the plant."""
+    data, other = case(LEVELS, answer(LEVELS)).data, model()
+    validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
+    assert judge(data, other, validation, test, mismatch(other, data.validation)).level == CANNOT_JUDGE
