@@ -77,7 +77,7 @@ class StructuredSystem(_Recurrence):
     What the theorems need of a structured model: the neurons act one by one and are known by their slopes alone.
     Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`, real.
     With `q = 0` it is `StateSpace`. Raises `BadRequest` for entries that are not finite.
-    Source: THEORY section 6; Revay, Wang & Manchester 2024 (REN with `D11 = 0`).
+    Source: Revay, Wang & Manchester 2024 (REN with `D11 = 0`).
     """
 
     a: Float[np.ndarray, "n n"]
@@ -115,7 +115,7 @@ class JacobianBall:
     """All Jacobians `J = alpha I + beta Delta`, `||Delta||_2 <= 1`: what the theorems really need of a scaffolding.
 
     `alpha` keeps its sign; for a scalar map with slopes in `[mu, nu]`, `alpha = (nu + mu)/2`, `beta = (nu - mu)/2`.
-    Source: THEORY section 3; [Z26] Theorems 1 and 2 use the singular values, which is not enough.
+    Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values, which are not enough.
     """
 
     alpha: float

@@ -1,6 +1,6 @@
 """The inverse of a scaffolding that is strictly monotone by channel: piece by piece, as exact as its slopes.
 
-Source: THEORY section 6, "Inverting S_u".
+Source: docs/theory.md, "With neurons".
 """
 
 from dataclasses import dataclass

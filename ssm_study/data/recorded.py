@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ssm_study.data import splits
 from ssm_study.data.assembly import Channels, Parts, assemble
 from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
 from ssm_study.data.readers.reader import has_columns
@@ -76,6 +77,7 @@ class RecordedData(Columns, AroundRest):
     `time` name columns. `test_path` (and `test_output_path`) give separate test logs, and nothing is then cut for the
     test. Of logs made in a closed loop `reference` names the columns of the set point, or `controller` the PI, by its
     gain (input per output) and integral time (s): the input is then what the set point makes of it (`closed_loop`).
+    The rests of whole logs are `trials` (`splits.returns`).
     """
 
     path: Names
@@ -143,7 +145,8 @@ class RecordedData(Columns, AroundRest):
             test = self._known_loop(self._logs(*tested), *tested)[0]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
-        return self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
+        found = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
+        return replace(found, trials=tuple(piece for log in logs for piece in splits.returns(log)))
 
     def _logs(self, field: str, outputs: str) -> list[Trajectory]:
         """Every log; two files of which one has the inputs and the other the outputs are one log."""

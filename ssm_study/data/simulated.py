@@ -2,7 +2,7 @@
 
 A few more records are for one purpose only: how far the plant is from its model where the loop will take it. No fit
 uses them. An excitation at full amplitude, held for some samples at a time, says little of what happens near rest,
-above its own band, or from where the loop starts. Source: THEORY section 7.
+above its own band, or from where the loop starts. Source: docs/trust.md.
 """
 
 from dataclasses import dataclass

@@ -13,6 +13,7 @@ Pieces = tuple[list[Trajectory], list[Trajectory], list[Trajectory]]
 Intervals = Sequence[list[float]]
 
 BLOCKS = 10  # interleaved: of every five blocks three train, one validates, one tests
+SHORTEST_REST = 8  # samples
 FEWEST = 50  # samples a block needs beyond the start-up window
 UNLIKE = 1.0  # training deviations by which the output's mean at the end may differ; its deviation: a factor of two
 
@@ -57,6 +58,18 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
     """What is left of a record without one of so many equal pieces, and that piece."""
     start, end = (round(len(record) * k / folds) for k in (fold, fold + 1))
     return [piece for piece in (record[:start], record[end:]) if len(piece)], record[start:end]
+
+
+def returns(record: Trajectory) -> list[Trajectory]:
+    """Every stretch at the input at which the record ends, with the sample before it; none where it ends moving.
+
+    A stretch counts that lasts half as long as the last one. What the plant does there is evidence; no fit uses it.
+    """
+    moved = np.flatnonzero((record.u != record.u[-1]).any(axis=1))
+    if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
+        return []
+    least = (len(record) - moved[-1]) / 2
+    return [record[a:b] for a, b in pairwise([*moved, len(record)]) if b - a > least]
 
 
 def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:

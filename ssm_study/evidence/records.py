@@ -10,7 +10,8 @@ from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.mismatch import ANGLES, AT_REST, RESPONSES, Mismatch, stuck
+from ssm_study.synthesis.mismatch import ANGLES, Mismatch
+from ssm_study.synthesis.rest import AT_REST, RESPONSES, stuck
 
 BEYOND = 0.05  # share of samples that may lie beyond the range of training
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
@@ -130,8 +131,8 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             f"{told}: friction or play; a loop without integrators may stop as far off. Record more returns to rest."
         )
     elif shown.left_at_rest is None:
-        problem = "No record ends at rest input: whether the output rests by itself is unknown"
-        yield note(f"{problem}; add such a record.")
+        problem = "No two returns to rest input outlast the model's response"
+        yield note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
     if len(shown.views) == 1:
         amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
         yield note(f"All records have one amplitude ({amplitude}): below it the mismatch is unknown.")

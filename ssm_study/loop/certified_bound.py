@@ -10,7 +10,7 @@ and Theorem 2 `e[k+1] <= r_o e[k]`, so
 with the constant made explicit.
 
 With limited inputs: `theorems/limited_input.py`, whose certificate takes the state feedback's place here, and
-`theorems/unlimited_start.py`. Source: [Z26] Theorems 1 to 3; THEORY section 8.
+`theorems/unlimited_start.py`. Source: [Z26] Theorems 1 to 3.
 """
 
 from itertools import product
@@ -64,7 +64,7 @@ def input_gain(feedback: StateFeedback, observer: Observer) -> float:
     """`c = nu max_S ||M^{1/2} (B + E S G)||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on the estimate.
 
     S runs over the neurons' slopes: the norm is convex in them, so that the corners decide; above `MOST_NEURONS` it is
-    bounded by `||M^{1/2} B||_2 + ||M^{1/2} E||_2 ||G||_2`. Source: THEORY section 6.
+    bounded by `||M^{1/2} B||_2 + ||M^{1/2} E||_2 ||G||_2`. Source: docs/theory.md, "With neurons".
     """
     into = rooted(feedback.p, feedback.b)  # M^{1/2} B
     if not isinstance(feedback, StructuredStateFeedback):

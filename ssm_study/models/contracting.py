@@ -1,6 +1,6 @@
 """Structured recurrences that contract by construction: free parameters, both ways, with the derivative written out.
 
-All `(A, E, F)` whose analysis LMI of THEORY section 6 holds at r with `M = I, Lambda = I` are
+All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I, Lambda = I` are
 
     E = sqrt2 con(X_E),   [A; Gh] = r con(X_G),   R R' = 2 I - E'E,   F = R Gh - E'A,   con(X) = X chol(I + X'X)^{-T}
 

@@ -86,7 +86,7 @@ class SSM(Wired):
     """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) / input_scale`.
 
     Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs.
-    Source: [Z26] eq. (2); THEORY section 2.
+    Source: [Z26] eq. (2).
     """
 
     linear: StateSpace

@@ -25,7 +25,7 @@ class Neuron(NamedTuple):
     """`phi(z)`, its slope `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z` for math.h.
 
     What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic hardening, relu and
-    saturation the same with kinks. Source: THEORY section 6.
+    saturation the same with kinks. Source: docs/theory.md, "With neurons".
     """
 
     value: Callable[[Values], Values]
@@ -86,7 +86,7 @@ class StructuredSSM(Wired):
     `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`, `bias (q,)`;
     `neurons` names the kind of each of the q neurons. Without any it is the model of one layer (`SSM`).
     Raises `BadRequest` for shapes that do not fit, entries that are not finite, an unknown kind.
-    Source: THEORY section 6; Revay, Wang & Manchester (2023), REN with D11 = 0.
+    Source: Revay, Wang & Manchester (2023), REN with D11 = 0.
     """
 
     a: Matrix

@@ -99,7 +99,7 @@ class StructuredSpec(ModelSpec):
     Levenberg-Marquardt for the linear fit, S_u and each free draw, before the set of contracting models is entered.
     `among_starts` takes one of their results, null that of the best validation fit (`at_start`).
     `integrated`: the output is a running sum, an integrator in front of which the model contracts.
-    Source: THEORY section 6.
+    Source: docs/theory.md, "With neurons".
     """
 
     gives_ssm: ClassVar[bool] = True

@@ -22,8 +22,8 @@ class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
     A model without neurons counts within `one_layer_within_percent`: for what neurons gain less, more is certified.
-    Records decide as long as they tell models apart. THEORY section 6, "The trap", takes the best fit of the models
-    that can be made twice as fast as they are alone; that rule says nothing where no start is.
+    Records decide as long as they tell models apart. To take the best fit of the models that can be made twice as fast
+    as they are alone says nothing where no model can. Source of the rate: docs/theory.md, "The frontier".
     """
 
     within_percent: float = 0.3

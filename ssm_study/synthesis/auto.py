@@ -7,7 +7,7 @@ Among guaranteed-cost designs on a grid of rates and weights that are predicted 
 
 `area` the response's on the model, its time to settle included (`synthesis.area`), `spread` the standard error of ln g,
 from blocks of the record: the mismatch is not a number but a sample, and the fastest design that just passes is the one
-that any optimism of g lets through. Nothing of the closed-loop test enters. Source: THEORY sections 4, 5 and 7.
+that any optimism of g lets through. Nothing of the closed-loop test enters. Source: docs/theory.md.
 """
 
 from collections.abc import Sequence

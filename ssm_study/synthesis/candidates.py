@@ -1,4 +1,4 @@
-"""The gains that `auto` chooses from, with the specification of each. Source: THEORY sections 4 and 6."""
+"""The gains that `auto` chooses from, with the specification of each. Source: docs/theory.md."""
 
 from dataclasses import dataclass, replace
 from typing import Any

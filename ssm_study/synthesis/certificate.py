@@ -1,6 +1,6 @@
 """What synthesis hands on: the certificates of a design, or why there are none, and the file they are kept in.
 
-Which fields a certificate has is its theorem's matter (`synthesis.theorem`); source of the theorems: [Z26], THEORY.
+Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26], docs/theory.md.
 """
 
 import hashlib

@@ -3,7 +3,7 @@
 Then `v = S_u(u) = K xh` exactly: all of design, prediction and certificate are those of the model with the identity in
 the place of `S_u`, its input v, the ball `alpha = 1, beta = 0`. What the records show of the mismatch is taken relative
 to v. A deviation from v, at a limit of u, is known to the observer. Through a dead zone the law asks for several times
-the input. Source: THEORY section 6, "Inverting S_u".
+the input. Source: docs/theory.md, "With neurons".
 """
 
 from dataclasses import replace

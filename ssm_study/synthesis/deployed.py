@@ -1,7 +1,7 @@
 """What is proved of a pair of gains once it is chosen: the largest rates, the mismatch tolerated, limited inputs.
 
 All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`, `limited_input.py`,
-`unlimited_start.py`; THEORY section 8.
+`unlimited_start.py`; docs/theory.md, "The gains that are deployed".
 """
 
 from collections.abc import Callable, Mapping

@@ -92,7 +92,7 @@ def aim(objective: str, upper: Blocks, p: cp.Expression, at: int, performance: l
 
     `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace, deepest inside.
     `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance` coupled to block `at`.
-    Source: [Z26]; THEORY section 6.
+    Source: [Z26]; docs/theory.md, "With neurons".
     """
     if objective != "guaranteed_cost":
         matrix, t = cp.bmat(full(upper)), cp.Variable()

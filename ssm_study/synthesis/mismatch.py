@@ -17,34 +17,28 @@ infinite gain. Where no input repeats, noise counts as mismatch.
 
 In a closed loop `u = T_ue e` whatever e is: noise and the start alone show g = 1 / |T_ue|, the very gain that the loop
 just fails to tolerate. So a trial in closed loop counts only if its output does not come to rest (`MOVING`), and of e
-only what neither the initial state nor the noise explains: the gain that sustains a limit cycle. Source: THEORY
-sections 5 and 7.
+only what neither the initial state nor the noise explains: the gain that sustains a limit cycle. Source:
+docs/theory.md, "Small gain for the plant"; docs/trust.md for what was measured.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from jaxtyping import Complex, Float
 
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
 from ssm_study.signals import Trajectories, Trajectory, repetition
+from ssm_study.synthesis.rest import AT_REST, SURE, after_returns, is_return, left, stuck, swing
 from ssm_study.synthesis.spectra import ANGLES, banded, bands_of, divided, power, welch
 
 # A band with less than this share of the input's mean power is not excited: g is measured there, and uncertain.
 EXCITED = 0.01
-# Standard errors by which a record below the largest amplitude must exceed what noise leaves of it: of more than a
-# hundred bands the largest counts.
-SURE = 3.0
-AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
-RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
 BAND = 0.05  # share of the farthest start on record (of the output's scale without one) that counts as settled
 MISSED = 0.05  # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it: chance p
 IN_LOOP = (1 / 3, 300)  # share, and most samples, of a trial in closed loop that only tell its initial state
 MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
-NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
 QUIET = 0.25  # quantile of the bands of e that is taken for white noise in a closed loop where no record measured it
 BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
 Spectra = tuple[Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]]
@@ -127,7 +121,7 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
     """
     trial_runs = [_Errors.of(model, trial, unscored(trial, start_up_samples)) for trial in trials if trial.closed_loop]
     loops = [one for one in trial_runs if one.u.any() and swing(one.e + one.model) > MOVING]
-    opened = [*validation, *(trial for trial in trials if not trial.closed_loop)]
+    opened = [*validation, *(one for one in trials if not one.closed_loop and not is_return(one))]
     measured = [_Errors.of(model, record, start_up_samples) for record in opened]
     moving = [one for one in measured if one.u.any()]
     problem = "the input never leaves its equilibrium, so no mismatch can be measured"
@@ -140,12 +134,15 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
     if noise is not None:
         views = [_view(record, record.strength() == most, noise) for record in periodic]
     drive, response = welch([largest.u]), model.linear.response_samples()
+    own = [off for one in moving if (off := stuck(one.u, one.e + one.model, response)) > AT_REST]
+    still, offsets = after_returns(model.scale, [one for one in trials if is_return(one)], response)
+    decayed = [left(one.e + one.model) for one in measured if not one.u.any()]
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
         loop=_in_loop(loops, noise) if loops else None,
         spread=largest.spread(),
-        left_at_rest=max((left(one.e + one.model) for one in measured if not one.u.any()), default=None),
-        stuck=tuple(off for one in moving if (off := stuck(one.u, one.e + one.model, response)) > AT_REST),
+        left_at_rest=max((*decayed, *still), default=None),
+        stuck=tuple(max(own, offsets, key=lambda found: max(found, default=0.0))),  # one rest counts once
         farthest=max((float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()), default=1.0),
         unexcited=tuple(float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]),
     )
@@ -189,36 +186,6 @@ class _Errors:
         first, second = (slice(self.start + k * self.period, self.start + (k + 1) * self.period) for k in (0, 1))
         both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
         return both, np.fft.rfft(self.u[second], axis=0), np.fft.rfft(self.model[second], axis=0)
-
-
-def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
-    """What is left of an output at rest input after the input has moved it; zero unless that outlasts the response."""
-    still = int(np.flatnonzero(u.any(axis=1))[-1]) + 1 if u.any() else len(u)
-    return left(y[still:]) if len(u) - still >= max(RESPONSES * response, 8) else 0.0
-
-
-def left(y: Float[np.ndarray, "T p"]) -> float:
-    """What is left of an output in the last quarter of its record at rest input: offset or swing, noise removed."""
-    tail, noise = _tail(y)
-    offset = np.maximum(np.abs(tail.mean(axis=0)) - SURE * np.sqrt(noise / len(tail)), 0.0)
-    return max(float(offset.max()), swing(y))
-
-
-def swing(y: Float[np.ndarray, "T p"]) -> float:
-    """The amplitude of the output's motion there."""
-    tail, noise = _tail(y)
-    return float(np.sqrt(2 * np.maximum(tail.var(axis=0) - (1 + SURE * np.sqrt(8 / len(tail))) * noise, 0.0)).max())
-
-
-def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
-    """The output there, and the variance of its noise: the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
-
-    A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a loop has fed back and
-    coloured is broad, and does. The relative variance is about 6/T, that of the output's own 2/T.
-    """
-    tail = y[-max(len(y) // 4, 8) :]
-    lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][1:-1]
-    return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(axis=0) / 2 / np.log(2)
 
 
 def _once(records: list[_Errors]) -> View:

@@ -20,7 +20,7 @@ must lie within the band of settling:
 
 The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
 predicted to settle the plant when it exceeds one and its controller is stable: no certificate.
-Source: THEORY sections 5 and 7 for small gain by amplitude; docs/trust.md for the phase and what was measured.
+Source: docs/theory.md, "Small gain for the plant"; docs/trust.md for the phase and what was measured.
 """
 
 from dataclasses import dataclass

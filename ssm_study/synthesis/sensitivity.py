@@ -7,7 +7,7 @@ With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians
 With an internal model `u = K_x (x + eps) + K_z z` and `z+ = A_z z + E (J_y C x + e)`, driven by the measured output
 (here D is taken as zero); integrators have `A_z = I`. The Jacobians are taken constant, at the ends and the centre of
 their balls, and so are the slopes of neurons, at zero and one: a loop whose neurons switch is not among them.
-Source: THEORY section 5.
+Source: docs/theory.md, "Small gain for the plant".
 """
 
 from collections.abc import Iterator

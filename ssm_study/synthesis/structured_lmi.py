@@ -1,7 +1,7 @@
 """The inequalities of a structured model, solved as they stand by CVXPY: the oracle of the game Riccati route.
 
 Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer; `Y = P`, `U = Q`. For
-a ball without radius the rows of its multiplier are left out. Source: THEORY section 6; the inequalities stand in
+a ball without radius the rows of its multiplier are left out. Source: docs/theory.md; the inequalities stand in
 `theorems.structured_state_feedback` and `theorems.structured_observer`.
 """
 

@@ -15,7 +15,7 @@ u rows of `-H_11^{-1} (g_1 - H_12 E')` and `-2 H_11^{-1} H_12` are `L'` and `L_z
 equation, because the saddle point stays put to first order: in the norm of the loop's Gramian it is
 `(|z_i|^2 - |v_i|^2) / 2 r^2` for `Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`.
 
-Source: THEORY section 6; Basar & Bernhard 1995 (games),
+Source: docs/theory.md, "With neurons"; Basar & Bernhard 1995 (games),
 Petersen & Hollot 1986 (guaranteed cost).
 """
 

@@ -11,7 +11,7 @@ MODULES = {
     if not path.name.startswith("test_")
 }
 ROOMS_OF_THEOREMS = ("bounds", "synthesis")
-SOURCE = re.compile(r"\[Z26\]|docs/theory\.md|THEORY|\b(?:19|20)\d\d\b")
+SOURCE = re.compile(r"\[Z26\]|docs/(?:theory|trust)\.md|\b(?:19|20)\d\d\b")
 REFUSAL = re.compile(r"BadRequest|[Rr]efus|[Rr]aises|NoSolution")
 ARRAY = re.compile(r"(?<!\[)\b(?:np\.ndarray|torch\.Tensor|Tensor)\b")
 UNIT = re.compile(

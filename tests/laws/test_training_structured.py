@@ -31,7 +31,7 @@ def free_core(seed: int, n: int, q: int) -> Free:
 
 
 def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
-    """The smallest eigenvalue of the analysis LMI of THEORY section 6 with `M = I`, written down as it stands there."""
+    """The smallest eigenvalue of the open-loop inequality of docs/theory.md with `M = I`, as it stands there."""
     n, lam = len(core.a), np.diag(multipliers)
     sector = np.block([[rate**2 * np.eye(n), -core.f.T @ lam], [-lam @ core.f, 2.0 * lam]])
     moved = np.hstack([core.a, core.e])

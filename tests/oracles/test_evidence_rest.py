@@ -1,12 +1,21 @@
 """What stays off after the input has moved: a valve that sticks rests at rest input, and away from rest."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+import scipy
 from test_evidence_response import LEVELS, answer, case
 
+from ssm_study.data.excitations.own_plant import OwnPlantRecord
+from ssm_study.data.recorded import RecordedData
+from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
+from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
+from ssm_study.synthesis.rest import AT_REST
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
@@ -39,3 +48,68 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
 def test_a_record_that_ends_before_the_answer_does_says_nothing():
     u = np.concatenate([LEVELS[:5980], np.zeros(20)])
     assert said(u, answer(u)) == []
+
+
+EXCITED = OwnPlantRecord(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4.5).signal()
+UNKNOWN = "whether the output rests by itself is unknown"
+
+
+def fitted_log(folder: Path, u: np.ndarray, y: np.ndarray, slow: float = 0.9) -> tuple[Case, Mismatch, str]:
+    """The log as a user fits it: cut, about its mean, with the lag for its model; and what is said of its rests."""
+    np.savetxt(folder / "log.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
+    data = RecordedData(path=str(folder / "log.csv"), input="u", output="y", step_s=0.1, start_up_samples=20).build(0)
+    known = case(LEVELS, answer(LEVELS), slow).model
+    model = replace(known, scale=data.scale)
+    parts = {name: Simulation.of(model, getattr(data, name), 20) for name in ("validation", "test")}
+    log, shown = Case(data=data, model=model, **parts), mismatch(model, data.validation, 20, data.trials)
+    told = [found.sentence for found in findings(log, shown)]
+    return log, shown, " ".join(one for one in told if "rest input" in one)
+
+
+@pytest.mark.parametrize("slow", [0.9, 0.98])
+def test_the_log_made_for_the_purpose_shows_that_the_output_rests(tmp_path, slow):
+    """Its returns are cut apart, and its mean is not its rest; also where the model is slower than the plant."""
+    log, shown, told = fitted_log(tmp_path, EXCITED, answer(EXCITED), slow)
+    assert np.any(np.abs(log.data.scale.scaled_input(np.array([0.1]))) > 1e-3)
+    assert shown.left_at_rest is not None
+    assert shown.left_at_rest < AT_REST
+    assert (shown.stuck, told) == ((), "")
+
+
+def test_a_log_that_ends_moving_or_rests_once_is_told_so(tmp_path):
+    moving, once = EXCITED[:-90], np.concatenate([EXCITED[90:1890] + 0.01, np.full(90, 0.1)])
+    for u in (moving, once):
+        _, shown, told = fitted_log(tmp_path, u, answer(u))
+        assert shown.left_at_rest is None
+        assert UNKNOWN in told
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda u: answer(u) + 0.3 * np.sin(0.2 * np.arange(len(u))), "does not come to rest by itself"),
+        (lambda u: answer(u) + 0.05 * np.cumsum(np.random.default_rng(3).standard_normal(len(u))), "rest"),
+        (lambda u: answer(u) + 0.01 * np.cumsum(u - 0.1), "scales off at rest input"),
+    ],
+    ids=["swings", "drifts", "integrates"],
+)
+def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong, said):
+    _, shown, told = fitted_log(tmp_path, EXCITED, wrong(EXCITED))
+    assert said in told
+    assert UNKNOWN not in told
+    assert not shown.rests or shown.offset > 1
+
+
+def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
+    """Shorter than the response: the output may still be on its way, which is no friction, and no rest either."""
+    slowly = scipy.signal.lfilter([0, 0.01], [1, -0.99], EXCITED)
+    _, shown, told = fitted_log(tmp_path, EXCITED, slowly, slow=0.99)
+    assert (shown.left_at_rest, shown.stuck) == (None, ())
+    assert UNKNOWN in told
+
+
+def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
+    log, shown, _ = fitted_log(tmp_path, EXCITED, answer(EXCITED))
+    assert len(log.data.trials) == 3
+    alone = mismatch(log.model, log.data.validation, 20)
+    assert (shown.gain, shown.spread, len(shown.views)) == (alone.gain, alone.spread, len(alone.views))

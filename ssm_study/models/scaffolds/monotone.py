@@ -20,7 +20,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 
     Shapes: `breakpoints (m, h)` not decreasing along h, `slopes (m, h + 1)`. The exact slope interval is the smallest
     and the largest of `slopes`; the Jacobian is diagonal, so the interval is also the ball.
-    Source: THEORY section 3 (i); any piecewise-linear monotone map with h break points has this form.
+    Source: docs/theory.md ("construction"); any piecewise-linear monotone map with h break points has this form.
     """
 
     breakpoints: Float[np.ndarray, "m h"]

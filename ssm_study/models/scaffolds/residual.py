@@ -21,7 +21,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
     `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G: with the network's
     weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at Lipschitz constant one, so the
-    claim can be checked from these numbers alone. Source: THEORY section 3 (ii); Wang & Manchester (2023).
+    claim can be checked from these numbers alone. Source: Wang & Manchester (2023).
     """
 
     alpha: float

@@ -82,7 +82,7 @@ def _gain_to_volts(model: SSM, threshold: float) -> float:
 
 
 def _dead_zone(voltage: Range, threshold: float) -> Range:
-    """`v - sgn(v) v_dz`, 0 inside (THEORY section 1)."""
+    """`v - sgn(v) v_dz`, 0 inside."""
     return np.sign(voltage) * np.maximum(np.abs(voltage) - threshold, 0.0)
 
 

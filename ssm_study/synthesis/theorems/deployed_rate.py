@@ -19,7 +19,7 @@ What is stored lies 0.1 % inside, and exact arithmetic decides.
 When not to use it. As a promise for the plant, or as a reason to ask for no rate: the weights chose the gain, not the
 rate. For Jacobians known to be diagonal several multipliers prove more; this is then sufficient only.
 
-Reference. [Z26] Theorem 1, eq. (11), at a given gain; THEORY section 8; Gahinet & Apkarian 1994 (bounded-real lemma).
+Reference. [Z26] Theorem 1, eq. (11), at a given gain; docs/theory.md; Gahinet & Apkarian 1994 (bounded-real lemma).
 
 Example. `x+ = x + S_u(u)`, slopes in [0.8, 1.2], `K = -0.7`: the slowest slope leaves 0.44 of a distance.
 

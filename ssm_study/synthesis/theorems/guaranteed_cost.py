@@ -17,7 +17,7 @@ and `x0^T S x0` bounds the cost for every S_u in the ball. All is divided by tau
 
 When not to use it. Within a share of a percent of the frontier the weights have no room: `minimum_energy`.
 
-Reference. [Z26] Theorem 1, eq. (11), solved with a cost: THEORY section 4, docs/theory.md; cf. Petersen & Hollot 1986.
+Reference. [Z26] Theorem 1, eq. (11), solved with a cost: docs/theory.md; cf. Petersen & Hollot 1986.
 
 Example. Without a radius it is the linear-quadratic regulator: `x+ = x + u`, `Q_x = R = 1`, r near one: golden ratio.
 

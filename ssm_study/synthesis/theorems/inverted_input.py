@@ -10,7 +10,7 @@ Statement. `S_u(S_u^{-1}(K x)) = K x`, so the inequality of `state_feedback` wit
 
 When not to use it. Through a dead zone, for the sake of speed: it asks for several times the input and buys little.
 
-Reference. [Z26] Theorem 1, eq. (11), at another ball; THEORY section 6.
+Reference. [Z26] Theorem 1, eq. (11), at another ball; docs/theory.md, "With neurons".
 
 Example. Slopes in [0.2, 1] of `x+ = 1.2 x + S_u(u)`, `K = -0.9`: 0.3 of a distance is left, whatever the slopes.
 

@@ -15,7 +15,7 @@ the input does nothing. The observer is told the applied input: its rate holds, 
 
 When not to use it. Where no limit acts (`unlimited_start`), or with integrators, which a limit holds.
 
-Reference. [Z26] Theorem 1, eq. (11), with another ball; THEORY section 8.
+Reference. [Z26] Theorem 1, eq. (11), with another ball; docs/theory.md, "The gains that are deployed".
 
 Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, at a limit 0.5.
 

@@ -18,7 +18,7 @@ wider ball the inequality is strict at the asked ones, and what room there is pa
 When not to use it. Where the plant differs from the model: no weight says what matters (`guaranteed_cost`). Close to
 the frontier the gain is as large as it has to be.
 
-Reference. [Z26] Theorem 1, eq. (11), solved: docs/theory.md, "The gain in closed form", THEORY section 4; for one input
+Reference. [Z26] Theorem 1, eq. (11), solved: docs/theory.md, "The gain in closed form"; for one input
 cf. Elia & Mitter 2001, Fu & Xie 2005 (the coarsest quantiser that stabilises).
 
 Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrored to 1/2, `K0 = -1.5`.

@@ -13,7 +13,7 @@ then `||y - y'||_2 <= ||n - n'||_2 / s` for any two noises from the same start; 
 
 When not to use it. As a forecast for white noise, which moves the output less: the bound is for the worst frequency.
 
-Reference. [Z26] Theorem 3 without noise; THEORY section 8; Megretski & Rantzer 1997 (multipliers).
+Reference. [Z26] Theorem 3 without noise; docs/theory.md; Megretski & Rantzer 1997 (multipliers).
 
 Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: y answers n as `-0.125 / (z (z - 0.25))`, at most 1/6 at z = 1.
 

@@ -16,7 +16,7 @@ then `L = U^{-1} V` does so in the metric `M = Q`. Exact arithmetic takes `V = U
 
 When not to use it. Where the sensor's noise matters more than the rate: the gain of a fast observer passes it on.
 
-Reference. [Z26] Theorem 2, eq. (19); THEORY section 4. It is Theorem 1 for `(A^T, C^T)`. `U = Q` loses nothing.
+Reference. [Z26] Theorem 2, eq. (19); docs/theory.md. It is Theorem 1 for `(A^T, C^T)`. `U = Q` loses nothing.
 
 Example. `x+ = x`, `y = S_y(x)` with slopes in [0.8, 1.2] and `L = -0.7`: as in `state_feedback`, transposed.
 

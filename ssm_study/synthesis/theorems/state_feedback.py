@@ -17,7 +17,7 @@ then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. Exact arithmetic takes `
 When not to use it. For a map whose slopes come near zero: the rate is then limited by the open loop (`frontier`). For
 what happens on a plant that is not the model: see `tolerance` and `synthesis.mismatch`.
 
-Reference. [Z26] Theorem 1, eq. (11), in the dual form that its proof derives; THEORY section 4. `Y = P` loses nothing.
+Reference. [Z26] Theorem 1, eq. (11), in the dual form that its proof derives; docs/theory.md. `Y = P` loses nothing.
 
 Example. `x+ = x + S_u(u)`, slopes in [0.8, 1.2], `K = -0.7`: distances shrink by `1 - 0.7 * 0.8 = 0.44` at the smallest
 slope, so `r = 0.5` is proved and `0.4` is not.

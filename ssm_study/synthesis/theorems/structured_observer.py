@@ -19,7 +19,7 @@ corner would certify anything. For a linear `S_y`, `beta = 0`, a small eta drops
 
 When not to use it. Without neurons: `observer` has an exact frontier.
 
-Reference. THEORY section 6; `E = 0` is [Z26] Theorem 2. `U = Q` loses nothing.
+Reference. docs/theory.md, "With neurons"; `E = 0` is [Z26] Theorem 2. `U = Q` loses nothing.
 
 Example. `x+ = 0.5 x + 0.4 phi(x)`, `y = x`. With `L = -0.5` alone the error shrinks by 0.4 at slope one; injected into
 the neuron as well, `L_z = -1`, nothing is left of it.

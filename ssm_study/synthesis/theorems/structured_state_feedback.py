@@ -18,7 +18,7 @@ linear in `(P, Y, X, T, sigma)`: the form that is solved. For a linear `S_u`, `b
 
 When not to use it. Without neurons: `state_feedback` has an exact frontier. Where a neuron can cut the input off.
 
-Reference. THEORY section 6; Revay, Wang & Manchester 2024 (multiplier); `E = 0` is [Z26] Theorem 1. `Y = P` loses
+Reference. docs/theory.md; Revay, Wang & Manchester 2024 (multiplier); `E = 0` is [Z26] Theorem 1. `Y = P` loses
 nothing.
 
 Example. `x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, slopes of `S_u` in [0.8, 1], `K = -0.7`: between `0.9 - 0.56 = 0.34` and

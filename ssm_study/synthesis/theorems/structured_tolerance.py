@@ -23,7 +23,7 @@ which enter by `B_w = [E; 0; 0]`, `B_d = [0; E + alpha_out L H; 0]`, if `P, lamb
 
 When not to use it. As a promise of contraction: all come to rest, but nothing is said of two on their way.
 
-Reference. THEORY section 8; Megretski & Rantzer 1997, Theorem 1; `E = 0, H = 0` is `tolerance`.
+Reference. docs/theory.md, "With neurons"; Megretski & Rantzer 1997, Theorem 1; `E = 0, H = 0` is `tolerance`.
 
 Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e answers u by `1.2 / (8 * 0.7 * 0.95)`.
 

@@ -20,7 +20,7 @@ then differences of trajectories are square-summable and tend to zero. Without a
 
 When not to use it. As a forecast: that the plant's mismatch is below s is a premise. With a nonlinear output map.
 
-Reference. THEORY section 8; [Z26] Theorem 3 is the case without mismatch; cf. Megretski & Rantzer 1997 (multipliers).
+Reference. docs/theory.md; [Z26] Theorem 3 is the case without mismatch; cf. Megretski & Rantzer 1997 (multipliers).
 
 Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: `T_ue = 0.125 (z - 0.5) / (z (z - 0.25))`, 0.15 at z = -1.
 

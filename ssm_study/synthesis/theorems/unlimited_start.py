@@ -14,7 +14,7 @@ and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below the limits. So every rat
 
 When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set point near a limit.
 
-Reference. [Z26] Theorem 1, eq. (11); level sets: Boyd et al. 1994, section 5.2; THEORY section 8.
+Reference. [Z26] Theorem 1, eq. (11); level sets: Boyd et al. 1994, section 5.2; docs/theory.md.
 
 Example. `x+ = x + u`, `u = -0.5 x`, `|u| < 1`: no limit acts from within 2.
 

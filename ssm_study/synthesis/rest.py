@@ -1,0 +1,98 @@
+"""What is left of an output at rest input: the motion that does not end, and where it stays off.
+
+Of a whole log all returns to the input at which it ends count, also those on which the model was trained: nothing here
+asks the model. At the equilibrium's input an output should rest at the equilibrium; at another input where it rests is
+not known beforehand, and each return is compared with the mean of the others. So a single one tells the motion only.
+Source: docs/trust.md, "Neither proved nor measured: the prediction".
+"""
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.signals import Scale, Trajectory
+
+AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
+RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
+# Standard errors by which a record below the largest amplitude must exceed what noise leaves of it: of more than a
+# hundred bands the largest counts.
+SURE = 3.0
+NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
+FEWEST = 8  # samples of a rest
+FAR = 10 * AT_REST  # from where a return shows a decay
+SAME_INPUT = 6  # digits of the scaled input in which two rests agree
+
+
+def is_return(record: Trajectory) -> bool:
+    """Whether the input moves once, at the beginning, and is held from then on (`data.splits.returns`)."""
+    return len(record) > FEWEST and bool((record.u[0] != record.u[1]).any()) and not np.ptp(record.u[1:], axis=0).any()
+
+
+def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tuple[list[float], list[float]]:
+    """Of the returns: what moves on, and the offsets above `AT_REST`, in output scales.
+
+    Those count that outlast the model's response; without any, all that came to rest from `FAR` away, where each did:
+    a model may have a slow mode that the plant has not. Nothing is said where a single return, at an input other than
+    the equilibrium's, came to rest.
+    """
+    groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
+    for record in records:
+        at = np.round(scale.scaled_input(record.u[-1]), SAME_INPUT) + 0.0  # no negative zero
+        groups.setdefault(at.tobytes(), []).append(scale.scaled_output(record.y[1:]))
+    still, offsets = list[float](), list[float]()
+    for level, outputs in groups.items():
+        centred = not np.frombuffer(level).any()
+        long = [y for y in outputs if len(y) >= max(RESPONSES * response, FEWEST)]
+        moves, apart = [swing(y) for y in long or outputs], _apart(long or outputs, centred=centred)
+        if long or (max((*moves, *apart)) < AT_REST and min(len(y) for y in outputs) >= FEWEST and _far(outputs)):
+            still += [one for one in moves if one >= AT_REST or apart]
+            offsets += [off for off in apart if off > AT_REST]
+    return still, offsets
+
+
+def _far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
+    """Whether one of them started `FAR` from where it ended."""
+    return any(np.abs(y[0] - _tail(y)[0].mean(axis=0)).max() >= FAR for y in outputs)
+
+
+def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
+    """How far each rests from the equilibrium, or from the mean of the others, noise removed."""
+    tails = [_tail(y) for y in outputs]
+    means = np.stack([tail.mean(axis=0) for tail, _ in tails])
+    spread = np.stack([noise / len(tail) for tail, noise in tails])
+    others = len(means) - 1
+    if not centred and not others:
+        return []
+    if not centred:
+        means, spread = means - (means.sum(axis=0) - means) / others, spread * (1 + 1 / others)
+    return [float(off) for off in (np.abs(means) - SURE * np.sqrt(spread)).max(axis=1)]
+
+
+def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
+    """What is left of an output at rest input after the input has moved it; zero unless that outlasts the response."""
+    still = int(np.flatnonzero(u.any(axis=1))[-1]) + 1 if u.any() else len(u)
+    return left(y[still:]) if len(u) - still >= max(RESPONSES * response, 8) else 0.0
+
+
+def left(y: Float[np.ndarray, "T p"]) -> float:
+    """What is left of an output in the last quarter of its record at rest input: offset or swing, noise removed."""
+    tail, noise = _tail(y)
+    offset = np.maximum(np.abs(tail.mean(axis=0)) - SURE * np.sqrt(noise / len(tail)), 0.0)
+    return max(float(offset.max()), swing(y))
+
+
+def swing(y: Float[np.ndarray, "T p"]) -> float:
+    """The amplitude of the output's motion there."""
+    tail, noise = _tail(y)
+    return float(np.sqrt(2 * np.maximum(tail.var(axis=0) - (1 + SURE * np.sqrt(8 / len(tail))) * noise, 0.0)).max())
+
+
+def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
+    """The output there, and the variance of its noise: the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
+
+    A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a loop has fed back and
+    coloured is broad, and does. The relative variance is about 6/T, that of the output's own 2/T.
+    """
+    tail = y[-max(len(y) // 4, 8) :]
+    lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][1:-1]
+    return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(axis=0) / 2 / np.log(2)
