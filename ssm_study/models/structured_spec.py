@@ -151,14 +151,15 @@ class StructuredSpec(ModelSpec):
         return self.starts + (self.among_starts is not None)
 
     def at_start(self, start: int) -> "StructuredSpec":
-        """What start k trains. With `among_starts` each odd k has half the states, rounded up, and the last no neurons.
+        """What start k trains. With `among_starts` each odd k and the last have half the states, the last no neurons.
 
         More can be certified of such models, where they suffice.
         """
         if self.among_starts is None:
             return self
-        smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 else self
-        return replace(self, neurons=0) if start == self.starts else smaller
+        last = start == self.starts
+        smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
+        return replace(smaller, neurons=0) if last else smaller
 
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""
