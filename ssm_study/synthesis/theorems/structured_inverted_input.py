@@ -9,7 +9,7 @@ Statement. `v = S_u(u) = K x` exactly, so the inequality of `structured_state_fe
 
 When not to use it. As `inverted_input`.
 
-Reference. docs/theory.md, "With neurons"; `E = 0` is `inverted_input`.
+Reference. docs/theory.md, "With neurons"; `E = 0` is `inverted_input`: [Z26] Theorem 1 with a known input map.
 
 Example. That of `structured_state_feedback`, at 0.25: frozen slopes leave between 0.2 and -0.2 of a distance.
 
