@@ -71,7 +71,7 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
 def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
     """What is left of an output at rest input after the input has moved it; zero unless that outlasts the response."""
     still = int(np.flatnonzero(u.any(axis=1))[-1]) + 1 if u.any() else len(u)
-    return left(y[still:]) if len(u) - still >= max(RESPONSES * response, 8) else 0.0
+    return left(y[still:]) if len(u) - still >= max(RESPONSES * response, FEWEST) else 0.0
 
 
 def left(y: Float[np.ndarray, "T p"]) -> float:
@@ -93,6 +93,6 @@ def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[
     A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a loop has fed back and
     coloured is broad, and does. The relative variance is about 6/T, that of the output's own 2/T.
     """
-    tail = y[-max(len(y) // 4, 8) :]
+    tail = y[-max(len(y) // 4, FEWEST) :]
     lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][1:-1]
     return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(axis=0) / 2 / np.log(2)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from docs_commands import FEW
 
 from ssm_study.cli.main import main
 
@@ -60,8 +61,7 @@ LOGS = {
     "ends before the slow mode": (U[:600], answer(U[:600], slow=0.9985), "", ""),
 }
 # The records decide the word, not how many designs are tried: a small grid gives the same words as the whole one.
-FEW = ["+synthesis.input_weights=[0.01,1]", "+synthesis.output_noises=[0.01,1]"]
-FEW += ["+synthesis.stretch_shares=[0.3]", "+synthesis.observer_rates=[0.2]"]
+GRID = [f"+synthesis.{name}={values}" for name, values in FEW.items()]
 OWN = {"one-sided": ["data.equilibrium=zero"], "60 samples": ["data.start_up_samples=3"]}
 
 
@@ -76,7 +76,7 @@ def run(folder: Path, u: np.ndarray, y: np.ndarray, *more: str) -> tuple[int, di
         "model.draws=2",
         "training.max_epochs=12",
         "progress=false",
-        *FEW,
+        *GRID,
     ]
     status = main(["run", *given, *quick, f"results_dir={folder / 'r'}", *more])
     (record,) = (folder / "r" / "s").glob("*/record.json")
