@@ -5,6 +5,7 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers with default threads are 20 times slower than one
 
+import gc
 import hashlib
 import pickle
 from collections.abc import Callable, Iterator
@@ -36,6 +37,17 @@ WHOLE_RUNS = {
 }
 # Of these, whose tests look at the figures that a run draws.
 DRAWING = {"test_study_line", "test_docs_notebooks"}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """The modules stay until the end: no collection of garbage looks at them, while they are loaded or afterwards."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

@@ -96,7 +96,9 @@ class DCMotor(Plant):
         from ssm_study.plants.dc_motor_kernel import advance_batch  # numba: describing a motor does without
 
         substeps = ceil(self.step_s / self.solver_step_s - 1e-9)
-        return advance_batch(self.constants, x, u, d, self.step_s / substeps, substeps)
+        # Contiguous: for every other layout of the three numba would compile the kernel once more.
+        arrays = map(np.ascontiguousarray, (x, u, d))
+        return advance_batch(self.constants, *arrays, self.step_s / substeps, substeps)
 
     def output(self, x: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 1"]:
         return x[:, 2:3]
