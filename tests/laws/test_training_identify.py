@@ -37,7 +37,7 @@ def spec(scaffold_in: Trainable | None = None, scaffold_out: Trainable | None = 
 
 
 def training(optimiser: OptimiserSpec = LBFGS, **changes: Any) -> Training:
-    settings = {"max_epochs": 25, "patience": 25, "min_gain_percent": 0.0, "validation_tolerance_percent": 0.0}
+    settings = {"max_epochs": 12, "patience": 12, "min_gain_percent": 0.0, "validation_tolerance_percent": 0.0}
     return Training(optimiser=optimiser, **{**settings, **changes})
 
 
@@ -55,7 +55,7 @@ def test_a_system_of_the_model_class_is_found(scaffold_in: Trainable, least: flo
 def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
     """Negative control: without the scaffolding the dead zone is out of reach."""
     data = data_set()
-    found = training().identify(spec(Linear()), data, seed=0, folder=tmp_path)
+    found = training(max_epochs=25).identify(spec(Linear()), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) < 93.0
 
 
@@ -64,7 +64,7 @@ def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
 )
 def test_a_nonlinear_output_map_trains(scaffold_out: Trainable, tmp_path: Path) -> None:
     data = data_set(samples=200)
-    found = training(max_epochs=30).identify(spec(scaffold_out=scaffold_out), data, seed=0, folder=tmp_path)
+    found = training().identify(spec(scaffold_out=scaffold_out), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > 95.0
 
 
@@ -121,7 +121,9 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
     data = dataclasses.replace(data, training=moving)
     fits = {
         state: mean_fit(
-            training(initial_state=state).identify(spec(), data, 0, tmp_path / state).model, data.test, data
+            training(initial_state=state, max_epochs=25).identify(spec(), data, 0, tmp_path / state).model,
+            data.test,
+            data,
         )
         for state in ("zero", "estimated")
     }
