@@ -4,6 +4,12 @@ import ast
 import re
 from pathlib import Path
 
+import numpy as np
+import pytest
+from jaxtyping import TypeCheckError
+
+from ssm_study.signals import fit_percent
+
 PACKAGE = Path(__file__).resolve().parents[2] / "ssm_study"
 MODULES = {
     str(path.relative_to(PACKAGE)): ast.parse(path.read_text())
@@ -115,3 +121,12 @@ def test_the_rules_can_refuse() -> None:
     assert not ARRAY.search('Float[np.ndarray, "n n"]')
     assert not UNIT.search("clock")
     assert UNIT.search("clock_s")
+
+
+@pytest.mark.parametrize("test", ["one", "the next"])
+def test_shapes_are_checked_anew_in_every_test(test: str) -> None:
+    """Of each function the first calls: the second test would find none of them left."""
+    with pytest.raises(TypeCheckError, match="fit_percent"):
+        fit_percent(np.zeros((3, 1)), np.zeros((4, 1)))
+    for _ in range(100):
+        fit_percent(np.arange(3.0)[:, None], np.zeros((3, 1)))

@@ -129,7 +129,10 @@ def test_damaged_files(command: str, smoke_study: Path, tmp_path: Path, capsys: 
 
 
 @pytest.mark.parametrize("what", ["yaml", "closed loop", "validation", "comparison", "table", "certificate nested"])
-def test_the_report_names_the_damaged_file(what: str, study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_names_the_damaged_file(
+    what: str, study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)  # files are read before it
     DAMAGES[what](study)
     names = {"closed loop": "closed_loop.mcap", "table": "runs.parquet", "yaml": "config.yaml"}
     said = one_sentence(["report", str(study)], capsys)
