@@ -99,11 +99,6 @@ class Exact:
     __rmul__ = __mul__
 
 
-def exact_product(left: Float[np.ndarray, "r s"], right: Float[np.ndarray, "s c"]) -> Float[np.ndarray, "r c"]:
-    """`left @ right`, exactly, each entry rounded once to the nearest float."""
-    return (Exact.of(left) @ right).rounded()
-
-
 def is_positive_definite(matrix: Exact) -> bool:
     """Whether a matrix of rationals is symmetric and positive definite; decided, not estimated."""
     integer, _ = matrix.rational.numer_denom()  # the common denominator is positive

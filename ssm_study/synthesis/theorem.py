@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from ssm_study.extensions import load
 from ssm_study.refusal import require
-from ssm_study.synthesis.exact import Exact, exact_product, is_positive_definite
+from ssm_study.synthesis.exact import Exact, is_positive_definite
 from ssm_study.systems import Balls, JacobianBall
 
 FOLDER = "ssm_study.synthesis.theorems"
@@ -190,7 +190,8 @@ class Theorem(ABC):
 
     @classmethod
     def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
-        return {name: exact_product(of[left], of[right]) for name, (left, right) in cls.products.items()}
+        """Exact, each entry rounded once to the nearest float."""
+        return {name: (Exact.of(of[left]) @ of[right]).rounded() for name, (left, right) in cls.products.items()}
 
     @property
     def numbers(self) -> dict[str, Any]:

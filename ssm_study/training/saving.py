@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import lightning.pytorch as pl
 import numpy as np
 import torch
-from jaxtyping import Shaped
 from lightning.pytorch.callbacks import Callback, EarlyStopping
 from lightning.pytorch.plugins.io import CheckpointIO
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
@@ -99,7 +98,8 @@ def trained(
         raise KeyboardInterrupt
     early = "validation fit no longer grows" if stopping.stopped_epoch > 0 else f"{settings.max_epochs} epochs done"
     if keeper.kept is not None:
-        write_best(folder / BEST, keeper.kept, belongs_to)
+        kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
+        DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
         load_state(folder / BEST, fit)
     model, told = fit.concluded()
     seconds = keeper.curve[-1]["seconds"] if keeper.curve else 0.0
@@ -147,11 +147,6 @@ def read(path: Path) -> dict[str, Any]:
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here
         problem = f"unreadable ({type(error).__name__})"
         raise BadRequest("checkpoint", path, problem, "remove it and train again") from error
-
-
-def write_best(path: Path, state: dict[str, Shaped[Tensor, "..."]], belongs_to: str) -> None:
-    """Seal the best state beside the fingerprint of the fit it belongs to."""
-    DurableCheckpointIO().save_checkpoint({"state_dict": state, "fingerprint": belongs_to}, path)
 
 
 def load_state(path: Path, module: nn.Module) -> None:
