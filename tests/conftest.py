@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from inspect import isfunction
+from inspect import isclass, isfunction
 from pkgutil import resolve_name
 from typing import Any
 
@@ -69,18 +69,22 @@ def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
     """`jaxtyping.jaxtyped`, which the import hook puts on all that it loads, for the first calls of a function."""
 
     def decorated(part: Any) -> Any:
+        plain = part.__init__ if isclass(part) else part
         checked = jaxtyped(part, typechecker=typechecker)
-        if not isfunction(part):
-            return checked
-
-        @wraps(part)
-        def either(*given: Any, **named: Any) -> Any:
-            calls[part] += 1
-            return (checked if calls[part] <= CHECKED_CALLS else part)(*given, **named)
-
-        return either
+        if isclass(part) and part.__init__ is not plain:  # a dataclass
+            part.__init__ = first(plain, part.__init__)
+        return first(plain, checked) if isfunction(part) else checked
 
     return decorated
+
+
+def first(plain: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(plain)
+    def either(*given: Any, **named: Any) -> Any:
+        calls[plain] += 1
+        return (checked if calls[plain] <= CHECKED_CALLS else plain)(*given, **named)
+
+    return either
 
 
 jaxtyped, jaxtyping.jaxtyped = jaxtyping.jaxtyped, checked_at_first
@@ -163,13 +167,6 @@ def made_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for place in MADE_AGAIN:
             patch.setattr(place, once(resolve_name(place)))
-        yield
-
-
-@pytest.fixture
-def many_steps() -> Iterator[None]:
-    """For thousands of steps, whose shapes other tests of the module check."""
-    with shapes_unchecked():
         yield
 
 

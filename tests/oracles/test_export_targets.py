@@ -199,7 +199,6 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
         assert lower < -4 < 4 < upper
 
 
-@pytest.mark.usefixtures("many_steps")
 @pytest.mark.parametrize(
     ("kinds", "integral"), [*(((kind,), kind == "tanh") for kind in NEURONS), (tuple(NEURONS), False)]
 )
@@ -218,7 +217,6 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
         assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
 
 
-@pytest.mark.usefixtures("many_steps")
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("kinds", [("relu", "saturation"), ("tanh", "softplus", "clipped_cubic")])
 def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real: str) -> None:

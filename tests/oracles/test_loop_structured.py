@@ -46,7 +46,6 @@ def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None
     assert not guided_trajectory(stand, k, np.ones((5, 1))).any()
 
 
-@pytest.mark.usefixtures("many_steps")
 @pytest.mark.parametrize("undone", [False, True])
 def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool) -> None:
     """Certified with an integrator, on the model itself with a load that the model does not know of."""
