@@ -8,7 +8,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from export_cases import compiled, device, written
+from export_cases import compiled, device, products, written
 from report_runs import KINDS, random_scaffold
 
 import ssm_study as st
@@ -59,6 +59,14 @@ def test_a_wrong_number_is_seen(tmp_path: Path) -> None:
     (folder / "controller.h").write_text(text.replace(gain[1], f"1.001 * {gain[1]}"))
     with pytest.raises(AssertionError, match=r"of 200 inputs differ"):
         compiled(folder, "-std=c99")
+
+
+@pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 2)])
+def test_the_header_counts_the_multiplications_of_a_sample(tmp_path: Path, kind: str, channels: int) -> None:
+    """With pieces and matrices, with set points and without; while a limit acts there are fewer."""
+    made = device(tmp_path, kind=kind, channels=channels, integral=True)
+    free = replace(made, lower=made.lower - 1e9, upper=made.upper + 1e9)
+    assert free.multiplications == products(free, tmp_path / "c")
 
 
 @pytest.mark.parametrize("integral", [False, True])
