@@ -42,7 +42,9 @@ static Real fmax(Real a, Real b) { return fmax(a.v, b.v); }
 LIMIT = 1.5  # scaled: within it most set points of a replay can be held, beyond it goes every hard braking
 
 
-def device(folder: Path, *, kind: str, channels: int = 1, real: str = "double", integral: bool = False) -> Device:
+def device(
+    folder: Path, *, kind: str, channels: int = 1, real: str = "double", integral: bool | list[str] = False
+) -> Device:
     """With limits that the replay runs into."""
     controller = load(random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral))
     ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in (-1, 1))

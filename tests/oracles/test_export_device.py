@@ -69,9 +69,9 @@ def test_the_header_counts_the_multiplications_of_a_sample(tmp_path: Path, kind:
     assert free.multiplications == products(free, tmp_path / "c")
 
 
-@pytest.mark.parametrize("integral", [False, True])
+@pytest.mark.parametrize("integral", [False, True, ["ramp"]])
 @pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 1), ("residual", 1)])
-def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool) -> None:
+def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool | list[str]) -> None:
     """At rest points of the model, found by root search there and by the inverse's pieces here; limits act in both."""
     made = device(tmp_path, kind=kind, channels=channels, integral=integral)
     model = SSM.from_json(json.loads((tmp_path / "run" / "model.json").read_text()))
