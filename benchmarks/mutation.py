@@ -61,8 +61,9 @@ CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
 NEURONS += " tests/laws/test_training_structured.py"
+INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
 LOOPS = "tests/oracles/test_loop_trajectory.py tests/oracles/test_loop_settling.py tests/oracles/test_loop_trials.py"
-INTEGRAL = "tests/oracles/test_loop_integral.py"
+LOOPS += " tests/refusals/test_loop_refused.py tests/oracles/test_loop_internal.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
@@ -126,7 +127,8 @@ GROUPS = {
     ),
     "data": Group(
         modules=tuple(f"data/{name}.py" for name in ("splits", "recorded", "experiments", "closed_loop", "simulated")),
-        tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py tests/refusals/test_data_files.py",
+        tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py tests/refusals/test_data_files.py "
+        "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
         planted=20,
     ),
     "scaffolds": Group(
