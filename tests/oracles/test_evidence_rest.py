@@ -113,3 +113,14 @@ def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     assert len(log.data.trials) == 3
     alone = mismatch(log.model, log.data.validation, 20)
     assert (shown.gain, shown.spread, len(shown.views)) == (alone.gain, alone.spread, len(alone.views))
+
+
+@pytest.mark.parametrize("times", [1.1, 1.5])
+def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
+    log = case(LEVELS, answer(LEVELS))
+    farthest = np.full((60, 1), times * np.abs(log.data.training[0].y).max())
+    trial = Trajectory(u=np.zeros((60, 1)), y=farthest, step_s=0.1)
+    begun = replace(log, data=replace(log.data, trials=(trial,)))
+    told = [found.sentence for found in findings(begun, mismatch(log.model, log.data.validation))]
+    assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
+    assert any("times as far out" in sentence for sentence in told) == (times > 1.2)
