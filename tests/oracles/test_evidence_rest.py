@@ -117,6 +117,18 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     assert offsets == []
 
 
+@pytest.mark.parametrize("stick", [0.0, 0.3])
+def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, stick):
+    """A slow model makes them short; a valve that sticks leaves each elsewhere, and the log was called sound."""
+    stem, out = 0.1, np.zeros(len(EXCITED))
+    for k, pushed in enumerate(EXCITED):
+        stem = pushed if abs(pushed - stem) > stick else stem
+        out[k] = stem
+    _, shown, told = fitted_log(tmp_path, EXCITED, answer(out), slow=0.995)
+    assert (shown.left_at_rest is None) == (stick > 0)
+    assert ("scales apart, where none seems to move: friction, play or a slow mode" in told) == (stick > 0)
+
+
 def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     log, shown, _ = fitted_log(tmp_path, EXCITED, answer(EXCITED))
     assert len(log.data.trials) == 3
