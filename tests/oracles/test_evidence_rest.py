@@ -13,9 +13,9 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.rest import AT_REST
+from ssm_study.synthesis.rest import AT_REST, after_returns
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
@@ -106,6 +106,15 @@ def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
     _, shown, told = fitted_log(tmp_path, EXCITED, slowly, slow=0.99)
     assert (shown.left_at_rest, shown.stuck) == (None, ())
     assert UNKNOWN in told
+
+
+@pytest.mark.parametrize(("start", "said"), [(0.25, [0.0]), (0.1, [])])
+def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
+    """Where the first sample after the step lies decides."""
+    record = Trajectory(u=np.eye(41, 1), y=start * np.eye(41, 1, -1), step_s=0.1)
+    still, offsets = after_returns(Scale.unit(1, 1), [record], 1000)
+    assert still == pytest.approx(said)
+    assert offsets == []
 
 
 @pytest.mark.parametrize("stick", [0.0, 0.3])
