@@ -128,7 +128,8 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     elif off > AT_REST:
         told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
         yield doubt(
-            f"{told}: friction or play; a loop without integrators may stop as far off. Record more returns to rest."
+            f"{told}: friction, play or several rests; a loop without integrators may stop as far off. "
+            "Record more returns to rest."
         )
     elif shown.left_at_rest is None:
         apart = ends_apart(case.model.scale, [one for one in case.data.trials if is_return(one)])

@@ -103,6 +103,8 @@ def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator
     seen = f"the records show {number('mismatch_seen')}"
     yield "certified_tolerance", "Mismatch tolerated", f"{tolerated.format(number('certified_tolerance'))}, {seen}"
     measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
+    more = (record.get("noise_gain_measured") or 0.0) > (record.get("noise_gain") or float("inf"))
+    measured += ": more than noise moves it" if more else ""
     yield "noise_gain", "Sensor noise", f"moves the output by at most {number('noise_gain')} of it{measured}"
 
 
