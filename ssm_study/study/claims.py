@@ -137,8 +137,9 @@ def data(run: RunFiles) -> Claims:
         reason = f"the recorded data cannot be read: {one_line(error)}"
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
         names = [column.name for column in columns if not column.setting]
-        scores = [name for name in run.record if name.startswith("score_test_")]
-        yield NotChecked(dict.fromkeys((*names, *scores, "excitation.mcap", "evidence.json"), reason))
+        names += [name for name in run.record if name.startswith("score_test_")]
+        names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
+        yield NotChecked(dict.fromkeys(names, reason))
     else:
         yield from data_read(run, records)
 

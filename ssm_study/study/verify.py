@@ -120,7 +120,7 @@ def judge(
 ) -> Checked | str:
     """The finding on a column of the record, or why it is not checked; empty where the record claims nothing."""
     column = declared(name)
-    if name in derived:
+    if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
     if record.get(name) is None:
         return ""

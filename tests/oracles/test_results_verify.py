@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
 from ssm_study.refusal import BadRequest
-from ssm_study.study.claims import SECTIONS, Checked, Derived
+from ssm_study.study.claims import SECTIONS, Checked, Derived, NotChecked
+from ssm_study.study.claims import data as section_data
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compared, judge, verify
@@ -390,6 +392,23 @@ def test_a_run_of_somebodys_parts_is_refused_with_the_option_that_trusts_them(co
     lie_about_configuration(copied_run, "ssm_study.plants.dc_motor.DCMotor", "somebodys.plants.DCMotor")
     with pytest.raises(BadRequest, match=r"somebodys.*--with FOLDER"):
         verify(copied_run)
+
+
+def test_without_its_log_a_run_claims_no_prediction() -> None:
+    """The level of evidence that it rests on cannot be derived: `sound` might be anybody's word."""
+
+    class Elsewhere:
+        specification, record = SimpleNamespace(plant=None), dict[str, Any]()
+
+        @property
+        def data(self) -> Any:
+            raise BadRequest("data.path", "log.csv", "no such file", "check the spelling")
+
+    (found,) = section_data(Elsewhere())  # type: ignore[arg-type]
+    assert isinstance(found, NotChecked)
+    told = {"predicted_stable": True}
+    assert "cannot be read" in judge("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
+    assert compared("predicted_stable", True, True).holds
 
 
 def test_sealing_anew_alone_is_no_lie(copied_run: Path) -> None:
