@@ -61,8 +61,9 @@ CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
 NEURONS += " tests/laws/test_training_structured.py"
+INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
 LOOPS = "tests/oracles/test_loop_trajectory.py tests/oracles/test_loop_settling.py tests/oracles/test_loop_trials.py"
-INTEGRAL = "tests/oracles/test_loop_integral.py"
+LOOPS += " tests/refusals/test_loop_refused.py tests/oracles/test_loop_internal.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
@@ -84,39 +85,27 @@ GROUPS = {
         tests=f"{CHOSEN} {INTEGRAL}",
         planted=20,
     ),
-    "claims": Group(modules=("study/verify.py",), tests=CLAIMS, planted=15),
+    "claims": Group(modules=("study/verify.py", "study/claims.py"), tests=CLAIMS, planted=15),
     "neurons": Group(
-        modules=_synthesis("structured_lmi", "structured_riccati", "among_starts")
-        + _synthesis(
-            "theorems/structured_state_feedback", "theorems/structured_observer", "theorems/structured_tolerance"
-        )
-        + (
-            "models/contracting.py",
-            "models/structured.py",
-            "training/structured_fit.py",
-            "training/structured_start.py",
-        ),
+        modules=_synthesis("structured_lmi", "structured_riccati", "game", "among_starts")
+        + _synthesis(*(f"theorems/structured_{name}" for name in ("state_feedback", "observer", "tolerance")))
+        + ("models/contracting.py", "models/structured.py", "models/structured_spec.py", "training/levenberg.py")
+        + tuple(f"training/structured_{name}.py" for name in ("fit", "start", "problem", "choice")),
         tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py tests/oracles/test_structured_tolerance.py",
         planted=30,
     ),
     "loop": Group(
-        modules=(
-            "loop/controller.py",
-            "loop/trajectory.py",
-            "loop/regulation.py",
-            "loop/metrics.py",
-            "loop/rollout.py",
-        ),
+        modules=tuple(f"loop/{name}.py" for name in ("controller", "trajectory", "regulation", "metrics", "rollout")),
         tests=LOOPS,
         planted=15,
     ),
     "export": Group(
-        modules=("export/device.py", "export/rest_points.py", "export/portable.py", "export/c.py"),
+        modules=tuple(f"export/{name}.py" for name in ("device", "rest_points", "portable", "c", "targets")),
         tests="tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
         planted=20,
     ),
     "engine": Group(
-        modules=("engine/store.py", "engine/stages.py", "engine/plan.py", "engine/code.py", "engine/records.py"),
+        modules=tuple(f"engine/{name}.py" for name in ("store", "stages", "plan", "code", "records")),
         tests="tests/laws/test_engine_store.py tests/laws/test_engine_task.py tests/laws/test_engine_code.py",
         planted=20,
     ),
@@ -126,6 +115,37 @@ GROUPS = {
         tests="tests/oracles/test_evidence_response.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_evidence_controls.py -k 'not control or white or saturated or 60 or good'",
         planted=15,
+    ),
+    "deployed": Group(
+        modules=_synthesis("rest", "prediction", "mismatch", "deployed", "commanded")
+        + _synthesis(*(f"theorems/{name}" for name in ("deployed_rate", "tolerance", "limited_input", "noise_gain")))
+        + _synthesis(*(f"theorems/{name}" for name in ("inverted_input", "structured_inverted_input"))),
+        tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
+        "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
+        "tests/oracles/test_synthesis_deployed.py tests/oracles/test_loop_views.py",
+        planted=20,
+    ),
+    "data": Group(
+        modules=tuple(f"data/{name}.py" for name in ("splits", "recorded", "experiments", "closed_loop", "simulated")),
+        tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py tests/refusals/test_data_files.py "
+        "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
+        planted=20,
+    ),
+    "scaffolds": Group(
+        modules=("models/scaffolds",),
+        tests="tests/laws/test_models_scaffold_numpy.py tests/laws/test_models_scaffold_torch.py",
+        planted=10,
+    ),
+    "plants": Group(
+        modules=("plants",),
+        tests="tests/oracles/test_plants_others.py tests/oracles/test_plants_wrappers.py "
+        "tests/oracles/test_plants_motor_exact.py tests/refusals/test_plants_values.py",
+        planted=10,
+    ),
+    "report": Group(
+        modules=("report/outcome.py", "report/answers.py"),
+        tests="tests/laws/test_report_answers.py tests/laws/test_report_outcome.py",
+        planted=10,
     ),
 }
 

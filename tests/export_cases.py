@@ -1,5 +1,6 @@
 """Devices made of made-up runs, and their C code compiled: shared by the tests of the export."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -24,10 +25,26 @@ WARNINGS = [
     "-Wcomment",
 ]
 EXACT = ["-O2", "-ffp-contract=off"]
+COUNTING = """
+#include <math.h>
+#include <stdio.h>
+static long products;
+struct Real { double v; Real(double v = 0) : v(v) {} };
+#define DO(result, op) static result operator op(Real a, Real b) { return a.v op b.v; }
+DO(Real, +) DO(Real, -) DO(Real, /) DO(bool, <) DO(bool, >) DO(bool, <=) DO(bool, >=)
+static Real operator*(Real a, Real b) { ++products; return a.v * b.v; }
+static Real operator-(Real a) { return -a.v; }
+static void operator+=(Real &a, Real b) { a.v += b.v; }
+static void operator-=(Real &a, Real b) { a.v -= b.v; }
+static Real fmin(Real a, Real b) { return fmin(a.v, b.v); }
+static Real fmax(Real a, Real b) { return fmax(a.v, b.v); }
+"""
 LIMIT = 1.5  # scaled: within it most set points of a replay can be held, beyond it goes every hard braking
 
 
-def device(folder: Path, *, kind: str, channels: int = 1, real: str = "double", integral: bool = False) -> Device:
+def device(
+    folder: Path, *, kind: str, channels: int = 1, real: str = "double", integral: bool | list[str] = False
+) -> Device:
     """With limits that the replay runs into."""
     controller = load(random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral))
     ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in (-1, 1))
@@ -51,3 +68,15 @@ def compiled(
     done = subprocess.run([folder / "replay"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
+
+
+def products(device: Device, folder: Path) -> int:
+    """How often the C code multiplies two floats in one sample: compiled as C++, with a type that counts."""
+    header = c_files(device, about="counted")["controller.h"].replace("#include <math.h>", "")
+    sizes = (device.controller.scale.outputs, device.controller.scale.outputs, device.controller.scale.inputs)
+    called = "track(&state, y, r, u)" if device.set_points else "step(&state, y, u)"
+    body = "controller_state state; Real y[{}], r[{}], u[{}]; controller_reset(&state);".format(*sizes)
+    main = f'int main() {{ {body} controller_{called}; printf("%ld", products); }}'
+    folder.mkdir()
+    (folder / "counted.cpp").write_text(COUNTING + re.sub(r"\bdouble\b", "Real", header) + main)
+    return int(compiled(folder, "-w", sources=("counted.cpp",), compiler="g++"))

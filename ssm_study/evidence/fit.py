@@ -17,7 +17,7 @@ FEW = 300  # samples below which the fits of two parts are not compared
 def findings(case: Case) -> list[Finding]:
     """Fit by itself, between the parts, against a linear filter, and what the residual still owes to the input."""
     validation, test, pooled = case.validation.fit_percent, case.test.fit_percent, pooled_fit(case)
-    sentence = f"In free run the model fits validation and test by {pooled:z.0f} %, the mean alone by 0 %: "
+    sentence = f"In free run the model fits validation and test together by {pooled:z.0f} %, the mean alone by 0 %: "
     found = graded(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}record more of what moves the output, or another input.")
     long = min(sum(len(r) for r in part.records) for part in (case.validation, case.test)) >= FEW
     if not found and long and abs(validation - test) > APART:

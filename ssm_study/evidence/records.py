@@ -11,7 +11,7 @@ from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
-from ssm_study.synthesis.rest import AT_REST, RESPONSES, stuck
+from ssm_study.synthesis.rest import AT_REST, RESPONSES, ends_apart, is_return, stuck
 
 BEYOND = 0.05  # share of samples that may lie beyond the range of training
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
@@ -128,11 +128,17 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     elif off > AT_REST:
         told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
         yield doubt(
-            f"{told}: friction or play; a loop without integrators may stop as far off. Record more returns to rest."
+            f"{told}: friction, play or several rests; a loop without integrators may stop as far off. "
+            "Record more returns to rest."
         )
     elif shown.left_at_rest is None:
+        apart = ends_apart(case.model.scale, [one for one in case.data.trials if is_return(one)])
         problem = "No two returns to rest input outlast the model's response"
-        yield note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
+        if apart > AT_REST:  # what the short ones show is no proof of friction, and no reason for silence
+            told = f"{problem}, and they end {apart:.2g} scales apart, where none seems to move"
+            yield doubt(f"{told}: friction, play or a slow mode. Record longer ones.")
+        else:
+            yield note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
     if len(shown.views) == 1:
         amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
         yield note(f"All records have one amplitude ({amplitude}): below it the mismatch is unknown.")

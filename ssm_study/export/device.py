@@ -108,15 +108,18 @@ class Device:
 
     @property
     def multiplications(self) -> int:
-        """Multiply-accumulates of one `track` (of one `step` where there are no set points), at most."""
-        c = self.controller
-        maps = sum(w.size for s in (c.s_in, c.s_out) for w in (s.linear, *(s.network.weights if s.network else ())))
-        products = sum(table.size for table in self.tables().values() if table.ndim == 2)
-        for part in self.set_points.maps.values() if self.set_points else ():
-            products += part.slopes.shape[1] if isinstance(part, Joined) else part.size
+        """Of two floats in one `track` (in one `step` where there are no set points), at most; without those of phi."""
+        c, points, m = self.controller, self.set_points, len(self.controller.k)
+        layers = ((s.linear, *(s.network.weights + s.network.biases if s.network else ())) for s in (c.s_in, c.s_out))
+        maps = sum(part.size for one in layers for part in one)  # a slope for each bias
+        products = maps + sum(table.size for table in self.tables().values() if table.ndim == 2)
         if (inner := c.neurons) and inner.h.any():  # computed twice: for the output, then with its error
-            products += inner.f.size + inner.g.size
-        return products + maps + (maps + 2 * len(c.k) if self.set_points else 0)
+            products += inner.f.size + inner.g.size + inner.l_z.size
+        if points is None:  # the input is computed twice, and compared
+            return products + c.k.size + 3 * m
+        undone = sum(len(s.channels) if s.matrix is None else s.matrix.size for s in (points.inward, points.outward))
+        reach = (p.slopes.shape[1] if isinstance(p, Joined) else p.size for p in points.maps.values())
+        return products + sum(reach) + undone + maps + 2 * m
 
     def start(self, y0: Vector) -> Vector:
         """The state in which the model rests at `y0`; the equilibrium where there are no set points."""

@@ -189,9 +189,9 @@ def _rounded_loop(run: Path, device: Device) -> tuple[str, ...]:
     model, limits = _model(run), (end.astype(float) for end in (device.lower, device.upper))
     exact = Device.of(load(run), "double", *limits)
     rest, found = model.scale.output_equilibrium, []
+    start = exact.start(rest + model.scale.output_scale)
     for one in (device, exact):
-        x, y = exact.start(rest + model.scale.output_scale)[: model.order], []
-        state = one.start((rest + model.scale.output_scale).astype(one.lower.dtype))
+        x, state, y = start[: model.order], start.astype(one.lower.dtype), []
         for _ in range(LOOP_SAMPLES):
             y.append(model.read(x, np.zeros(model.linear.b.shape[1])))
             u, state = one.track(state, *(np.asarray(seen, dtype=one.lower.dtype) for seen in (y[-1], rest)))

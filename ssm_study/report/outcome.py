@@ -18,6 +18,7 @@ WIDTH = 80
 MISSING = "–"
 LIMITS = ("limit_lower", "limit_upper", "limited_rate", "unlimited_from", "unlimited_to")
 LIMITED = "{} to {}: rate {} from everywhere, all of it from outputs {} to {}"
+EACH_ITS_OWN = "a range of each output (see the exported header)"
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
@@ -97,10 +98,13 @@ def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator
     if neurons and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
     tolerated = "rest is proved up to {}" if neurons else "{} is proved"
-    yield LIMITS[0], label, LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
+    limited = LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
+    yield LIMITS[0], label, limited.replace(f"outputs {MISSING} to {MISSING}", EACH_ITS_OWN)
     seen = f"the records show {number('mismatch_seen')}"
     yield "certified_tolerance", "Mismatch tolerated", f"{tolerated.format(number('certified_tolerance'))}, {seen}"
     measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
+    more = (record.get("noise_gain_measured") or 0.0) > (record.get("noise_gain") or float("inf"))
+    measured += ": more than noise moves it" if more else ""
     yield "noise_gain", "Sensor noise", f"moves the output by at most {number('noise_gain')} of it{measured}"
 
 

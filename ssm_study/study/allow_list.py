@@ -36,7 +36,7 @@ KEYS = frozenset(
 PARTS = ("plant", "excitation", "data", "model", "training", "reduction", "synthesis", "loop")
 ENVIRONMENT = re.compile(r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_")
 RESOLVERS = re.compile(r"\$\{\s*(oc\.env|env|oc\.decode|oc\.create|oc\.deprecated)\s*:")
-REMEDY = "name a specification of ssm_study, a class of torch.optim, or a Lightning part listed in allow_list.py"
+REMEDY = "name a part of ssm_study, of torch.optim or of Lightning (allow_list.py); your own study: add --with FOLDER"
 
 
 def refuse_foreign_targets(config: DictConfig) -> None:

@@ -29,9 +29,10 @@ from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory, input_limits
 from ssm_study.study import trials
+from ssm_study.study.labels import mislabelled
 from ssm_study.study.line import STUDY
 from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
-from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.synthesis.commanded import measured
@@ -136,8 +137,9 @@ def data(run: RunFiles) -> Claims:
         reason = f"the recorded data cannot be read: {one_line(error)}"
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
         names = [column.name for column in columns if not column.setting]
-        scores = [name for name in run.record if name.startswith("score_test_")]
-        yield NotChecked(dict.fromkeys((*names, *scores, "excitation.mcap", "evidence.json"), reason))
+        names += [name for name in run.record if name.startswith("score_test_")]
+        names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
+        yield NotChecked(dict.fromkeys(names, reason))
     else:
         yield from data_read(run, records)
 
@@ -165,6 +167,9 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
     inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(run.inputs, records.training, strict=True))}
     yield agreement("excitation.mcap", inputs, ITERATED, "the configuration gives it")
+    for file, wrong in mislabelled(run, records):
+        found = f"not those of the run: {', '.join(wrong)}" if wrong else "times, names, units and words are the run's"
+        yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
 
 
 def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
@@ -289,11 +294,6 @@ def distance(stored: Any, made: Any) -> float:
     apart = float(np.abs(one - other).max(initial=0.0))
     largest = float(np.abs(other).max(initial=0.0))
     return apart / largest if largest > 0 and apart > 0 else apart  # NaN passes through, and agrees with nothing
-
-
-def one_line(error: BaseException) -> str:
-    """The error as one line of at most 300 characters."""
-    return (" ".join(str(error).split()) or type(error).__name__)[:300]
 
 
 SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (files, requested, status, data, model, certificate, fits, loop)

@@ -44,7 +44,7 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         proved, shown = files.record.get("certified_tolerance") or 0.0, _seen(files, log)
         if shown <= proved:
             covered = f"what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
-            still = "the loop comes to rest, so it shows no mismatch and the choice stays as it is."
+            still = "the loop comes to rest, so it shows nothing that makes it swing; the choice stays as it is."
             yield Step(said=f"Stopped: {covered if shown else still}")
             return
         config = _next(files, log)

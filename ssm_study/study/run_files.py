@@ -83,7 +83,7 @@ class RunFiles:
     @cached_property
     def certificate(self) -> dict[str, Any]:
         name = "certificate.json"
-        content = json.loads(contents(self.path / name))
+        content = json.loads(contents(self.path / name), object_pairs_hook=said_once)
         require(isinstance(content, dict), name, type(content).__name__, "is no object", "run the study again")
         return dict(content)
 
@@ -132,3 +132,16 @@ class RunFiles:
     def closes_loop(self) -> bool:
         """Whether a controller and an observer are there, certified or not."""
         return self.claims_certificate and self.design.feasible
+
+
+def said_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The object; `BadRequest` where a key stands twice, for one reader takes the first and another the last."""
+    keys = [key for key, _ in pairs]
+    twice = next((key for key in keys if keys.count(key) > 1), None)
+    require(twice is None, "certificate.json", twice, "stands twice in one object", "run the study again")
+    return dict(pairs)
+
+
+def one_line(error: BaseException) -> str:
+    """The error as one line of at most 300 characters."""
+    return (" ".join(str(error).split()) or type(error).__name__)[:300]

@@ -14,8 +14,8 @@ from typing import Any
 from ssm_study.columns import Column
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
-from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked, one_line
-from ssm_study.study.run_files import RunFiles
+from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
+from ssm_study.study.run_files import RunFiles, one_line
 from ssm_study.table.columns import declared
 
 
@@ -64,7 +64,10 @@ class Verification:
 
 
 def verify(run: Path) -> Verification:
-    """Every claim of the run, derived again. Raises `BadRequest` if `run` is no finished run folder."""
+    """Every claim of the run, derived again.
+
+    Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted here.
+    """
     record = read_record(run) or {}
     require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
     state = record.get("status")
@@ -101,7 +104,9 @@ def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
     """What the sections give; whatever a damaged file makes a reader raise is a claim that does not hold."""
     try:
         sections = SECTIONS if run.claims_certificate else OF_A_BASELINE
-    except Exception:  # a configuration that cannot be read: the section that needs it says so
+    except Exception as error:  # a configuration that cannot be read: the section that needs it says so
+        if str(getattr(error, "field", "")).endswith("_target_"):
+            raise  # without `--with` nothing can be derived, which is no lie of the run
         sections = SECTIONS
     for section in sections:
         try:
@@ -115,7 +120,7 @@ def judge(
 ) -> Checked | str:
     """The finding on a column of the record, or why it is not checked; empty where the record claims nothing."""
     column = declared(name)
-    if name in derived:
+    if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
     if record.get(name) is None:
         return ""

@@ -93,14 +93,17 @@ def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) ->
 
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
-    """What is proved within input limits; the tightest of several inputs, outputs. Empty where nothing is."""
+    """What is proved within input limits; of several inputs or outputs what all share. Empty where nothing is."""
     if (found := WithinLimits.of(model, design.beside)) is None:
         return {}
     limits: Any = design.beside[SETS]
     lower, upper = model.scale.physical_input(limits.limits.T)
-    facts = {"limit_lower": float(lower.max()), "limit_upper": float(upper.min())}
-    facts |= {"unlimited_from": float(found.lower.max()), "unlimited_to": float(found.upper.min())}
-    return facts | {"limited_rate": found.everywhere and found.everywhere.rate}
+    ranges = ("limit_lower", "limit_upper", lower, upper), ("unlimited_from", "unlimited_to", found.lower, found.upper)
+    facts: dict[str, Any] = {"limited_rate": found.everywhere and found.everywhere.rate}
+    for start, end, least, most in ranges:  # channels that rest far apart share nothing; the exported header has each
+        shared = float(least.max()), float(most.min())
+        facts |= dict(zip((start, end), shared, strict=True)) if shared[0] < shared[1] else {}
+    return facts
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:

@@ -35,12 +35,8 @@ def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tup
     a model may have a slow mode that the plant has not. Nothing is said where a single return, at an input other than
     the equilibrium's, came to rest.
     """
-    groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
-    for record in records:
-        at = np.round(scale.scaled_input(record.u[-1]), SAME_INPUT) + 0.0  # no negative zero
-        groups.setdefault(at.tobytes(), []).append(scale.scaled_output(record.y[1:]))
     still, offsets = list[float](), list[float]()
-    for level, outputs in groups.items():
+    for level, outputs in _by_input(scale, records).items():
         centred = not np.frombuffer(level).any()
         long = [y for y in outputs if len(y) >= max(RESPONSES * response, FEWEST)]
         moves, apart = [swing(y) for y in long or outputs], _apart(long or outputs, centred=centred)
@@ -48,6 +44,22 @@ def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tup
             still += [one for one in moves if one >= AT_REST or apart]
             offsets += [off for off in apart if off > AT_REST]
     return still, offsets
+
+
+def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
+    """How far a return ends from the mean of the others at its input, output scales, if none still moves there."""
+    groups = (outputs for outputs in _by_input(scale, records).values() if min(map(len, outputs)) >= FEWEST)
+    still = (outputs for outputs in groups if max(map(swing, outputs)) < AT_REST)
+    return max((off for outputs in still for off in _apart(outputs, centred=False)), default=0.0)
+
+
+def _by_input(scale: Scale, records: list[Trajectory]) -> dict[bytes, list[Float[np.ndarray, "T p"]]]:
+    """The scaled outputs of the returns, by the scaled input at which each ends."""
+    groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
+    for record in records:
+        at = np.round(scale.scaled_input(record.u[-1]), SAME_INPUT) + 0.0  # no negative zero
+        groups.setdefault(at.tobytes(), []).append(scale.scaled_output(record.y[1:]))
+    return groups
 
 
 def _far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:

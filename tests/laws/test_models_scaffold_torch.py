@@ -62,6 +62,17 @@ def test_frozen_numbers_give_the_same_values(name: str, seed: int, channels: int
         np.testing.assert_allclose(scaffold(torch.from_numpy(v)).numpy(), scaffold.freeze()(v), rtol=1e-9, atol=1e-11)
 
 
+@given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
+def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(seed: int, channels: int) -> None:
+    rng = np.random.default_rng(seed)
+    samples = 3 + rng.uniform(size=(50, channels))  # all on one side of zero
+    spec = Mlp(depth=1, train_slopes=True, certified=False)
+    scaffold = spec.build(Frame(width=6, slopes=(LOWER, UPPER), samples=samples), rng)
+    w, b, *_ = (part.detach().numpy() for part in scaffold.explicit()[0])
+    below = (samples @ w.T + b < 0).mean(axis=0)
+    assert ((below > 0) & (below < 1)).all()
+
+
 @pytest.mark.parametrize("name", SPECS)
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
 def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:

@@ -90,3 +90,18 @@ def test_with_neurons_it_says_that_nothing_is_proved_of_the_limits() -> None:
     record = a_run("ok") | {"neurons": 3, "controller_certified": True}
     assert "nothing is proved: the theorems on limits know no" in printed(record)
     assert "know no neurons" not in printed(record | {"neurons": 0})
+
+
+def test_outputs_that_share_no_range_are_not_given_one() -> None:
+    """Two levels that rest apart: `from outputs 6.54 to 6.26` would be of neither."""
+    record = a_run("ok") | {"limit_lower": 2.16, "limit_upper": 4.14, "limited_rate": 0.1}
+    told = " ".join(printed(record | {"unlimited_from": None, "unlimited_to": None}).split())
+    assert "2.16 to 4.14: rate 0.1 from everywhere, all of it from a range of each output (see the" in told
+
+
+def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None:
+    """A limit cycle of 3.5 noise deviations stood beside `at most 1` without a word."""
+    record = a_run("ok") | {"noise_gain": 1.0}
+    for measured, told in ((3.51, True), (0.9, False)):
+        text = " ".join(printed(record | {"noise_gain_measured": measured}).split())
+        assert ("more than noise moves it" in text) is told

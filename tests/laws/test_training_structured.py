@@ -205,8 +205,8 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(data: DataSe
     np.testing.assert_allclose(left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5)
     through = replace(idle, g=np.array([[0.0], [1.0]]), h=np.array([[0.0, 1e-9]]))
     assert pruned(through, [data.training[0].u]).neurons == idle.neurons  # its mean slope would be a feedthrough
-    beside = replace(idle, h=np.array([[0.0, 1e-9]]))
-    assert pruned(beside, [data.training[0].u]).neurons == ("tanh",)
+    for beside in (replace(idle, h=np.array([[0.0, 1e-9]])), replace(idle, g=np.array([[0.0], [1.0]]))):
+        assert pruned(beside, [data.training[0].u]).neurons == ("tanh",)
 
 
 @pytest.mark.parametrize(
@@ -239,6 +239,13 @@ def test_sizes_are_chosen_by_folds_that_never_hold_a_test_sample(
     assert [row["chosen"] for row in table].count(True) == 1
     again = np.sort(np.concatenate([fold.test[0].y for fold in structured_choice.held_out(data)]), axis=0)
     np.testing.assert_array_equal(again, np.sort(data.training[0].y, axis=0))
+
+
+def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(data: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(structured_choice, "STEPS", 1)
+    monkeypatch.setattr(structured_choice, "mean_fit", lambda *_: -300.0)
+    asked = StructuredSpec(order=1, neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1)
+    assert structured_choice._fit(asked, data, 0) == 0.0
 
 
 def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:

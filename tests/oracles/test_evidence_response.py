@@ -11,6 +11,7 @@ from test_loop_prediction import linear_model
 from ssm_study.data.assembly import assemble
 from ssm_study.evidence import feedback
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
+from ssm_study.evidence.fit import LAGS, owed_to_input
 from ssm_study.evidence.judgement import judge
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
@@ -123,6 +124,14 @@ def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.nda
         log[k] = u, measured
         y = 0.9 * y + 0.1 * np.tanh(1.5 * u)
     return log[:, 0], log[:, 1]
+
+
+def test_what_the_error_owes_to_the_input_is_its_share_of_the_output_s_power():
+    """An output of twice what the model says: the error is half of it, and a short filter of the input."""
+    y = scipy.signal.lfilter([0, 0.2], [1, -0.3], WHITE)
+    scored = [part[500 + LAGS :] for part in (y[4000:5000], y[5000:])]
+    power, varied = (sum(float(((part - mean * part.mean()) ** 2).sum()) for part in scored) for mean in (0, 1))
+    assert owed_to_input(case(WHITE, y, slow=0.3)) == pytest.approx(power / 4 / varied, rel=1e-4)
 
 
 REFERENCES = {"steps": LEVELS.repeat(5)[:6000], "sine": 0.5 * np.sin(0.05 * np.arange(6000)), "none": np.zeros(6000)}

@@ -13,9 +13,9 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.rest import AT_REST
+from ssm_study.synthesis.rest import AT_REST, after_returns
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
@@ -108,8 +108,40 @@ def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
     assert UNKNOWN in told
 
 
+@pytest.mark.parametrize(("start", "said"), [(0.25, [0.0]), (0.1, [])])
+def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
+    """Where the first sample after the step lies decides."""
+    record = Trajectory(u=np.eye(41, 1), y=start * np.eye(41, 1, -1), step_s=0.1)
+    still, offsets = after_returns(Scale.unit(1, 1), [record], 1000)
+    assert still == pytest.approx(said)
+    assert offsets == []
+
+
+@pytest.mark.parametrize("stick", [0.0, 0.3])
+def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, stick):
+    """A slow model makes them short; a valve that sticks leaves each elsewhere, and the log was called sound."""
+    stem, out = 0.1, np.zeros(len(EXCITED))
+    for k, pushed in enumerate(EXCITED):
+        stem = pushed if abs(pushed - stem) > stick else stem
+        out[k] = stem
+    _, shown, told = fitted_log(tmp_path, EXCITED, answer(out), slow=0.995)
+    assert (shown.left_at_rest is None) == (stick > 0)
+    assert ("scales apart, where none seems to move: friction, play or a slow mode" in told) == (stick > 0)
+
+
 def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     log, shown, _ = fitted_log(tmp_path, EXCITED, answer(EXCITED))
     assert len(log.data.trials) == 3
     alone = mismatch(log.model, log.data.validation, 20)
     assert (shown.gain, shown.spread, len(shown.views)) == (alone.gain, alone.spread, len(alone.views))
+
+
+@pytest.mark.parametrize("times", [1.1, 1.5])
+def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
+    log = case(LEVELS, answer(LEVELS))
+    farthest = np.full((60, 1), times * np.abs(log.data.training[0].y).max())
+    trial = Trajectory(u=np.zeros((60, 1)), y=farthest, step_s=0.1)
+    begun = replace(log, data=replace(log.data, trials=(trial,)))
+    told = [found.sentence for found in findings(begun, mismatch(log.model, log.data.validation))]
+    assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
+    assert any("times as far out" in sentence for sentence in told) == (times > 1.2)

@@ -8,7 +8,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from export_cases import compiled, device, written
+from export_cases import compiled, device, products, written
 from report_runs import KINDS, random_scaffold
 
 import ssm_study as st
@@ -61,9 +61,17 @@ def test_a_wrong_number_is_seen(tmp_path: Path) -> None:
         compiled(folder, "-std=c99")
 
 
-@pytest.mark.parametrize("integral", [False, True])
+@pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 2)])
+def test_the_header_counts_the_multiplications_of_a_sample(tmp_path: Path, kind: str, channels: int) -> None:
+    """With pieces and matrices, with set points and without; while a limit acts there are fewer."""
+    made = device(tmp_path, kind=kind, channels=channels, integral=True)
+    free = replace(made, lower=made.lower - 1e9, upper=made.upper + 1e9)
+    assert free.multiplications == products(free, tmp_path / "c")
+
+
+@pytest.mark.parametrize("integral", [False, True, ["ramp"]])
 @pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 1), ("residual", 1)])
-def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool) -> None:
+def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool | list[str]) -> None:
     """At rest points of the model, found by root search there and by the inverse's pieces here; limits act in both."""
     made = device(tmp_path, kind=kind, channels=channels, integral=integral)
     model = SSM.from_json(json.loads((tmp_path / "run" / "model.json").read_text()))

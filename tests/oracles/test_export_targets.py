@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_cases import compiled, written
+from export_cases import compiled, products, written
 from report_runs import KINDS, random_run, write_recordings
 from structured_cases import model as structured
 
@@ -227,6 +227,8 @@ def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real
     words = ("-fsanitize=address,undefined", "-lm") if real == "double" else ("-std=c99", "-lm")
     text = compiled(folder, sources=("controller_replay.c", *words))
     assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
+    free = Device.of(made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6)))
+    assert real == "float" or "tanh" in kinds or free.multiplications == products(free, tmp_path / "counted")
     broken = (folder / "controller.h").read_text().replace("controller_phi_bias[0];", "controller_phi_bias[0] + 1;")
     (folder / "controller.h").write_text(broken)
     with pytest.raises(AssertionError, match="of 200 inputs differ"):

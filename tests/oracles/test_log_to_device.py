@@ -26,4 +26,4 @@ def test_the_page_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
     error = (trial["speed"] - trial["set_point"]).groupby(trial.index // 300)
     assert (error.apply(lambda one: one.iloc[SETTLED:].mean()).abs() < 0.1).all()
     assert (error.apply(lambda one: one.iloc[SETTLED:].std()) < 0.2).all()
-    assert "the loop comes to rest" in capfd.readouterr().out
+    assert "the loop comes to rest, so it shows nothing that makes it swing;" in capfd.readouterr().out

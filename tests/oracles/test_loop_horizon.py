@@ -18,6 +18,7 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
     loop = Loop().fitted(model.with_linear(linear))
     assert loop.samples(model.step_s) == samples
     assert Loop(horizon_s=2.0).fitted(model).horizon_s == 2.0
+    assert Loop(horizon_s=1e-9).samples(model.step_s) == 2  # a motion
 
 
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():

@@ -89,6 +89,17 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
     assert shown.loop.gain < 0.05
 
 
+@pytest.mark.parametrize("size", [0.0, 0.008])
+def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
+    """At its ends, 0 and pi, Welch's density has half of white noise: no more is taken there, and an offset stays."""
+    trial, k = looped(MODEL, FAST, 0.0, noise=0.05), np.arange(SAMPLES)[:, None]
+    moved = 2 * np.sin(k / 7)
+    y = trial.y + MODEL.simulate(moved) + size * (1 + np.cos(np.pi * k))
+    shown = mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=trial.u + moved, y=y),)).loop
+    assert shown is not None
+    np.testing.assert_array_equal(shown.by_frequency > 0, (size > 0) & np.isin(np.arange(33), [0, 32]))
+
+
 def test_where_no_record_measured_the_noise_the_quietest_bands_do():
     """The loop's e holds a cycle at one frequency and white noise: the cycle stays, the noise goes."""
     trial, record = looped(MODEL, FAST, 0.3, noise=0.02), recorded()[:1500]
@@ -113,3 +124,15 @@ def test_the_records_about_the_loop_stay_as_they_are():
     assert alone.spread == beside.spread
     assert len(alone.views) == len(beside.views)
     assert alone.left_at_rest == beside.left_at_rest
+
+
+def test_the_record_with_the_most_power_is_the_largest():
+    """Also where its input is negative: its scatter and its bands are those that are told."""
+    rng, falling = np.random.default_rng(0), -1 - np.abs(np.sin(np.arange(900) / 300))[:, None]
+    weak, strong = (
+        Trajectory(u=u, y=MODEL.simulate(u) + 0.01 * rng.standard_normal((900, 1)), step_s=0.01)
+        for u in (1 + 0.1 * rng.standard_normal((900, 1)), falling)
+    )
+    both, alone, other = (mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,)))
+    assert both.spread == alone.spread != other.spread
+    assert both.unexcited == alone.unexcited

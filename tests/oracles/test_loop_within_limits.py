@@ -16,8 +16,10 @@ from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import Scale
 from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.deployed import WithinLimits, within_limits
+from ssm_study.synthesis.deployed import WithinLimits, with_limits, within_limits
+from ssm_study.synthesis.metrics import limit_facts
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.limited_input import from_everywhere, limited
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -143,3 +145,24 @@ def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
     assert "Within the limits the full rates hold from rest at outputs from" in header
     assert "From everywhere the state feedback, cut at the limits," in header or "From everywhere nothing is" in header
     assert isinstance(design.within([-1e3], [1e3]), WithinLimits)
+
+
+@pytest.mark.parametrize(("apart", "shared"), [(0.0, True), (9.0, False)])
+def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) -> None:
+    """Where one rests nine units above the other there is none, though each has its own."""
+    lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.eye(2), d=np.zeros((2, 2)))
+    rest = Scale(input_scale=np.ones(2), output_scale=np.ones(2), input_equilibrium=np.zeros(2),
+                 output_equilibrium=np.array([0.0, apart]))  # fmt: skip
+    model, ball = SSM.of(lags, 0.1, rest), JacobianBall(alpha=1.0, beta=0.0)
+    wanted = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.4, input_weight=0.5)
+    design = wanted.design(model, Balls(input=ball, output=ball))
+    ends = np.full(2, -0.6), np.full(2, 0.6)
+    each = within_limits(model, design, *ends)
+    facts = limit_facts(replace(design, beside=with_limits(model, design, *ends)), model)
+    assert (each.lower < [0.0, apart]).all()
+    assert (each.upper > [0.0, apart]).all()
+    assert (facts["limit_lower"], facts["limit_upper"]) == (-0.6, 0.6)
+    if shared:
+        assert facts["unlimited_from"] == each.lower.max() < each.upper.min() == facts["unlimited_to"]
+    else:
+        assert not {"unlimited_from", "unlimited_to"} & facts.keys()

@@ -6,7 +6,14 @@ from plants_cases import choices, from_yaml
 
 from ssm_study.plants.disturbance import Disturbance, PeriodicDisturbance, RandomDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
-from ssm_study.plants.wrapper import DelayedInput, Disturbed, NoisyOutput, QuantisedOutput, SaturatedInput
+from ssm_study.plants.wrapper import (
+    DelayedInput,
+    Disturbed,
+    NoisyOutput,
+    QuantisedOutput,
+    SaturatedInput,
+    _scrambled,
+)
 from ssm_study.refusal import BadRequest
 
 PLAIN = ["dc_motor", "cascaded_tanks", "stribeck_drive", "quadruple_tank"]
@@ -72,6 +79,16 @@ def test_noise_repeats_with_its_seed_even_while_the_motor_rests() -> None:
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     assert len(np.unique(first)) == 100
+
+
+def test_the_generator_is_the_published_one() -> None:
+    """The first three numbers of Vigna's splitmix64.c from the seed 0."""
+    seeds = (np.arange(3, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15))[:, None]
+    assert [hex(z) for z in _scrambled(seeds)[:, 0]] == [
+        "0xe220a8397b1dcdaf",
+        "0x6e789e6aa1b965f4",
+        "0x6c45d188009454f",
+    ]
 
 
 def test_two_outputs_get_noise_of_their_own() -> None:

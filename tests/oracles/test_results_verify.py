@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
-from ssm_study.study.claims import SECTIONS, Checked, Derived
+from ssm_study.refusal import BadRequest
+from ssm_study.study.claims import SECTIONS, Checked, Derived, NotChecked
+from ssm_study.study.claims import data as section_data
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compared, judge, verify
@@ -87,6 +90,10 @@ FILES = (
     *("trials.mcap records", "closed_loop.mcap loop_on"),
     *(f"{name}.mcap {what}" for name in ("validation", "test") for what in ("records", "/simulated")),
     *("closed_loop.mcap", "closed_loop.mcap input", "closed_loop_model.mcap"),
+    *(
+        f"{name}.mcap labels"
+        for name in ("excitation", "validation", "test", "trials", "closed_loop", "closed_loop_model")
+    ),
 )
 
 
@@ -286,6 +293,28 @@ def lie_about_configuration(run: Path, old: str, new: str, **columns: Any) -> No
     sealed_anew(run, **columns)
 
 
+def lie_about_labels(run: Path, file: str, change: Callable[[Any], Any] = lambda group: group, **words: str) -> None:
+    """Beside the numbers, which stay."""
+    groups, told = read_mcap(run / file)
+    write_mcap(run / file, tuple(change(group) for group in groups), told | words)
+    sealed_anew(run)
+
+
+def in_thousands(group: Any) -> Any:
+    return replace(group, channels=tuple(replace(one, unit="krpm") for one in group.channels))
+
+
+def sooner(group: Any) -> Any:
+    return replace(group, time_s=group.time_s / 2)
+
+
+def lie_twice(run: Path) -> None:
+    """Who reads the first of two equal keys sees another rate than who reads the last."""
+    path = run / "certificate.json"
+    path.write_text(path.read_text().replace('"rate":', '"rate": 0.99, "rate":', 1))
+    sealed_anew(run)
+
+
 def without(run: Path, name: str) -> None:
     (run / name).unlink()
     sealed_anew(run)
@@ -326,6 +355,11 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "states": (lambda run: lie_about_loop(run, "/case_1/states"), "closed_loop.mcap"),
     "the loop on the model": (lambda run: lie_about_loop(run, "/states", MODEL_LOOP), MODEL_LOOP),
     "wider settling band": (lie_about_band, "closed_loop.mcap"),
+    "twice as fast": (lambda run: lie_about_labels(run, MODEL_LOOP, sooner), f"{MODEL_LOOP} labels"),
+    "another unit": (lambda run: lie_about_labels(run, "test.mcap", in_thousands), "test.mcap labels"),
+    "another plant": (lambda run: lie_about_labels(run, "closed_loop.mcap", plant="Rig"), "closed_loop.mcap labels"),
+    "a note": (lambda run: lie_about_labels(run, "excitation.mcap", on="the machine"), "excitation.mcap labels"),
+    "a rate said twice": (lie_twice, "certificate"),
     "validation record": (lambda run: lie_about_record(run, "validation.mcap"), "validation.mcap records"),
     "test record": (lambda run: lie_about_record(run, "test.mcap"), "test.mcap records"),
     "excitation": (lie_about_excitation, "excitation.mcap"),
@@ -351,6 +385,30 @@ def test_a_consistent_lie_is_named(lie: str, copied_run: Path) -> None:
     findings = {finding.claim: finding for finding in verify(copied_run)}
     assert findings["files"].holds  # the seals are in order
     assert any(name.startswith(claim) and not finding.holds for name, finding in findings.items())
+
+
+def test_a_run_of_somebodys_parts_is_refused_with_the_option_that_trusts_them(copied_run: Path) -> None:
+    """Without them nothing can be derived, which is no lie of the run."""
+    lie_about_configuration(copied_run, "ssm_study.plants.dc_motor.DCMotor", "somebodys.plants.DCMotor")
+    with pytest.raises(BadRequest, match=r"somebodys.*--with FOLDER"):
+        verify(copied_run)
+
+
+def test_without_its_log_a_run_claims_no_prediction() -> None:
+    """The level of evidence that it rests on cannot be derived: `sound` might be anybody's word."""
+
+    class Elsewhere:
+        specification, record = SimpleNamespace(plant=None), dict[str, Any]()
+
+        @property
+        def data(self) -> Any:
+            raise BadRequest("data.path", "log.csv", "no such file", "check the spelling")
+
+    (found,) = section_data(Elsewhere())  # type: ignore[arg-type]
+    assert isinstance(found, NotChecked)
+    told = {"predicted_stable": True}
+    assert "cannot be read" in judge("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
+    assert compared("predicted_stable", True, True).holds
 
 
 def test_sealing_anew_alone_is_no_lie(copied_run: Path) -> None:

@@ -14,6 +14,7 @@ from ssm_study.synthesis.deployed import as_deployed, within_reach
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.mismatch import ANGLES
 from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
+from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.synthesis.theorem import Known
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
@@ -39,6 +40,15 @@ def found(system: StructuredSystem, weight: np.ndarray | None = None) -> tuple[K
     assert proved is not None
     assert proved.certified
     return known, proved
+
+
+def test_gains_are_certified_just_inside_their_largest_rate() -> None:
+    design = ASKED.design(_Model(drawn(0)), BALLS)
+    for part in (design.state_feedback, design.observer):
+        again, limit = part.at_largest_rate(), largest_rate(*part.posed())
+        assert again.certified
+        np.testing.assert_array_equal(again.gain, part.gain)
+        assert max(part.rate, 0.998 * limit) < again.rate < limit
 
 
 @pytest.mark.parametrize("weight", [np.eye(1), np.array([[0.5, 1.0], [0.2, 1.0]])])

@@ -166,6 +166,7 @@ def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
     ("changes", "says"),
     [
         ({"path": "nowhere.csv"}, r"data.path = nowhere.csv: no such file"),
+        ({"path": []}, r"data.path = \[\]: names no file"),
         ({"step_s": None}, r"data.step_s = None: the sampling time is unknown"),
         ({"step_s": 0.0}, r"data.step_s = 0.0: must be positive"),
         ({"step_s": 10.0, "time": "t"}, r"data.step_s = 10.0: the times of log.csv show 0.01 s"),

@@ -133,7 +133,7 @@ class Mlp(Trainable):
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
         """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between sorted kinks."""
         w, b, low, high, after = explicit[0]
-        if after is None or self.depth > 1 or w.shape[1] > 1:
+        if after is None or w.shape[1] > 1:  # one input of more layers is `OneChannel`, or not certified
             return None
         first, last = w[:, 0], after[0]
         points, order = (-b / first).sort()
