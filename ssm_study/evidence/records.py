@@ -15,6 +15,7 @@ from ssm_study.synthesis.rest import AT_REST, RESPONSES, ends_apart, is_return, 
 
 BEYOND = 0.05  # share of samples that may lie beyond the range of training
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
+FAINT = AT_REST / 4  # share of the output's scale: what is left at rest input beyond it counts as motion
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
 ONE_SIDED = 0.02  # least share of the samples on either side of the equilibrium
 FEWEST_CHANGES, FEWEST_SAMPLES = 10, 200
@@ -139,6 +140,9 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             yield doubt(f"{told}: friction, play or a slow mode. Record longer ones.")
         else:
             yield note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
+    elif shown.left_at_rest > FAINT:
+        told = f"{shown.left_at_rest:.2g} output scales are left at rest input: a small limit cycle, or a slow decay"
+        yield doubt(f"{told}. A loop may swing as far, and settles in no narrower band. Record longer rests.")
     if len(shown.views) == 1:
         amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
         yield note(f"All records have one amplitude ({amplitude}): below it the mismatch is unknown.")

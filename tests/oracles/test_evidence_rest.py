@@ -100,6 +100,20 @@ def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong
     assert not shown.rests or shown.offset > 1
 
 
+@pytest.mark.parametrize("hunts", [0.0, 0.01])
+def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
+    """A burner that hunts by a hundredth of its range was sound, and no loop settled in a band narrower than that."""
+    log, k = case(LEVELS, answer(LEVELS)), np.arange(600)[:, None]
+    y = log.model.scale.output_scale * (
+        hunts * np.sin(0.2 * k) + 0.001 * np.random.default_rng(0).standard_normal(k.shape)
+    )
+    shown = mismatch(log.model, log.data.validation, 0, (Trajectory(u=0.0 * k, y=y, step_s=0.1),))
+    assert shown.rests
+    assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
+    told = " ".join(found.sentence for found in findings(log, shown))
+    assert ("a small limit cycle, or a slow decay" in told) == (hunts > 0)
+
+
 def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
     """Shorter than the response: the output may still be on its way, which is no friction, and no rest either."""
     slowly = scipy.signal.lfilter([0, 0.01], [1, -0.99], EXCITED)
