@@ -11,11 +11,10 @@ from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
-from ssm_study.synthesis.rest import AT_REST, RESPONSES, ends_apart, is_return, stuck
+from ssm_study.synthesis.rest import AT_REST, FAINT, RESPONSES, ends_apart, is_return, stuck
 
 BEYOND = 0.05  # share of samples that may lie beyond the range of training
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
-FAINT = AT_REST / 4  # share of the output's scale: what is left at rest input beyond it counts as motion
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
 ONE_SIDED = 0.02  # least share of the samples on either side of the equilibrium
 FEWEST_CHANGES, FEWEST_SAMPLES = 10, 200

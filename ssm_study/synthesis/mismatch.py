@@ -30,7 +30,7 @@ from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
 from ssm_study.signals import Trajectories, Trajectory, repetition
-from ssm_study.synthesis.rest import AT_REST, SURE, after_returns, is_return, left, stuck, swing
+from ssm_study.synthesis.rest import AT_REST, FAINT, SURE, after_motion, after_returns, is_return, left, swing
 from ssm_study.synthesis.spectra import ANGLES, banded, bands_of, divided, power, welch
 
 # A band with less than this share of the input's mean power is not excited: g is measured there, and uncertain.
@@ -134,14 +134,16 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
     if noise is not None:
         views = [_view(record, record.strength() == most, noise) for record in periodic]
     drive, response = welch([largest.u]), model.linear.response_samples()
-    own = [off for one in moving if (off := stuck(one.u, one.e + one.model, response)) > AT_REST]
+    rested = [y for one in moving if len(y := after_motion(one.u, one.e + one.model, response))]
+    own = [off for y in rested if (off := left(y)) > AT_REST]
+    excited = [size for y in rested if (size := swing(y)) > FAINT]  # what a decay may not show: it starts elsewhere
     still, offsets = after_returns(model.scale, [one for one in trials if is_return(one)], response)
     decayed = [left(one.e + one.model) for one in measured if not one.u.any()]
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
         loop=_in_loop(loops, noise) if loops else None,
         spread=largest.spread(),
-        left_at_rest=max((*decayed, *still), default=None),
+        left_at_rest=max((*decayed, *still, *excited), default=None),
         stuck=tuple(max(own, offsets, key=lambda found: max(found, default=0.0))),  # one rest counts once
         farthest=max((float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()), default=1.0),
         unexcited=tuple(float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]),

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ssm_study.signals import Scale, Trajectory
 
 AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
+FAINT = AT_REST / 4  # beyond it, what is left is motion that the records show, if small
 RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
 # Standard errors by which a record below the largest amplitude must exceed what noise leaves of it: of more than a
 # hundred bands the largest counts.
@@ -82,8 +83,14 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
 
 def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
     """What is left of an output at rest input after the input has moved it; zero unless that outlasts the response."""
-    still = int(np.flatnonzero(u.any(axis=1))[-1]) + 1 if u.any() else len(u)
-    return left(y[still:]) if len(u) - still >= max(RESPONSES * response, FEWEST) else 0.0
+    still = after_motion(u, y, response)
+    return left(still) if len(still) else 0.0
+
+
+def after_motion(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> Float[np.ndarray, "K p"]:
+    """The output from where the input has come to rest; nothing unless that outlasts the response."""
+    still = y[int(np.flatnonzero(u.any(axis=1))[-1]) + 1 :] if u.any() else y[:0]
+    return still if len(still) >= max(RESPONSES * response, FEWEST) else y[:0]
 
 
 def left(y: Float[np.ndarray, "T p"]) -> float:

@@ -114,6 +114,18 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     assert ("a small limit cycle, or a slow decay" in told) == (hunts > 0)
 
 
+@pytest.mark.parametrize("hunts", [0.0, 0.01])
+def test_a_faint_swing_that_motion_sets_off_counts(hunts):
+    """A decay from a given output starts the mode that hunts at zero: the rest after a motion shows it."""
+    log = case(THEN_REST, answer(THEN_REST, noise=0.001))
+    last = log.data.test[-1]
+    k = np.arange(len(last))[:, None]
+    y = last.y + log.model.scale.output_scale * (last.u == 0) * hunts * np.sin(0.9 * k)
+    decay = Trajectory(u=np.zeros((600, 1)), y=np.exp(-np.arange(600) / 20)[:, None], step_s=0.1)
+    shown = mismatch(log.model, (*log.data.validation, replace(last, y=y)), 0, (decay,))
+    assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
+
+
 def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
     """Shorter than the response: the output may still be on its way, which is no friction, and no rest either."""
     slowly = scipy.signal.lfilter([0, 0.01], [1, -0.99], EXCITED)
