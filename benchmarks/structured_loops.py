@@ -1,14 +1,16 @@
 """Loops of `auto` with neurons and with one layer, on the simulated plants over data seeds.
 
-    python -m benchmarks.structured_loops [seeds] > results/reference/loop/structured_loops.csv
+    python -m benchmarks.structured_loops [--plants ...] [--set model.starts=12 ...] > results/reference/loop/FILE
 
 Per row: plant, model, seed; noise-free fit of the test record; whether both sides are certified, their rates and what
 the controller's may be at most; what is predicted, nothing where the records allow no judgement; how many of ten starts
 settle on the plant, their mean time, that of the plant alone, and the time over one layer's of the same seed; processor
-seconds of the choice. Each as configured, `ssm-study run model=... plant=...`: nothing is chosen by the loop.
+seconds of the choice. Each as configured, `ssm-study run model=... plant=...`, with neurons also by the settings given:
+nothing is chosen by the loop. The files: structured_loops.csv as configured; _starts.csv by `--set model.starts=12
+model.among_starts.within_percent=0.2`; _slopes.csv by these and model.slope_lower=0.3 for the Stribeck drive.
 """
 
-import sys
+import argparse
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,9 +31,9 @@ COLUMNS = "plant,model,seed,fit_test_percent,certified,rate_controller,rate_limi
 COLUMNS += "settled_of_10,settle_s,alone_s,ratio_to_one_layer,synthesis_s"
 
 
-def row(plant: str, kind: str, seed: int) -> dict[str, Any]:
+def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]:
     """One line: identified, designed and closed as `ssm-study run` does it."""
-    parts: Any = study_of(f"plant={plant}", f"model={kind}", f"seed={seed}")
+    parts: Any = study_of(f"plant={plant}", f"model={kind}", f"seed={seed}", *settings)
     data = parts.data.build(parts.plant, parts.excitation, seed)
     with TemporaryDirectory() as folder:
         made = parts.reduction.reduce(parts.training.identify(parts.model, data, seed, Path(folder), False).model)
@@ -54,13 +56,18 @@ def row(plant: str, kind: str, seed: int) -> dict[str, Any]:
     return about | {"settled_of_10": facts["stable_count"]} | times
 
 
-def main(seeds: int) -> None:
+def main() -> None:
     """Every plant, seed and model; one layer first, with which the other is compared."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--plants", nargs="*", default=PLANTS)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--set", nargs="*", default=[], help="settings of the model with neurons")
+    options = parser.parse_args()
     print(COLUMNS)
-    for plant in PLANTS:
-        for seed in range(seeds):
+    for plant in options.plants:
+        for seed in range(options.seeds):
             one = None
-            for found in (row(plant, kind, seed) for kind in MODELS):
+            for found in (row(plant, kind, seed, [] if kind == "ssm" else options.set) for kind in MODELS):
                 own = found.get("settle_s")
                 one = one or own
                 found["ratio_to_one_layer"] = f"{own / one:.3f}" if own and one else ""
@@ -69,4 +76,4 @@ def main(seeds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
+    main()
