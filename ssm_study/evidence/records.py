@@ -141,7 +141,7 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             yield note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
     elif shown.left_at_rest > FAINT:
         told = f"{shown.left_at_rest:.2g} output scales are left at rest input: a small limit cycle, or a slow decay"
-        yield doubt(f"{told}. A loop may swing as far, and settles in no narrower band. Record longer rests.")
+        yield doubt(f"{told}. A loop may swing farther, and settles in no narrower band. Record longer rests.")
     if len(shown.views) == 1:
         amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
         yield note(f"All records have one amplitude ({amplitude}): below it the mismatch is unknown.")

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ssm_study.signals import Scale, Trajectory
 
 AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
-FAINT = AT_REST / 4  # beyond it, what is left is motion that the records show, if small
+FAINT = AT_REST / 4  # what is left beyond it is a doubt, and from `AT_REST` on nothing is predicted
 RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
 # Standard errors by which a record below the largest amplitude must exceed what noise leaves of it: of more than a
 # hundred bands the largest counts.
