@@ -1,6 +1,6 @@
 """The game Riccati equation of a structured model and the search over its multipliers.
 
-One evaluation is compiled (`game_kernel`). Source: docs/theory.md, "With neurons"; `structured_riccati` has the equation.
+One evaluation is compiled (`game_kernel`). Source: docs/theory.md, "With neurons"; the equation: `structured_riccati`.
 """
 
 from dataclasses import dataclass
