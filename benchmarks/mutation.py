@@ -21,7 +21,7 @@ import sqlite3
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -150,12 +150,17 @@ GROUPS = {
 }
 
 
-def plant(name: str, folder: Path, tool: Path, minutes: float, seed: int, share: float) -> None:
+def among(group: Group, modules: list[str]) -> Group:
+    """The group with those of its modules alone, or of its folders' modules; with all of them if none is named."""
+    chosen = tuple(one for one in modules if any(one == own or one.startswith(f"{own}/") for own in group.modules))
+    return replace(group, modules=chosen if modules else group.modules)
+
+
+def plant(name: str, group: Group, folder: Path, tool: Path, minutes: float, seed: int, share: float) -> None:
     """Go on with the group's session for so many minutes."""
     session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
     fresh_copy(tree)
     (folder / "shared").mkdir(exist_ok=True)
-    group = GROUPS[name]
     server, socket = Path(__file__).with_name("mutation_server.py"), folder / "server"
     options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/shared/{name} -q -x"
     command = json.dumps(f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}")
@@ -259,14 +264,20 @@ def main() -> None:
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--again", action="store_true", help="plant the survivors again")
     parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--modules", default="", help="of these groups, these modules alone: synthesis/rest.py,...")
     parser.add_argument("--seed", type=int, default=SEED, help="another draw: written to fresh.csv and fresh.diff")
+    parser.add_argument("--name", help="of the two files, in place of faults or fresh")
     parser.add_argument("--share", type=float, default=1.0, help="of each group's faults")
     arguments = parser.parse_args()
     for name in filter(None, arguments.groups.split(",")):
+        group = among(GROUPS[name], list(filter(None, arguments.modules.split(","))))
         if arguments.again:
             again(arguments.folder / f"{name}.sqlite")
-        plant(name, arguments.folder, arguments.cosmic_ray, arguments.minutes, arguments.seed, arguments.share)
-    report(arguments.folder, "faults" if arguments.seed == SEED else "fresh")
+        if group.modules:
+            plant(
+                name, group, arguments.folder, arguments.cosmic_ray, arguments.minutes, arguments.seed, arguments.share
+            )
+    report(arguments.folder, arguments.name or ("faults" if arguments.seed == SEED else "fresh"))
 
 
 if __name__ == "__main__":

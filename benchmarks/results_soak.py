@@ -1,7 +1,7 @@
 """Kill a study at random moments until it is finished, and compare it with one that nobody touched.
 
-    python benchmarks/results_soak.py --kills 60 --damage --in /tmp/soak
-    python benchmarks/results_soak.py --sweeps 3 --minutes 8 --table results/reference/engine/soak.csv
+    python benchmarks/results_soak.py --kills 30 --damage --minutes 8 --table results/reference/engine/soak.csv
+    python benchmarks/results_soak.py --sweeps 3 --minutes 5 --table results/reference/engine/soak.csv
 
 The study trains real models (experiment=smoke). Each attempt is the same command. Somewhere in it the sweep gets
 SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are at work. With
@@ -43,6 +43,7 @@ SWEEP = (
 AT_WORK = 0.75  # of the kills wait until jobs are at work
 EARLY = 0.6  # of the time the jobs took undisturbed: later hardly any is left to kill, and each attempt comes further
 STUDY, STATE = "smoke", "state.json"
+COLUMNS = ["sweeps_at_once", "damage", "event", "count"]
 # What a second attempt may change: when, where, how often.
 VOLATILE = (
     "attempt",
@@ -235,9 +236,16 @@ def main() -> None:
         done = soak(folder, options.kills, options.damage, until, options.sweeps)
     print("\n".join(done.lines()))
     if options.table:
-        rows = [f"{options.sweeps},{what},{number}" for what, number in sorted(done.counts.items())]
-        lines = ["sweeps_at_once,event,count", *rows, f"{options.sweeps},studies finished and equal,{done.rounds}"]
-        options.table.write_text("\n".join(lines) + "\n")
+        written(options.table, (options.sweeps, options.damage), done)
+
+
+def written(path: Path, form: tuple[int, bool], done: Soak) -> None:
+    """The table, with the rows of this form made anew and those of others as they were."""
+    counts = {**dict(sorted(done.counts.items())), "studies finished and equal": done.rounds}
+    rows = pd.DataFrame([(*form, what, number) for what, number in counts.items()], columns=COLUMNS)
+    others = pd.read_csv(path) if path.is_file() else rows[:0]
+    others = others[(others[[*COLUMNS[:2]]] != form).any(axis=1)]
+    pd.concat([others, rows]).sort_values([*COLUMNS[:2]], kind="stable").to_csv(path, index=False, lineterminator="\n")
 
 
 if __name__ == "__main__":

@@ -59,11 +59,16 @@ SMALL_OPTIONS = {
     "training_optimisers.py": "1",
 }
 SMALL_SOURCE = {  # pattern: what stands in its place
+    "closed_loop_log.py": {
+        r"^SAMPLES, POLE,.*": "SAMPLES, POLE, GAIN, NOISE, DRIFT, SEEDS = 1200, 0.9, 3.0, 0.15, 0.95, 1",
+        r'^OVERRIDES = \("model=ssm"': 'OVERRIDES = ("model=ssm", "training.max_epochs=2"',
+    },
     "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
     "loop_margin.py": {
         r'"study=margin"': '"study=margin", "experiment=smoke", "loop.initial_conditions=2"',
         r"DesignGrid\(\)": "DesignGrid(designs=3)",
     },
+    "plants_error.py": {r"^CASES, SAMPLES, STEPS_S = .*": "CASES, SAMPLES, STEPS_S = 1, 40, (5e-4, 2.5e-4)"},
     "plants_mcap.py": {r"^SAMPLES, ROUNDS = .*": "SAMPLES, ROUNDS = 500, 1"},
     "plants_simulation.py": {
         r"^CASES, SAMPLES = .*": "CASES, SAMPLES = 2, 40",
@@ -93,7 +98,6 @@ ELSEWHERE = {  # what a test cannot have, by name
     "hydra/launcher=slurm": "needs a Slurm cluster",
     "hydra/launcher=ray": "needs a Ray cluster",
     "-m benchmarks.adversarial": "ten seconds a line; its table is committed",
-    "benchmarks/closed_loop_log.py": "a minute; its numbers stand beside it",
     "benchmarks/structured_plants.py": "minutes; its tables are committed",
     "synthesis_structured.py": "a second a model; its table is committed",
     "-m benchmarks.nonlinear_plants": "half a minute a line; its table is committed",

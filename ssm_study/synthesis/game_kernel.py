@@ -1,0 +1,274 @@
+"""The saddle point of the game Riccati equation and the gradient at it, compiled.
+
+Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one kind of array, few
+instances, a compiler that is done in seconds. A step that has no solution raises `LinAlgError`.
+
+Source: docs/theory.md, "With neurons" (`structured_riccati` has the equation); doubling: Chu, Fan, Lin & Wang 2004.
+"""
+
+from math import exp, log
+from typing import no_type_check
+
+import numpy as np
+
+from ssm_study.models.structured_kernel import compiled
+
+DOUBLINGS = 40
+CONVERGED = 1e-11
+
+
+@compiled
+@no_type_check
+def turned(a):
+    """`a'`."""
+    out = np.empty((a.shape[1], a.shape[0]))
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[j, i] = a[i, j]
+    return out
+
+
+@compiled
+@no_type_check
+def times(a, b):
+    """`a b`."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            each = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += each * b[k, j]
+    return out
+
+
+@compiled
+@no_type_check
+def plus(a, b, share):
+    """`a + share b`."""
+    out = np.empty(a.shape)
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j] + share * b[i, j]
+    return out
+
+
+@compiled
+@no_type_check
+def part(a, top, left, rows, columns):
+    """A block of a."""
+    out = np.empty((rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            out[i, j] = a[top + i, left + j]
+    return out
+
+
+@compiled
+@no_type_check
+def beside(a, b):
+    """`[a, b]`."""
+    out = np.empty((a.shape[0], a.shape[1] + b.shape[1]))
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i, j] = a[i, j]
+        for j in range(b.shape[1]):
+            out[i, a.shape[1] + j] = b[i, j]
+    return out
+
+
+@compiled
+@no_type_check
+def solved(a, b):
+    """`a^{-1} b` by elimination with partial pivots; raises for a singular a, or NaN."""
+    n, rows = len(a), beside(a, b)
+    width = rows.shape[1]
+    for i in range(n):
+        best = i
+        for j in range(i + 1, n):
+            if abs(rows[j, i]) > abs(rows[best, i]):
+                best = j
+        if not abs(rows[best, i]) > 0.0:
+            raise np.linalg.LinAlgError("singular")
+        for k in range(i, width):
+            rows[best, k], rows[i, k] = rows[i, k], rows[best, k]
+        for k in range(i + 1, width):
+            rows[i, k] /= rows[i, i]
+        for j in range(n):
+            for k in range(i + 1, width if j != i else 0):
+                rows[j, k] -= rows[j, i] * rows[i, k]
+    return part(rows, 0, n, n, width - n)
+
+
+@compiled
+@no_type_check
+def log_det(a):
+    """Of a positive definite a, by Cholesky's lower factor; raises for any other."""
+    n, total, lower = len(a), 0.0, np.zeros(a.shape)
+    for i in range(n):
+        for j in range(i + 1):
+            left = a[i, j]
+            for k in range(j):
+                left -= lower[i, k] * lower[j, k]
+            if i > j:
+                lower[i, j] = left / lower[j, j]
+        if not left > 0.0:  # and NaN
+            raise np.linalg.LinAlgError("not positive definite")
+        lower[i, i] = left**0.5
+        total += log(left)
+    return total
+
+
+@compiled
+@no_type_check
+def _grown(total, step):
+    """Adds the step, made symmetric; 1 where it no longer counts, -1 where the sum has no limit (or is NaN), else 0."""
+    largest = change = 0.0
+    for i in range(len(total)):
+        for j in range(i + 1):
+            middle = (step[i, j] + step[j, i]) / 2  # rounding must not make the sum unsymmetric
+            total[i, j] = total[j, i] = (total[i, j] + total[j, i]) / 2 + middle
+            if not abs(total[i, j]) < 1e200:  # and NaN, before a square overflows
+                return -1
+            largest, change = max(largest, abs(total[i, j])), max(change, abs(middle))
+    return 1 if change <= CONVERGED * largest else 0
+
+
+@compiled
+@no_type_check
+def doubled(a, g, h):
+    """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises where there is none. G and H are used up."""
+    n, ended = len(a), 0
+    for _ in range(DOUBLINGS):
+        # One elimination serves both: the closed-loop matrix, and what it adds to G.
+        both = solved(plus(np.eye(n), times(g, h), 1.0), beside(a, g))
+        left, right, across = part(both, 0, 0, n, n), part(both, 0, n, n, n), turned(a)
+        ended = _grown(h, times(times(across, h), left))
+        if ended:
+            break
+        _grown(g, times(times(a, right), across))
+        a = times(a, left)  # the closed-loop matrix is squared: after k steps 2^k samples are summed
+    if ended != 1:
+        raise np.linalg.LinAlgError("the doubling has no limit")
+    return h
+
+
+@compiled
+@no_type_check
+def summed(a, source):
+    """`P = a P a' + source`; raises unless a is stable. The source is used up."""
+    ended = 0
+    for _ in range(DOUBLINGS):
+        ended = _grown(source, times(times(a, source), turned(a)))
+        if ended:
+            break
+        a = times(a, a)  # Smith's squaring: as many terms again in each step
+    if ended != 1:
+        raise np.linalg.LinAlgError("not stable")
+    return source
+
+
+@compiled
+@no_type_check
+def _costs(f, moved, state_weight, input_weight, m, r, logs):
+    """`Q, R, S'` of the equation, inputs `(u, p, v)`, at these log multipliers."""
+    (q, n), inputs = f.shape, moved.shape[1]
+    bound = exp(logs[q]) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
+    rows = beside(moved, f)  # what drives each neuron, by (u, p, x)
+    weighted = np.empty(rows.shape)
+    for i in range(q):
+        for j in range(inputs + n):
+            weighted[i, j] = rows[i, j] * exp(logs[i]) / 2
+    every, own, s = times(turned(rows), weighted), np.zeros((inputs + q, inputs + q)), np.zeros((inputs + q, n))
+    for i in range(inputs):
+        for j in range(inputs):
+            own[i, j] = every[i, j] / r**2
+        for j in range(n):
+            s[i, j] = every[i, inputs + j] / r**2
+        own[i, i] += (input_weight + bound if i < m else -bound) / r**2
+    for i in range(q):  # |v_i| <= |z_i|, by Lambda
+        own[inputs + i, inputs + i] = -exp(logs[i]) / 2 / r**2
+    cost = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            cost[i, j] = (state_weight[i, j] + every[inputs + i, inputs + j]) / r**2
+    return cost, own, s
+
+
+@compiled
+@no_type_check
+def _constraint(h, m, inputs, injects):
+    """`T` with `T'H T < 0` the order of play: (p, v) after u; or, where the gain answers v, v, then u, then p."""
+    size = len(h)
+    t = np.zeros((size, size - m))
+    for i in range(m, size):
+        t[i, i - m] = 1.0
+    if injects:
+        log_det(part(h, 0, 0, m, m))
+        answered = solved(part(h, 0, 0, inputs, inputs), part(h, 0, inputs, inputs, size - inputs))
+        for i in range(inputs):
+            for j in range(size - inputs):
+                t[i, inputs - m + j] = -answered[i, j]
+    return t
+
+
+@compiled
+@no_type_check
+def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
+    """The goal's gradient, from the saddle point `(u, p, v)`, the loop's Gramian and `T (T'(-H)T)^{-1} T'`.
+
+    At a saddle point the players' own changes count only in second order: the multipliers act on the cost alone.
+    """
+    (q, n), inputs = f.shape, moved.shape[1]
+    z = plus(f, times(moved, part(saddle, 0, 0, inputs, n)), 1.0)  # what drives each neuron there
+    driven, played = times(z, reach), times(saddle, reach)
+    held, gradient = times(moved, part(shadow, 0, 0, inputs, inputs)), np.full(len(logs), barrier)
+    for i in range(q):
+        flow = barrier * -shadow[inputs + i, inputs + i]
+        for j in range(n):
+            flow += driven[i, j] * z[i, j] - played[inputs + i, j] * saddle[inputs + i, j]
+        for j in range(inputs):
+            flow += barrier * held[i, j] * moved[i, j]
+        gradient[i] += exp(logs[i]) * flow / 2 / r**2
+    if inputs > m:
+        size = 0.0
+        for i in range(inputs):
+            own = barrier * shadow[i, i]
+            for j in range(n):
+                own += played[i, j] * saddle[i, j]
+            size += own if i < m else -own
+        gradient[q] = exp(logs[q]) * size / r**2 + m * barrier
+    return gradient
+
+
+@compiled
+@no_type_check
+def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
+    """`goal, gradient, X, H = R + B'X B, B'X A + S'` at these log multipliers."""
+    (q, n), inputs = f.shape, moved.shape[1]
+    cost, own, s = _costs(f, moved, state_weight, input_weight, m, r, logs)
+    across = turned(b)
+    inverse = solved(own, beside(s, across))
+    first, second = part(inverse, 0, 0, inputs + q, n), part(inverse, 0, n, inputs + q, n)
+    x = doubled(plus(a, times(b, first), -1.0), times(b, second), plus(cost, times(turned(s), first), -1.0))
+    log_det(x)
+    into = times(across, x)
+    h, toward = plus(own, times(into, b), 1.0), plus(s, times(into, a), 1.0)
+    t = _constraint(h, m, inputs, injects)
+    room = times(turned(t), times(h, t))
+    for i in range(len(room)):  # the maximising players' curvature: positive, or no saddle exists
+        for j in range(len(room)):
+            room[i, j] = -room[i, j]
+    trace, known = 0.0, 0.0
+    for i in range(n):
+        trace += x[i, i]
+    for i in range(len(logs)):
+        known += logs[i] if i < q else m * logs[i]
+    goal = log(trace) - barrier * (log_det(room) - known)
+    saddle = solved(h, toward)
+    for i in range(len(saddle)):
+        for j in range(n):
+            saddle[i, j] = -saddle[i, j]
+    shadow = times(t, solved(room, turned(t)))  # T (T'(-H)T)^{-1} T'
+    source = plus(np.eye(n) / trace, times(times(b, shadow), across), barrier)
+    reach = summed(plus(a, times(b, saddle), 1.0), source)
+    return goal, _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow), x, h, toward
