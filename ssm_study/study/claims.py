@@ -24,15 +24,15 @@ from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_facts, withheld
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
-from ssm_study.loop.rollout import Rollouts, replay_error
+from ssm_study.loop.rollout import replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import DataSet, Trajectory, input_limits
+from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import trials
 from ssm_study.study.labels import mislabelled
 from ssm_study.study.line import STUDY
-from ssm_study.study.recordings import NOISE_FREE, TRIALS, read_experiment
-from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line
+from ssm_study.study.recordings import NOISE_FREE, TRIALS, of_records, of_rollouts, read_experiment
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.synthesis.commanded import measured
@@ -42,9 +42,11 @@ from ssm_study.synthesis.theorem import Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME
+from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
 
 READ = frozenset({".csv", ".json", ".mcap"})  # the kinds of file that somebody reads as a run's
+MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them anew"
 NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 
@@ -100,6 +102,7 @@ def files(run: RunFiles) -> Claims:
         "no stage of such a run writes it": sums.keys() - made,
     }.items():
         yield from (Checked(claim=name, holds=False, found=found) for name in sorted(names))
+    yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     yield NotChecked(dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"})
     if run.specification.loop.comparison is not None:
@@ -110,6 +113,10 @@ def requested(run: RunFiles) -> Claims:
     """The settings are those of the configuration, and the run's name is its hash."""
     name, hashed = str(run.config.run), run_name(run.config)  # what a name shows before its hash is the user's choice
     yield Derived({"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"})
+    study, folder = run.path.absolute().parent, run.path.absolute().name
+    alone = folder == name or not ((study / PARQUET).exists() or (study / name).exists())
+    told = "stands once" if alone else f"counts as one more run of its study: delete it, or name it {name}"
+    yield Checked(claim="folder", holds=alone, found=f"{folder} {told}")
     asked = STUDY.parameters(run.specification)
     # The record holds the rates of the design, which the theorem may have chosen itself.
     designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()
@@ -172,22 +179,19 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
 
 
-def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
-    """The signals of two sets of records, and their sampling times, side by side."""
-    pairs: dict[str, tuple[Any, Any]] = {"records": (len(kept), len(made))}
-    for i, (one, other) in enumerate(zip(kept, made, strict=False)):
-        pairs |= {
-            f"{name} {i}": (getattr(one, name), getattr(other, name)) for name in ("u", "y", "step_s", "closed_loop")
-        }
-    return pairs
-
-
 def model(run: RunFiles) -> Claims:
     """What is proved of the stored model, and that it runs at the records' sampling time."""
     if run.claims_certificate:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
     steps = run.model.step_s, run.simulated.validation.records[0].step_s
     yield agreement("model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records")
+    yield entries(run, "model.json", run.model)
+
+
+def entries(run: RunFiles, file: str, read: Any) -> Checked:
+    """Whether the file says nothing but what is read from it."""
+    extra = unknown(run.stored(file), read.to_json())
+    return Checked(claim=f"{file} entries", holds=not extra, found=f"unknown: {', '.join(extra)}" if extra else "known")
 
 
 def certificate(run: RunFiles) -> Claims:
@@ -196,6 +200,7 @@ def certificate(run: RunFiles) -> Claims:
     balls, feedback = certified_balls(run.model), run.design.state_feedback
     controlled = controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
     broken = broken_claims(run.certificate, system, balls, controlled)
+    yield entries(run, "certificate.json", design)
     for label, part in design.content.items():
         wrong = [sentence for sentence in broken if re.match(rf"{label}\b", sentence)] + information(part)
         if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -265,14 +270,6 @@ def loop(run: RunFiles) -> Claims:
     for name, stored, made in (on_model, (NOISE_FREE, kept.noise_free, again.noise_free)):
         if stored is not None or made is not None:
             yield agreement(name, of_rollouts(stored, made), ITERATED, "stored model and gains give it")
-
-
-def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """The signals of two sets of closed loops side by side; those that left their bound count up to there."""
-    if kept is None or made is None:
-        return {"recording": (kept is not None, made is not None)}
-    names = ("step_s", "reference", "u", "y", "measured", "estimate", "states", "bound", "left_at_sample")
-    return {name: (getattr(kept, name), getattr(made, name)) for name in names}
 
 
 def agreement(claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str) -> Checked:

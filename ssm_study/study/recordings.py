@@ -203,3 +203,21 @@ def signal(case: Case, name: str, path: Path) -> SignalGroup:
 def stacked(cases: list[Case], name: str, path: Path) -> Float[np.ndarray, "N T c"]:
     """One signal of all cases; raises `BadRequest` if one of them lacks it."""
     return np.stack([signal(case, name, path).values for case in cases])
+
+
+def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
+    """The signals of two sets of records, and their sampling times, side by side."""
+    pairs: dict[str, tuple[Any, Any]] = {"records": (len(kept), len(made))}
+    for i, (one, other) in enumerate(zip(kept, made, strict=False)):
+        pairs |= {
+            f"{name} {i}": (getattr(one, name), getattr(other, name)) for name in ("u", "y", "step_s", "closed_loop")
+        }
+    return pairs
+
+
+def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
+    """The signals of two sets of closed loops side by side; those that left their bound count up to there."""
+    if kept is None or made is None:
+        return {"recording": (kept is not None, made is not None)}
+    names = ("step_s", "reference", "u", "y", "measured", "estimate", "states", "bound", "left_at_sample")
+    return {name: (getattr(kept, name), getattr(made, name)) for name in names}

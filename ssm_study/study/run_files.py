@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -80,12 +80,15 @@ class RunFiles:
         shown = mismatch(self.model, self.data.validation, self.data.start_up_samples, self.data.trials)
         return judge(self.data, self.model, self.simulated.validation, self.simulated.test, shown)
 
-    @cached_property
-    def certificate(self) -> dict[str, Any]:
-        name = "certificate.json"
-        content = json.loads(contents(self.path / name), object_pairs_hook=said_once)
+    def stored(self, name: str) -> dict[str, Any]:
+        """The object in a file of the run, each of its keys said once."""
+        content = json.loads(contents(self.path / name), object_pairs_hook=partial(said_once, name))
         require(isinstance(content, dict), name, type(content).__name__, "is no object", "run the study again")
         return dict(content)
+
+    @cached_property
+    def certificate(self) -> dict[str, Any]:
+        return self.stored("certificate.json")
 
     @cached_property
     def design(self) -> Design:
@@ -134,12 +137,23 @@ class RunFiles:
         return self.claims_certificate and self.design.feasible
 
 
-def said_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """The object; `BadRequest` where a key stands twice, for one reader takes the first and another the last."""
     keys = [key for key, _ in pairs]
     twice = next((key for key in keys if keys.count(key) > 1), None)
-    require(twice is None, "certificate.json", twice, "stands twice in one object", "run the study again")
+    require(twice is None, file, twice, "stands twice in one object", "run the study again")
     return dict(pairs)
+
+
+def unknown(stored: Any, written: Any, at: str = "") -> list[str]:
+    """Entries of a stored object that its reader does not write, by their dotted paths: nobody checks them."""
+    if isinstance(stored, list) and isinstance(written, list):
+        return [path for pair in zip(stored, written, strict=False) for path in unknown(*pair, at)]
+    found = []
+    for name, value in stored.items() if isinstance(stored, dict) else ():
+        known = isinstance(written, dict) and name in written
+        found += unknown(value, written[name], f"{at}{name}.") if known else [f"{at}{name}"]
+    return found
 
 
 def one_line(error: BaseException) -> str:

@@ -122,7 +122,7 @@ def judge(
     column = declared(name)
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
-    if record.get(name) is None:
+    if record.get(name) is None and column:
         return ""
     if reason := unchecked.get(name) or (column.unchecked if column else ""):
         return reason

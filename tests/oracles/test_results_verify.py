@@ -13,11 +13,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap, write_mcap
+from ssm_study.engine.durable import sealed, sha256_of_file, unsealed, write_json_atomically
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
@@ -32,6 +34,7 @@ from ssm_study.synthesis.certificate import digest
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.table.columns import declared
+from ssm_study.table.gather import MARKS, gather
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
 ONE_FORMULA, DECOMPOSED, ITERATED = 1e-9, 1e-6, 1e-6
@@ -86,7 +89,16 @@ REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_l
              "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source",
              "loop_on", "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
-    *("files", "certificate limits", "evidence.json", "model.json step_s", "excitation.mcap"),
+    *(
+        "files",
+        "folder",
+        "certificate limits",
+        "certificate.json entries",
+        "model.json entries",
+        "evidence.json",
+        "model.json step_s",
+        "excitation.mcap",
+    ),
     *("trials.mcap records", "closed_loop.mcap loop_on"),
     *(f"{name}.mcap {what}" for name in ("validation", "test") for what in ("records", "/simulated")),
     *("closed_loop.mcap", "closed_loop.mcap input", "closed_loop_model.mcap"),
@@ -135,7 +147,7 @@ def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(smoke_run:
     """A claim added to `verify` has to be shown to be able to fail."""
     verified = verify(smoke_run)
     claims = {finding.claim for finding in verified}
-    certificates = {claim for claim in claims if claim.startswith("certificate.")}
+    certificates = {claim for claim in claims if claim.startswith("certificate.") and claim not in FILES}
     assert verified.holds
     assert len(certificates) == 8
     assert claims - certificates == {*NUMBERS, *COUNTS, *WORDS, *ABSENT, *REQUESTED, *FILES}
@@ -308,10 +320,21 @@ def sooner(group: Any) -> Any:
     return replace(group, time_s=group.time_s / 2)
 
 
-def lie_twice(run: Path) -> None:
+def lie_twice(run: Path, file: str = "certificate.json", key: str = '"rate":') -> None:
     """Who reads the first of two equal keys sees another rate than who reads the last."""
-    path = run / "certificate.json"
-    path.write_text(path.read_text().replace('"rate":', '"rate": 0.99, "rate":', 1))
+    path = run / file
+    path.write_text(path.read_text().replace(key, f"{key} 0.99, {key}", 1))
+    sealed_anew(run)
+
+
+def lie_beside(run: Path) -> None:
+    """Where no reader looks."""
+
+    def change(content: dict[str, Any]) -> None:
+        part = content["observer_deployed"] | {"certified_rate": 0.99}
+        content["observer_deployed"] = part | {"digest": digest(part)}
+
+    edited(run / "certificate.json", change)
     sealed_anew(run)
 
 
@@ -336,8 +359,8 @@ def invented(run: Path, seal: bool) -> None:
     sealed_anew(run) if seal else None
 
 
-def lie_about_step(run: Path) -> None:
-    edited(run / "model.json", lambda model: model.update(step_s=0.02))
+def lie_about_model(run: Path, **entries: Any) -> None:
+    edited(run / "model.json", lambda model: model.update(entries))
     sealed_anew(run)
 
 
@@ -347,7 +370,7 @@ MODEL_LOOP = "closed_loop_model.mcap"
 # Each: a consistent lie about one thing, sealed anew, and a claim that has to name it.
 LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "infeasible, with 4 of 4 settled": (lambda run: sealed_anew(run, status="infeasible"), "status"),
-    "sampling time of the model": (lie_about_step, "model.json step_s"),
+    "sampling time of the model": (lambda run: lie_about_model(run, step_s=0.02), "model.json step_s"),
     "true output at rest sooner": (lambda run: lie_about_loop(run, "/output"), "closed_loop.mcap"),
     "slower without control": (lambda run: lie_about_loop(run, "/case_0/uncontrolled"), "closed_loop.mcap"),
     "smaller inputs": (lambda run: lie_about_loop(run, "/input"), "closed_loop.mcap input"),
@@ -360,6 +383,10 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "another plant": (lambda run: lie_about_labels(run, "closed_loop.mcap", plant="Rig"), "closed_loop.mcap labels"),
     "a note": (lambda run: lie_about_labels(run, "excitation.mcap", on="the machine"), "excitation.mcap labels"),
     "a rate said twice": (lie_twice, "certificate"),
+    "a key of the model said twice": (lambda run: lie_twice(run, "model.json", '"step_s":'), "model"),
+    "a word in the model": (lambda run: lie_about_model(run, quality="high"), "model.json entries"),
+    "a rate beside the certificate": (lie_beside, "certificate.json entries"),
+    "an empty column": (lambda run: sealed_anew(run, quality=None), "quality"),
     "validation record": (lambda run: lie_about_record(run, "validation.mcap"), "validation.mcap records"),
     "test record": (lambda run: lie_about_record(run, "test.mcap"), "test.mcap records"),
     "excitation": (lie_about_excitation, "excitation.mcap"),
@@ -382,9 +409,33 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_a_consistent_lie_is_named(lie: str, copied_run: Path) -> None:
     tell, claim = LIES[lie]
     tell(copied_run)
-    findings = {finding.claim: finding for finding in verify(copied_run)}
-    assert findings["files"].holds  # the seals are in order
-    assert any(name.startswith(claim) and not finding.holds for name, finding in findings.items())
+    missed = failing(copied_run)
+    assert "files" not in missed  # the seals are in order
+    assert any(name.startswith(claim) for name in missed)
+
+
+def test_a_copy_of_a_run_in_its_study_is_named_and_one_saved_elsewhere_is_not(copied_run: Path) -> None:
+    """It would be one more row of the table."""
+    copy = shutil.copytree(copied_run, copied_run.with_name("copy"))
+    assert failing(copied_run) == set()
+    assert failing(copy) == {"folder"}
+    shutil.rmtree(copied_run)
+    assert failing(copy) == set()
+    gather(copy.parent)
+    assert failing(copy) == {"folder"}
+
+
+def test_the_command_gathers_anew_whatever_table_lies_there(copied_run: Path) -> None:
+    """A table with another number, sealed as a true one is."""
+    study = copied_run.parent
+    true = gather(study)
+    true.assign(fit_test_percent=99.9).to_parquet(study / "runs.parquet", index=False)
+    index = unsealed((study / MARKS).read_bytes()) or {}
+    sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
+    write_json_atomically(study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums))
+    assert gather(study)["fit_test_percent"].item() == 99.9
+    assert main(["gather", str(study)]) == 0
+    pd.testing.assert_frame_equal(gather(study), true)
 
 
 def test_a_run_of_somebodys_parts_is_refused_with_the_option_that_trusts_them(copied_run: Path) -> None:
