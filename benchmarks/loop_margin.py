@@ -3,11 +3,13 @@
     python benchmarks/loop_margin.py run --plant dc_motor --order 4 8 12 --seed 0 1 2 --to margin_dc_motor.csv
     python benchmarks/loop_margin.py pool margin_*.csv --to results/reference/loop
     python benchmarks/loop_margin.py draw results/reference/loop
+    python benchmarks/loop_margin.py study results/fit_versus_stability --to results/reference/loop
 
 `run` identifies one model per (plant, order, seed), draws 150 certified designs and closes each on the plant ten times
 (`ssm_study.loop.design_grid`); models already in the file are skipped. `pool` writes ROC and confusion table,
 hindsight, exceptions and the designs that `draw` draws, beside the figures of `peers.csv` and `robustness.csv`.
-The same tables come from `ssm-study run -m experiment=fit_versus_stability`, with everything else a run records.
+`ssm-study run -m experiment=fit_versus_stability` makes such designs with everything else a run records; `study` counts
+what the runs predicted of them, and what became of these.
 """
 
 import argparse
@@ -21,6 +23,7 @@ from hydra import compose, initialize_config_dir
 from loop_margin_figures import NEEDED, roc, settling
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.engine.records import read_record
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import free_run
@@ -100,19 +103,23 @@ def area_under_roc(score: pd.Series, good: pd.Series) -> float:
     return float((ranks[good].sum() - positives * (positives + 1) / 2) / (positives * negatives))
 
 
+def ordered(table: pd.DataFrame) -> pd.Series:
+    """The margins' ranks, every unstable controller below the rest."""
+    return table.resolved_margin.rank() - len(table) * ~stable(table)
+
+
 def summary(table: pd.DataFrame) -> dict:
     """One group of designs as one row: areas under the ROC curve, and for each rule what it admits and leaves out."""
     kind = outcome(table)
     settled = kind == "settled"
     admitted = {name: rule(table) for name, rule in RULES.items()}
-    ordered = table.resolved_margin.rank() - len(table) * ~stable(table)  # every unstable controller below the rest
     return {
         "models": table[["plant", "order", "seed"]].drop_duplicates().shape[0],
         "designs": len(table),
         "roc_settled": area_under_roc(table.mismatch_margin, settled),
         "roc_not_lost": area_under_roc(table.mismatch_margin, kind != "lost"),
         "roc_resolved_settled": area_under_roc(table.resolved_margin, settled),
-        "roc_resolved_stable_settled": area_under_roc(ordered, settled),
+        "roc_resolved_stable_settled": area_under_roc(ordered(table), settled),
         **{f"{kind_}": int((kind == kind_).sum()) for kind_ in ("settled", "noisy", "slow", "lost")},
         **{f"{name}_settled": int((inside & settled).sum()) for name, inside in admitted.items()},
         **{f"{name}_not": int((inside & ~settled).sum()) for name, inside in admitted.items()},
@@ -167,6 +174,21 @@ def pool(arguments: argparse.Namespace) -> None:
         content.to_csv(to / name, index=False, float_format="%.4g", compression=packed)
 
 
+def study(arguments: argparse.Namespace) -> None:
+    """One row for all plants and one for each: designs of the runs' comparisons by what was predicted and happened."""
+    tables = []
+    for path in sorted(Path(arguments.folder).glob("*/comparison.csv")):
+        tables.append(pd.read_csv(path).assign(plant=read_record(path.parent)["plant"], run=path.parent.name))
+    table = pd.concat(tables, ignore_index=True)
+    rows = []
+    for plant, own in [("all", table), *table.groupby("plant")]:
+        counts = pd.crosstab(own.predicted_stable.map({True: "predicted", False: "other"}), outcome(own))
+        told = {f"{said}_{kind}": int(counts[kind][said]) for said in counts.index for kind in counts}
+        area = area_under_roc(ordered(own), outcome(own) == "settled")
+        rows.append({"plant": plant, "models": own.run.nunique(), "designs": len(own), "roc": area, **told})
+    pd.DataFrame(rows).fillna(0).to_csv(Path(arguments.to) / "margin_study.csv", index=False, float_format="%.4g")
+
+
 def _of(comparison: pd.DataFrame) -> StudyFolder:
     """A study of which only this table is known."""
     study = StudyFolder(folder=Path())
@@ -205,6 +227,10 @@ def main() -> None:
     three = commands.add_parser("draw")
     three.add_argument("folder")
     three.set_defaults(act=draw)
+    four = commands.add_parser("study")
+    four.add_argument("folder")
+    four.add_argument("--to", required=True)
+    four.set_defaults(act=study)
     arguments = parser.parse_args()
     arguments.act(arguments)
 
