@@ -244,7 +244,7 @@ def written(path: Path, form: tuple[int, bool], done: Soak) -> None:
     counts = {**dict(sorted(done.counts.items())), "studies finished and equal": done.rounds}
     rows = pd.DataFrame([(*form, what, number) for what, number in counts.items()], columns=COLUMNS)
     others = pd.read_csv(path) if path.is_file() else rows[:0]
-    others = others[(others[[*COLUMNS[:2]]] != form).any(axis=1)]
+    others = others[(others.sweeps_at_once != form[0]) | (others.damage != form[1])]
     pd.concat([others, rows]).sort_values([*COLUMNS[:2]], kind="stable").to_csv(path, index=False, lineterminator="\n")
 
 

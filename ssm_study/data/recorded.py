@@ -77,7 +77,8 @@ class RecordedData(Columns, AroundRest):
     `time` name columns. `test_path` (and `test_output_path`) give separate test logs, and nothing is then cut for the
     test. Of logs made in a closed loop `reference` names the columns of the set point, or `controller` the PI, by its
     gain (input per output) and integral time (s): the input is then what the set point makes of it (`closed_loop`).
-    The rests of whole logs are `trials` (`splits.returns`).
+    The rests of whole logs are `trials` (`splits.returns`), and so are repeated periods where every log is made of such
+    (`splits.repeats`), although they train, too.
     """
 
     path: Names
@@ -146,7 +147,9 @@ class RecordedData(Columns, AroundRest):
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         found = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
-        return replace(found, trials=tuple(piece for log in logs for piece in splits.returns(log)))
+        repeated = [splits.repeats(log, self.start_up_samples) for log in logs]
+        kept = [*map(splits.returns, logs), *(repeated if all(repeated) else [])]
+        return replace(found, trials=tuple(piece for pieces in kept for piece in pieces))
 
     def _logs(self, field: str, outputs: str) -> list[Trajectory]:
         """Every log; two files of which one has the inputs and the other the outputs are one log."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectory
+from ssm_study.signals import Trajectory, repetition
 
 Pieces = tuple[list[Trajectory], list[Trajectory], list[Trajectory]]
 Intervals = Sequence[list[float]]
@@ -65,11 +65,28 @@ def returns(record: Trajectory) -> list[Trajectory]:
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence; no fit uses it.
     """
+    return [record[a:b] for a, b in _rests(record)]
+
+
+def repeats(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
+    """The stretches between such rests, half of the rest before and all behind, if the input of each repeats itself.
+
+    `ssm-study excite` writes one for each amplitude: what its second period does not repeat is noise. Nothing of a log
+    that moves otherwise, too: a few equal pulses would stand for all that it shows.
+    """
+    rests = _rests(record, first=True)
+    between = [record[(a + b) // 2 : end] for (a, b), (_, end) in pairwise(rests)]
+    whole = bool(rests) and rests[0][0] == 0 and all(repetition(piece.u[start_up_samples:]) for piece in between)
+    return between if whole else []
+
+
+def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
+    """Where the input is that at which the record ends, from the sample before; `first`: at its beginning, too."""
     moved = np.flatnonzero((record.u != record.u[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
         return []
-    least = (len(record) - moved[-1]) / 2
-    return [record[a:b] for a, b in pairwise([*moved, len(record)]) if b - a > least]
+    least, ends = (len(record) - moved[-1]) / 2, [*[-1] * first, *moved.tolist(), len(record)]
+    return [(max(a, 0), b) for a, b in pairwise(ends) if b - a > least]
 
 
 def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:

@@ -1,6 +1,7 @@
 """What `verify` goes by: the files of a run folder, each read once, and the parts that its configuration describes."""
 
 import json
+from contextlib import chdir
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from ssm_study.engine.durable import contents
 from ssm_study.evidence.judgement import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.recordings import read_cases, read_trials, signal
@@ -53,7 +54,21 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Simulated or read anew."""
+        """Simulated or read anew: paths are relative to where the run was made, or to where the command is given."""
+        try:
+            with chdir(self.made_in):
+                return self._data()
+        except BadRequest:
+            return self._data()
+
+    @property
+    def made_in(self) -> Path:
+        """The folder that `results_dir` of the configuration is relative to; the present one if it lies elsewhere."""
+        below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
+        whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
+        return Path(whole) if whole and not after else Path()
+
+    def _data(self) -> DataSet:
         spec, real = self.specification, getattr(self.specification.plant, "real", False)
         require(not real, "plant", type(spec.plant).__name__, "is a device, which is not run again", "keep its records")
         build: Any = spec.data.build

@@ -77,7 +77,7 @@ def verify(run: Path) -> Verification:
         return Verification(findings=(damaged,), unchecked={})
     remedy = "give a run that is ok or infeasible"
     require(state in (OK, INFEASIBLE), "run", run, f"its status is {state}, so it claims nothing yet", remedy)
-    return _judged(RunFiles(path=run, record=record))
+    return _judged(RunFiles(path=run.absolute(), record=record))
 
 
 def _judged(run: RunFiles) -> Verification:

@@ -1,17 +1,25 @@
 """`ssm-study excite`: what it promises of the input holds of the file, for any limits."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.cli.main import main
 from ssm_study.data.excitations.own_plant import AMPLITUDES, PERIOD_IN_SETTLINGS, PERIODS, OwnPlantRecord
+from ssm_study.data.recorded import RecordedData
+from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import DataSet, Scale
 from ssm_study.study.run_files import RunFiles
+from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.synthesis.rest import is_return
+from ssm_study.systems import StateSpace
 
 LEVEL = st.floats(-1e3, 1e3)
 
@@ -36,6 +44,35 @@ def test_the_signal(lower: float, width: float, share: float, step_s: float, sam
         assert len(np.unique(first)) > 30
         reaches.append(np.abs(first - rest).max())
     assert reaches == sorted(reaches, reverse=True)
+
+
+def log_of(folder: Path, *more: float) -> DataSet:
+    """The log of a lag driven by the record, with noise; `more` inputs follow before the last rest."""
+    own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0)
+    u = np.concatenate([own.signal(), np.repeat(more, 10), np.full(60 * bool(more), 1.0)])
+    y = scipy.signal.lfilter([0, 0.2], [1, -0.8], u - 1) + 0.05 * np.random.default_rng(0).standard_normal(len(u))
+    pd.DataFrame({"u": u, "y": y}).to_csv(folder / "log.csv", index=False)
+    read = {"path": str(folder / "log.csv"), "input": "u", "output": "y", "step_s": 0.1, "start_up_samples": 20}
+    return RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0]).build(0)
+
+
+def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(tmp_path: Path) -> None:
+    """A model with three quarters of the gain misses a third of its own output, whatever the noise."""
+    data = log_of(tmp_path)
+    linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.15]]), c=np.eye(1), d=np.zeros((1, 1)))
+    unit = replace(Scale.unit(1, 1), input_equilibrium=np.ones(1))
+    shown = mismatch(SSM.of(linear, 0.1, unit), data.validation, data.start_up_samples, data.trials)
+    assert len(shown.views) == len(AMPLITUDES)
+    amplitudes = [view.amplitude for view in shown.views]
+    np.testing.assert_allclose(np.divide(amplitudes, amplitudes[-1]), sorted(AMPLITUDES), rtol=0.25)
+    for view in shown.views:
+        np.testing.assert_allclose(np.abs(view.linear[1:5]), 1 / 3, rtol=0.15)
+    assert shown.rests
+
+
+def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None:
+    kept = [trial for trial in log_of(tmp_path, 0.5, 2.0, 1.5).trials if not is_return(trial)]
+    assert kept == []
 
 
 def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

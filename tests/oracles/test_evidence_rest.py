@@ -156,7 +156,10 @@ def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, sti
 
 
 def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
-    log, shown, _ = fitted_log(tmp_path, EXCITED, answer(EXCITED))
+    """The first amplitude does not repeat itself, so the log is not made of repeated periods alone."""
+    excited = EXCITED.copy()
+    excited[120:1000] *= np.linspace(0.9, 0.8, 880)
+    log, shown, _ = fitted_log(tmp_path, excited, answer(excited))
     assert len(log.data.trials) == 3
     alone = mismatch(log.model, log.data.validation, 20)
     assert (shown.gain, shown.spread, len(shown.views)) == (alone.gain, alone.spread, len(alone.views))

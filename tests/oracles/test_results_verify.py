@@ -19,6 +19,7 @@ import pytest
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap, write_mcap
+from ssm_study.data.recorded import RecordedData
 from ssm_study.engine.durable import sealed, sha256_of_file, unsealed, write_json_atomically
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
@@ -460,6 +461,25 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
     told = {"predicted_stable": True}
     assert "cannot be read" in judge("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
     assert compared("predicted_stable", True, True).holds
+
+
+@pytest.mark.parametrize("place", ["where the run was made", "where the command is given"])
+def test_a_log_is_found_from_another_folder(place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`data.path=log.csv` was meant where the run was made; a run that was moved has its log where one works."""
+    made, elsewhere = tmp_path / "made", tmp_path / "elsewhere"
+    run = made / "results" / "mine" / "order2"
+    (run / ".hydra").mkdir(parents=True)
+    (run / ".hydra" / "config.yaml").write_text("results_dir: results\nstudy: mine\nrun: order2\n")
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    u = np.random.default_rng(0).standard_normal(200)
+    log = (made if "was made" in place else elsewhere) / "log.csv"
+    pd.DataFrame({"u": u, "y": np.cumsum(u)}).to_csv(log, index=False)
+    source = RecordedData(path="log.csv", input="u", output="y", step_s=0.1)
+    files = RunFiles(path=run, record={})
+    vars(files)["specification"] = SimpleNamespace(plant=None, seed=0, refine=None, data=source)
+    assert sum(map(len, (*files.data.training, *files.data.validation, *files.data.test))) == 200
+    assert Path.cwd() == elsewhere
 
 
 def test_sealing_anew_alone_is_no_lie(copied_run: Path) -> None:
