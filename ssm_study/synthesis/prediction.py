@@ -1,8 +1,7 @@
 """Will a certified design be stable on the plant? What its loop tolerates against the mismatch that the records show.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue` (`synthesis.sensitivity`).
-At each amplitude on record (`synthesis.mismatch`) one of two conditions must hold, at every slope of the scaffoldings
-that a swing of this amplitude meets (`_tested`):
+At each amplitude on record (`synthesis.mismatch`) one of two conditions must hold, at every slope of the scaffoldings:
 
     small gain      max_w g(w) sigma_max(T_ue(w)) < 1
     with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    M = s_u s_y G T_ue
@@ -24,7 +23,7 @@ predicted to settle the plant when it exceeds one and its controller is stable: 
 Source: docs/theory.md, "Small gain for the plant"; docs/trust.md for the phase and what was measured.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -34,12 +33,10 @@ from ssm_study.models.structured import Model
 from ssm_study.synthesis import sensitivity as loops
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.sensitivity import frequency_response
-from ssm_study.systems import Balls, JacobianBall, Pair
+from ssm_study.systems import Balls, Pair
 
 HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time
 MIXTURES = (0.25, 0.5, 0.75)  # shares of the larger of two neighbouring amplitudes
-SECANTS = 401  # points of S_u between which its slopes are taken
-MUCH = 0.95  # of the ball's radius: slopes that fill as much are not told from all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +80,7 @@ def worst(
         return float("inf")
     integrates = bool((np.diagonal(pair.modes) == 1).any())
     largest, grid = 0.0, loops.FINE_ANGLES if shared is None else shared.angles
-    tested = ((end, part) for met, part in _tested(model, balls, shown) for end in loops.ends(model.system, pair, met))
-    for (linear, own, *slope), part in tested:
+    for linear, own, *slope in loops.ends(model.system, pair, balls):
         loop = loops.sensitivity(linear, own, *slope)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
@@ -105,27 +101,10 @@ def worst(
         parts = _Loop(angles=angles, size=loops.sizes(answer), through=through, integrates=integrates)
         at_rest = np.eye(len(open_loop[0])) + slope[0] * slope[1] * open_loop[0] @ answer[0]
         left = shown.offset * float(np.linalg.norm(at_rest, 2))
-        largest = max(largest, left, _over_views(part, parts))
+        largest = max(largest, left, _over_views(shown, parts))
         if largest >= refused:
             break
     return largest
-
-
-def _tested(model: Model, balls: Balls, shown: Mismatch) -> list[tuple[Balls, Mismatch]]:
-    """Which views are tested at which slopes: the two largest, and what trials in closed loop show, at all.
-
-    The smaller ones, up to the second largest, speak of loops that swing no wider than its sinusoid, whose peak is
-    `sqrt(2)` times its root mean square: of one S_u they meet the slopes within it, not those at an actuator's limit.
-    """
-    if len(shown.views) < 3 or model.scaffold_in.inputs > 1:
-        return [(balls, shown)]
-    within = np.sqrt(2) * shown.views[-2].amplitude * np.linspace(-1, 1, SECANTS)[:, None]
-    ball, secants = balls.input, np.diff(model.scaffold_in(within)[:, 0]) / np.diff(within[:, 0])
-    met = JacobianBall.from_slopes(*np.clip((secants.min(), secants.max()), ball.lower, ball.upper).tolist())
-    if met.beta >= MUCH * ball.beta:
-        return [(balls, shown)]
-    large, small = replace(shown, views=shown.views[-2:]), replace(shown, views=shown.views[:-1], loop=None)
-    return [(balls, large), (replace(balls, input=met), small)]
 
 
 @dataclass(frozen=True, kw_only=True)
