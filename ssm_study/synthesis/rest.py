@@ -41,7 +41,7 @@ def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tup
         centred = not np.frombuffer(level).any()
         long = [y for y in outputs if len(y) >= max(RESPONSES * response, FEWEST)]
         moves, apart = [swing(y) for y in long or outputs], _apart(long or outputs, centred=centred)
-        if long or (max((*moves, *apart)) < AT_REST and min(len(y) for y in outputs) >= FEWEST and _far(outputs)):
+        if long or (max((*moves, *apart)) < AT_REST and _far(outputs)):
             still += [one for one in moves if one >= AT_REST or apart]
             offsets += [off for off in apart if off > AT_REST]
     return still, offsets
@@ -49,8 +49,7 @@ def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tup
 
 def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
     """How far a return ends from the mean of the others at its input, output scales, if none still moves there."""
-    groups = (outputs for outputs in _by_input(scale, records).values() if min(map(len, outputs)) >= FEWEST)
-    still = (outputs for outputs in groups if max(map(swing, outputs)) < AT_REST)
+    still = (outputs for outputs in _by_input(scale, records).values() if max(map(swing, outputs)) < AT_REST)
     return max((off for outputs in still for off in _apart(outputs, centred=False)), default=0.0)
 
 

@@ -241,6 +241,14 @@ def test_sizes_are_chosen_by_folds_that_never_hold_a_test_sample(
     np.testing.assert_array_equal(again, np.sort(data.training[0].y, axis=0))
 
 
+def test_of_sizes_that_fit_nearly_as_well_the_fewest_states_and_neurons_together_are_taken() -> None:
+    fits = {(2, 1): 98.0, (3, 2): 98.9, (3, 4): 98.9, (4, 2): 98.8, (4, 4): 99.0}
+    table = [
+        {"order": n, "neurons": q, "input_path": "none", structured_choice.FIT: fit} for (n, q), fit in fits.items()
+    ]
+    assert structured_choice.smallest(table) == table[1]
+
+
 def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(data: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(structured_choice, "STEPS", 1)
     monkeypatch.setattr(structured_choice, "mean_fit", lambda *_: -300.0)

@@ -86,6 +86,14 @@ def test_a_record_that_noise_hides_is_a_doubt_and_a_good_one_is_none():
     assert findings(case(WHITE, answer(WHITE))) == []
 
 
+def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain():
+    """`|0.1 / (exp(j w) - 0.9)|` at steps of pi / 125 from the first on: pieces of 250 samples, of 0.1 s."""
+    angles, gain = scipy.signal.freqz([0.1], [1, -0.9], np.linspace(0, np.pi, 126)[1:])
+    ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
+    (said,) = (found.sentence for found in findings(case(WHITE, answer(WHITE, noise=3.0))) if "band" in found.sentence)
+    assert f"of the band up to {ends_hz:.3g} Hz that" in said
+
+
 def test_pieces_shorter_than_the_model_s_response_say_nothing():
     """What outlasts a piece counts as noise in it: pieces of 250 samples, a response of 460."""
     hidden = case(WHITE, answer(WHITE, noise=1.0))

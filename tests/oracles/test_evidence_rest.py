@@ -143,6 +143,16 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     assert offsets == []
 
 
+@pytest.mark.parametrize(("start", "said"), [(0.0, [0.0, 0.0]), (1.0, [])])
+def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
+    """Two short returns at another input than the equilibrium's, where the output rests at one."""
+    y = np.where(np.arange(41) < 2, start, 1.0)[:, None]
+    record = Trajectory(u=1.0 + np.eye(41, 1), y=y, step_s=0.1)
+    still, offsets = after_returns(Scale.unit(1, 1), [record, record], 1000)
+    assert still == pytest.approx(said)
+    assert offsets == []
+
+
 @pytest.mark.parametrize("stick", [0.0, 0.3])
 def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, stick):
     """A slow model makes them short; a valve that sticks leaves each elsewhere, and the log was called sound."""
