@@ -116,8 +116,8 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
     local.update_parameters(timeout_min=10)
     local._executor.max_num_timeout = 1
     running = local.submit(Requeued(), tmp_path)
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "begun").exists():
+    begun, deadline = tmp_path / "begun", time.monotonic() + 60
+    while not (begun.exists() and begun.read_text()):  # there before it is written: the signal must find it counted
         assert time.monotonic() < deadline, "the job never began"
         time.sleep(0.05)
     job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
