@@ -154,6 +154,7 @@ def write_mismatch(folder: Path, shown: Mismatch) -> None:
         "known": np.array([shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]),
         "unexcited": np.array(shown.unexcited, dtype=float),
         "stuck": np.array(shown.stuck, dtype=float),
+        "noise": np.array(shown.noise, dtype=float),
     }
     save_file(arrays, folder / MISMATCH)
 
@@ -170,6 +171,7 @@ def read_mismatch(folder: Path) -> Mismatch:
     spread, left_at_rest, looped, farthest = arrays["known"].tolist()
     return Mismatch(
         stuck=tuple(arrays["stuck"].tolist()),
+        noise=tuple(arrays["noise"].tolist()),
         farthest=farthest,
         views=tuple(views[:-1] if looped else views),
         loop=views[-1] if looped else None,

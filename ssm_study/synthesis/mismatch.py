@@ -67,7 +67,8 @@ class Mismatch:
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None without such a
     record. `unexcited`: bands without input power in the largest record. `loop`: what trials in closed loop show.
     `stuck`: what stays of the output at rest input after it has moved (friction, play), where more than `AT_REST`;
-    `farthest`: from where a decay at rest input was recorded; both in output scales.
+    `farthest`: from where a decay at rest input was recorded; both in output scales. `noise`: the sensor's, a sample's
+    power at `ANGLES`, in squares of that scale, where an input repeats.
     """
 
     views: tuple[View, ...]
@@ -77,12 +78,18 @@ class Mismatch:
     unexcited: tuple[float, ...] = ()
     stuck: tuple[float, ...] = ()
     farthest: float = 1.0
+    noise: tuple[float, ...] = ()
 
     @property
     def offset(self) -> float:
         """What may stay of the output at rest input, in bands of settling (-): at most, with 95 % confidence."""
         worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
-        return worst / (BAND * self.farthest)
+        return worst / self.band
+
+    @property
+    def band(self) -> float:
+        """Of settling, in output scales."""
+        return BAND * self.farthest
 
     @property
     def gain(self) -> float:
@@ -143,6 +150,7 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
         loop=_in_loop(loops, noise) if loops else None,
         spread=largest.spread(),
+        noise=() if noise is None else tuple(noise.tolist()),
         left_at_rest=max((*decayed, *still, *excited), default=None),
         stuck=tuple(max(own, offsets, key=lambda found: max(found, default=0.0))),  # one rest counts once
         farthest=max((float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()), default=1.0),

@@ -1,7 +1,8 @@
 """Will a certified design be stable on the plant? What its loop tolerates against the mismatch that the records show.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue` (`synthesis.sensitivity`).
-At each amplitude on record (`synthesis.mismatch`) one of two conditions must hold, at every slope of the scaffoldings:
+At each amplitude on record (`synthesis.mismatch`) one of two conditions must hold, at every slope of the scaffoldings
+that a swing of this amplitude meets (`_tested`):
 
     small gain      max_w g(w) sigma_max(T_ue(w)) < 1
     with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    M = s_u s_y G T_ue
@@ -18,25 +19,38 @@ must lie within the band of settling:
 
     offset sigma_max(I + s_u s_y G T_ue)(0) < 1,      the offset in bands, as `Mismatch.offset` bounds it
 
+The sensor's noise, where it is measured by itself, moves the output by M, here with all slopes as they are at rest, and
+must leave it in that band (`PEAK`):
+
+    4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) < band
+
+Not counted where the plant holds still at the input that the noise makes, nor, being no part of what a larger mismatch
+would change, in the margin of a design that passes.
+
 The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
 predicted to settle the plant when it exceeds one and its controller is stable: no certificate.
 Source: docs/theory.md, "Small gain for the plant"; docs/trust.md for the phase and what was measured.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.models.structured import Model
+from ssm_study.models.structured import Model, StructuredSSM, slopes
 from ssm_study.synthesis import sensitivity as loops
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.sensitivity import frequency_response
-from ssm_study.systems import Balls, Pair
+from ssm_study.systems import Balls, JacobianBall, Pair
 
 HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time
 MIXTURES = (0.25, 0.5, 0.75)  # shares of the larger of two neighbouring amplitudes
+SECANTS = 401  # points of S_u between which its slopes are taken
+MUCH = 0.95  # of the ball's radius: slopes that fill as much are not told from all
+COARSE = loops.FINE_ANGLES[::3]  # for the power of noise
+PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 samples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +94,8 @@ def worst(
         return float("inf")
     integrates = bool((np.diagonal(pair.modes) == 1).any())
     largest, grid = 0.0, loops.FINE_ANGLES if shared is None else shared.angles
-    for linear, own, *slope in loops.ends(model.system, pair, balls):
+    tested = ((end, part) for met, part in _tested(model, balls, shown) for end in loops.ends(model.system, pair, met))
+    for (linear, own, *slope), part in tested:
         loop = loops.sensitivity(linear, own, *slope)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
@@ -96,15 +111,49 @@ def worst(
             open_loop[on_grid] = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
             answer[~on_grid] = frequency_response(loop, angles[~on_grid])
             open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])
-        single = answer.shape[1:] == open_loop.shape[1:] == (1, 1)
-        through = slope[0] * slope[1] * open_loop[:, 0, 0] * answer[:, 0, 0] if single else None
+        moved = slope[0] * slope[1] * open_loop @ answer
+        through = moved[:, 0, 0] if answer.shape[1:] == open_loop.shape[1:] == (1, 1) else None
         parts = _Loop(angles=angles, size=loops.sizes(answer), through=through, integrates=integrates)
-        at_rest = np.eye(len(open_loop[0])) + slope[0] * slope[1] * open_loop[0] @ answer[0]
-        left = shown.offset * float(np.linalg.norm(at_rest, 2))
-        largest = max(largest, left, _over_views(shown, parts))
+        left = part.offset * float(np.linalg.norm(np.eye(len(moved[0])) + moved[0], 2))
+        largest = max(largest, left, _over_views(part, parts))
         if largest >= refused:
-            break
-    return largest
+            return largest
+    shaken = _shaken(model, pair, balls, shown)
+    return max(largest, shaken if shaken >= 1 else 0.0)
+
+
+def _shaken(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float:
+    """The peak of what the noise does to the output at rest, in bands; none where the plant holds under that input."""
+    if not shown.noise:
+        return 0.0
+    at = slopes(model.neurons, model.bias)[None] if isinstance(model, StructuredSSM) else None
+    system, pair = next((linear, own) for linear, own, *_ in loops.ends(model.system, pair, balls, at))
+    parts = ((model.scaffold_in, balls.input), (model.scaffold_out, balls.output))
+    slope = [np.clip(np.linalg.norm(s.jacobian(np.zeros(s.inputs)), 2), ball.lower, ball.upper) for s, ball in parts]
+    answer = frequency_response(loops.sensitivity(system, pair, *slope), COARSE)
+    moved = slope[0] * slope[1] * frequency_response(system, COARSE) @ answer
+    density = np.stack([loops.sizes(answer), loops.sizes(moved)]) ** 2 * np.interp(COARSE, ANGLES, shown.noise)
+    at_input, at_output = np.sqrt(scipy.integrate.trapezoid(density, COARSE) / np.pi)
+    answered = np.interp(at_input, *np.transpose([(view.amplitude, view.response) for view in shown.views]))
+    return 0.0 if answered < HOLDS else PEAK * float(at_output) / shown.band
+
+
+def _tested(model: Model, balls: Balls, shown: Mismatch) -> list[tuple[Balls, Mismatch]]:
+    """Which views are tested at which slopes: the two largest, and what trials in closed loop show, at all.
+
+    The smaller ones, up to the second largest, speak of loops that swing no wider than its sinusoid, whose peak is
+    `sqrt(2)` times its root mean square: of one S_u they meet the slopes within it, not those at an actuator's limit.
+    """
+    if len(shown.views) < 3 or model.scaffold_in.inputs > 1:
+        return [(balls, shown)]
+    within = np.sqrt(2) * shown.views[-2].amplitude * np.linspace(-1, 1, SECANTS)[:, None]
+    ball, secants = balls.input, np.diff(model.scaffold_in(within)[:, 0]) / np.diff(within[:, 0])
+    met = JacobianBall.from_slopes(*np.clip((secants.min(), secants.max()), ball.lower, ball.upper).tolist())
+    if met.beta >= MUCH * ball.beta:
+        return [(balls, shown)]
+    large = replace(shown, views=shown.views[-2:])
+    small = replace(shown, views=shown.views[:-1], loop=None)
+    return [(balls, large), (replace(balls, input=met), small)]
 
 
 @dataclass(frozen=True, kw_only=True)

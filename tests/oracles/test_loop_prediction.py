@@ -15,10 +15,11 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.signals import Scale, Trajectory
-from ssm_study.synthesis.mismatch import ANGLES, Mismatch, View, mismatch
-from ssm_study.synthesis.prediction import predict, worst
+from ssm_study.synthesis.mismatch import ANGLES, BAND, Mismatch, View, mismatch
+from ssm_study.synthesis.prediction import PEAK, predict, worst
 from ssm_study.synthesis.sensitivity import (
     FINE_ANGLES,
     Responses,
@@ -31,6 +32,7 @@ from ssm_study.synthesis.sensitivity import (
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace
 
+STEEP_AND_FLAT = (JacobianBall(alpha=1.0, beta=0.0), JacobianBall(alpha=0.1, beta=0.0))
 ONES = Balls(input=JacobianBall(alpha=1.0, beta=0.0), output=JacobianBall(alpha=1.0, beta=0.0))
 
 
@@ -171,6 +173,44 @@ def test_an_integrator_holds_where_the_plant_does():
     assert 0 < alone <= worst(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
     answers = replace(held, response=0.5)
     assert worst(model, pair, BALLS, Mismatch(views=(answers, large))) > 1
+
+
+@pytest.mark.parametrize(("knee", "passes"), [(1.0, True), (0.3, False)])
+def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
+    """What small records show passes at slope 1 and not at 0.1, where S_u bends beyond or within half the amplitude."""
+    limit = MonotoneScaffold(breakpoints=np.array([[-knee, knee]]), slopes=np.array([[0.1, 1.0, 0.1]]))
+    model, balls = replace(motor_model(), scaffold_in=limit), replace(ONES, input=limit.bound().ball)
+    pair, ones = motor_design().pair, np.ones(len(ANGLES))
+
+    def seen(amplitude: float, gain: float) -> View:
+        parts = {"by_frequency": gain * ones, "linear": 0j * ones, "rest": gain * ones}
+        return View(amplitude=amplitude, gain=gain, **parts)
+
+    alone = [worst(model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),))) for one in STEEP_AND_FLAT]
+    assert 1.2 * alone[0] < alone[1] < np.inf
+    gain = 2 / sum(alone)  # between what the two slopes tolerate
+    small = (seen(0.1, gain), seen(0.5, 0.0), seen(1.0, 0.0))
+    assert (worst(model, pair, balls, Mismatch(views=small)) < 1) == passes
+    large = (seen(0.1, 0.0), seen(0.5, gain), seen(1.0, 0.0))  # the two largest count at every slope
+    trial = Mismatch(views=(seen(0.1, 0.0), seen(0.5, 0.0), seen(1.0, 0.0)), loop=seen(0.1, gain))
+    pair_alone = Mismatch(views=(seen(0.1, gain), seen(1.0, 0.0)))
+    assert min(worst(model, pair, balls, one) for one in (Mismatch(views=large), trial, pair_alone)) > 1
+
+
+@pytest.mark.parametrize(("sigma", "response", "passes"), [(0.9, 1.0, True), (1.1, 1.0, False), (1.1, 0.1, True)])
+def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_it(sigma, response, passes):
+    """`sigma` in bands is the standard deviation of the output, simulated: the loop's own equations, white noise."""
+    model, samples = linear_model(3), 200_000
+    pair = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES).pair
+    loop = sensitivity(model.linear, pair, 1.0, 1.0)
+    drawn = np.random.default_rng(0).standard_normal((samples, 1))
+    moved = float(np.std(model.linear.simulate(loop.simulate(drawn)[0])[0]))
+    noise = tuple(np.full(len(ANGLES), (sigma * BAND / PEAK / moved) ** 2).tolist())
+    none = 0 * ANGLES
+    seen = View(amplitude=1.0, gain=0.0, by_frequency=none, linear=0j * none, rest=none, response=response)
+    number = worst(model, pair, ONES, Mismatch(views=(seen,), noise=noise))
+    assert number == pytest.approx(0.0 if passes else sigma, rel=0.02)
+    assert worst(model, pair, ONES, Mismatch(views=(seen,), noise=noise, farthest=1.2)) == 0
 
 
 def drive() -> StribeckDrive:
