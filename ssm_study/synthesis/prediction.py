@@ -36,7 +36,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import scipy
 from jaxtyping import Complex, Float
 
 from ssm_study.models.structured import Model, StructuredSSM, slopes
@@ -133,7 +132,7 @@ def _shaken(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float:
     answer = frequency_response(loops.sensitivity(system, pair, *slope), COARSE)
     moved = slope[0] * slope[1] * frequency_response(system, COARSE) @ answer
     density = np.stack([loops.sizes(answer), loops.sizes(moved)]) ** 2 * np.interp(COARSE, ANGLES, shown.noise)
-    at_input, at_output = np.sqrt(scipy.integrate.trapezoid(density, COARSE) / np.pi)
+    at_input, at_output = np.sqrt(np.trapezoid(density, COARSE) / np.pi)
     answered = np.interp(at_input, *np.transpose([(view.amplitude, view.response) for view in shown.views]))
     return 0.0 if answered < HOLDS else PEAK * float(at_output) / shown.band
 
@@ -151,8 +150,7 @@ def _tested(model: Model, balls: Balls, shown: Mismatch) -> list[tuple[Balls, Mi
     met = JacobianBall.from_slopes(*np.clip((secants.min(), secants.max()), ball.lower, ball.upper).tolist())
     if met.beta >= MUCH * ball.beta:
         return [(balls, shown)]
-    large = replace(shown, views=shown.views[-2:])
-    small = replace(shown, views=shown.views[:-1], loop=None)
+    large, small = replace(shown, views=shown.views[-2:]), replace(shown, views=shown.views[:-1], loop=None)
     return [(balls, large), (replace(balls, input=met), small)]
 
 
