@@ -90,7 +90,7 @@ def _best(table: pd.DataFrame) -> list[str]:
 
 def _prediction(runs: pd.DataFrame) -> str:
     """The numbers behind the prediction for the first run."""
-    return decides(_number(runs, "resolved_margin"), _number(runs, "controller_radius"))
+    return decides(*(_number(runs, name) for name in ("resolved_margin", "controller_radius", "noise_peak")))
 
 
 def _faster_but_not_predicted(rivals: pd.DataFrame) -> list[str]:

@@ -114,7 +114,7 @@ def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
         return "evidence", "Prediction", "none: the evidence allows no judgement"
     said = "stays stable" if record.get("predicted_stable") else "not predicted to be stable"
     said += ", with doubts" if record.get("evidence") == DOUBT else ""
-    rests_on = decides(record.get("resolved_margin"), record.get("controller_radius"))
+    rests_on = decides(*(record.get(name) for name in ("resolved_margin", "controller_radius", "noise_peak")))
     label = "Prediction for the plant" if _on_plant(record) else "Prediction"
     return "predicted_stable", label, f"{said}: {rests_on}" if rests_on else said
 

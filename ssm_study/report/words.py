@@ -35,10 +35,16 @@ def words(column: object) -> str:
     return DERIVED.get(str(column)) or label(str(column))
 
 
-def decides(margin: float | None, radius: float | None) -> str:
-    """The two numbers that a prediction rests on, each beside its bound: `margin 2.03 > 1, own radius 0.892 < 1`."""
+def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
+    """What a prediction rests on, beside its bounds: `margin 2.03 > 1, own radius 0.892 < 1`; noise where it counts."""
     told = [] if margin is None else [f"margin {margin:.3g} {'>' if margin > 1 else '≤'} 1"]
-    return ", ".join(told + ([] if radius is None else [f"own radius {radius:.3g} {'<' if radius < 1 else '≥'} 1"]))
+    told += [] if radius is None else [f"own radius {radius:.3g} {'<' if radius < 1 else '≥'} 1"]
+    told += (
+        [f"the noise reaches {noise:.3g} {'<' if noise < 1 else '≥'} 1 of the band"]
+        if noise is not None and noise > 0
+        else []
+    )
+    return ", ".join(told)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import predict, worst
+from ssm_study.synthesis.prediction import noise_peak, predict, worst
 from ssm_study.synthesis.problem import NoSolution, Solution, dual
 from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
@@ -262,7 +262,7 @@ class Auto:
             if scored and areas[index] >= min(scored)[0]:
                 break
             score, number = expected(index, coarse)
-            if self.margin * number < 1:
+            if self.margin * number < 1 and noise_peak(model, candidates.gains(pairs[index]), balls, shown) < 1:
                 scored.append((score, index))
         # between two frequencies of the coarser grid a loop may come nearer to its limit
         return [pairs[i] for _, i in sorted((expected(i, fine)[0], i) for _, i in sorted(scored)[:ATTEMPTS])]

@@ -59,6 +59,7 @@ COLUMNS = (
     Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED),
     Column("resolved_margin", "Float64", "high", "margin", "Prediction margin", "–", ITERATED, shown=True),
     Column("controller_radius", "Float64", "low", "ctl radius", "Controller's own spectral radius", "–", ITERATED),
+    Column("noise_peak", "Float64", "low", word="Sensor noise at rest, its peak", unit="bands", tolerance=ITERATED),
     Column("predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True),
     Column("lmi_*_status", "string", unchecked=OPINION),
     Column("lmi_*_certified", "boolean", unchecked=OPINION),

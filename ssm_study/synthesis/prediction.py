@@ -22,13 +22,13 @@ must lie within the band of settling:
 The sensor's noise, where it is measured by itself, moves the output by M, here with all slopes as they are at rest, and
 must leave it in that band (`PEAK`):
 
-    4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) < band
+    noise_peak = 4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) / band < 1
 
-Not counted where the plant holds still at the input that the noise makes, nor, being no part of what a larger mismatch
-would change, in the margin of a design that passes.
+Not counted where the plant holds still at a sinusoid with the peak of the input that the noise makes.
 
-The margin is the inverse of the largest of these numbers, zero where the plant does not rest at rest input. A design is
-predicted to settle the plant when it exceeds one and its controller is stable: no certificate.
+The margin is the inverse of the largest of these numbers but the last, which a larger mismatch does not change; zero
+where the plant does not rest at rest input. A design is predicted to settle the plant when its margin exceeds one, its
+controller is stable, and its noise stays in the band: no certificate.
 Source: docs/theory.md, "Small gain for the plant"; docs/trust.md for the phase and what was measured.
 """
 
@@ -59,9 +59,10 @@ class Prediction:
     mismatch_margin: float
     resolved_margin: float
     controller_radius: float
+    noise_peak: float = 0.0
 
     def keeps_the_plant(self, margin: float = 1.0) -> bool:
-        return self.resolved_margin > margin and self.controller_radius < 1
+        return self.resolved_margin > margin and self.controller_radius < 1 and self.noise_peak < 1
 
 
 def predict(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> Prediction:
@@ -72,6 +73,7 @@ def predict(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> Predicti
         mismatch_margin=1 / total if total else float("inf"),
         resolved_margin=1 / number if number else float("inf"),
         controller_radius=float(loops.controller_radius(model.system, pair, balls)),
+        noise_peak=noise_peak(model, pair, balls, shown),
     )
 
 
@@ -117,11 +119,10 @@ def worst(
         largest = max(largest, left, _over_views(part, parts))
         if largest >= refused:
             return largest
-    shaken = _shaken(model, pair, balls, shown)
-    return max(largest, shaken if shaken >= 1 else 0.0)
+    return largest
 
 
-def _shaken(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float:
+def noise_peak(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float:
     """The peak of what the noise does to the output at rest, in bands; none where the plant holds under that input."""
     if not shown.noise:
         return 0.0
@@ -133,7 +134,9 @@ def _shaken(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float:
     moved = slope[0] * slope[1] * frequency_response(system, COARSE) @ answer
     density = np.stack([loops.sizes(answer), loops.sizes(moved)]) ** 2 * np.interp(COARSE, ANGLES, shown.noise)
     at_input, at_output = np.sqrt(np.trapezoid(density, COARSE) / np.pi)
-    answered = np.interp(at_input, *np.transpose([(view.amplitude, view.response) for view in shown.views]))
+    answered = np.interp(
+        PEAK * at_input / np.sqrt(2), *np.transpose([(view.amplitude, view.response) for view in shown.views])
+    )
     return 0.0 if answered < HOLDS else PEAK * float(at_output) / shown.band
 
 

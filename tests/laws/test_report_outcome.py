@@ -61,6 +61,8 @@ def test_the_prediction_says_what_it_rests_on() -> None:
         assert f"Prediction for the plant {words}: margin 1.24 > 1, own radius 0.931 < 1" in text
     missed = " ".join(printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split())
     assert "margin 0.98 ≤ 1, own radius 1 ≥ 1" in missed
+    noisy = " ".join(printed(a_run("ok") | known | {"predicted_stable": False, "noise_peak": 1.562}).split())
+    assert "own radius 0.931 < 1, the noise reaches 1.56 ≥ 1 of the band" in noisy
 
 
 def test_a_path_is_never_broken() -> None:

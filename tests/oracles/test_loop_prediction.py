@@ -19,7 +19,7 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, BAND, Mismatch, View, mismatch
-from ssm_study.synthesis.prediction import PEAK, predict, worst
+from ssm_study.synthesis.prediction import PEAK, noise_peak, predict, worst
 from ssm_study.synthesis.sensitivity import (
     FINE_ANGLES,
     Responses,
@@ -197,20 +197,40 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     assert min(worst(model, pair, balls, one) for one in (Mismatch(views=large), trial, pair_alone)) > 1
 
 
-@pytest.mark.parametrize(("sigma", "response", "passes"), [(0.9, 1.0, True), (1.1, 1.0, False), (1.1, 0.1, True)])
-def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_it(sigma, response, passes):
-    """`sigma` in bands is the standard deviation of the output, simulated: the loop's own equations, white noise."""
+@pytest.mark.parametrize(
+    ("sigma", "held_up_to", "passes"), [(0.9, 0.0, True), (1.1, 0.0, False), (1.1, 2.0, False), (1.1, 4.0, True)]
+)
+def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(sigma, held_up_to, passes):
+    """Input and output simulated: the loop's own equations, white noise. The plant holds still up to an amplitude.
+
+    It is given in standard deviations of the input; a sinusoid with the peak of the noise has 4.5 / sqrt(2) of them.
+    """
     model, samples = linear_model(3), 200_000
     pair = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES).pair
     loop = sensitivity(model.linear, pair, 1.0, 1.0)
     drawn = np.random.default_rng(0).standard_normal((samples, 1))
-    moved = float(np.std(model.linear.simulate(loop.simulate(drawn)[0])[0]))
-    noise = tuple(np.full(len(ANGLES), (sigma * BAND / PEAK / moved) ** 2).tolist())
-    none = 0 * ANGLES
-    seen = View(amplitude=1.0, gain=0.0, by_frequency=none, linear=0j * none, rest=none, response=response)
-    number = worst(model, pair, ONES, Mismatch(views=(seen,), noise=noise))
-    assert number == pytest.approx(0.0 if passes else sigma, rel=0.02)
-    assert worst(model, pair, ONES, Mismatch(views=(seen,), noise=noise, farthest=1.2)) == 0
+    driven = loop.simulate(drawn)[0]
+    moved = float(np.std(model.linear.simulate(driven)[0]))
+    strength = sigma * BAND / PEAK / moved
+    noise, none = tuple(np.full(len(ANGLES), strength**2).tolist()), 0 * ANGLES
+    held, free = (held_up_to + more for more in (0.0, 0.5))
+    views = [
+        View(
+            amplitude=at * strength * np.std(driven),
+            gain=0.0,
+            by_frequency=none,
+            linear=0j * none,
+            rest=none,
+            response=r,
+        )
+        for at, r in ((held, 0.0), (free, 1.0))
+    ]
+    shown = Mismatch(views=tuple(views), noise=noise)
+    found = predict(model, pair, ONES, shown)
+    assert found.noise_peak == pytest.approx(0.0 if held_up_to > 3 else sigma, rel=0.02)
+    assert found.keeps_the_plant() == passes
+    assert np.isinf(found.resolved_margin)
+    assert noise_peak(model, pair, ONES, replace(shown, farthest=1.2)) < 1
 
 
 def drive() -> StribeckDrive:
