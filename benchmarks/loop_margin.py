@@ -25,7 +25,7 @@ ABOUT = ["plant", "order", "hidden_width", "slope_lower", "seed"]
 """What tells one model of the study from another."""
 EXCEPTION = [
     *(*ABOUT, "design", "rate_controller", "rate_observer", "gain_norm", "observer_gain_norm"),
-    *("mismatch_gain", "mismatch_margin", "resolved_margin", "controller_radius", "predicted_stable"),
+    *("mismatch_gain", "mismatch_margin", "resolved_margin", "controller_radius", "noise_peak", "predicted_stable"),
     *("stable_count", "stable_count_noise_free", "left_bound_count", "unsettled_as", "kind"),
 ]
 
@@ -86,8 +86,8 @@ def area_under_roc(score: pd.Series, good: pd.Series) -> float:
 
 
 def ordered(table: pd.DataFrame) -> pd.Series:
-    """The margins' ranks, every unstable controller below the rest."""
-    return table.resolved_margin.rank() - len(table) * ~stable(table)
+    """The margins' ranks, below them every design that its own radius or the noise refuses."""
+    return table.resolved_margin.rank() - len(table) * ~(stable(table) & (table.noise_peak < 1))
 
 
 def summary(table: pd.DataFrame) -> dict:

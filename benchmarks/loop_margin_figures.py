@@ -1,8 +1,8 @@
 """What the prediction of `synthesis.mismatch` is worth, drawn: its ROC curve, and settling times against the margin.
 
-Pure functions of a table with one certified design per row: `plant`, `mismatch_margin`, `resolved_margin` and
-`controller_radius` (all -), `kind` (`settled` if every case of the design settled; anything else did not) and
-`relative_time` (mean settling time over that of the plant left alone, missing where nothing settled).
+Pure functions of a table with one certified design per row: `plant`, `mismatch_margin`, `resolved_margin`,
+`controller_radius` and `noise_peak` (all -), `kind` (`settled` if every case of the design settled; anything else did
+not) and `relative_time` (mean settling time over that of the plant left alone, missing where nothing settled).
 `benchmarks/loop_margin.py` writes such a table and draws it.
 """
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from ssm_study.report import style
 from ssm_study.report.words import spoken
 
-NEEDED = ("plant", "mismatch_margin", "resolved_margin", "controller_radius", "kind", "relative_time")
+NEEDED = ("plant", "mismatch_margin", "resolved_margin", "controller_radius", "noise_peak", "kind", "relative_time")
 SHOWN = (1e-3, 10.0)
 """Margins and relative times are drawn within these limits; what lies beyond is drawn at the edge."""
 
@@ -35,12 +35,13 @@ def roc_points(
 
 
 def prediction_score(table: pd.DataFrame) -> Float[np.ndarray, "N"]:
-    """In (0, 1): the share `m / (1 + m)` of the resolved margin m; less one where the controller is unstable by itself.
+    """In (0, 1): the share `m / (1 + m)` of the resolved margin m; less one where another condition refuses the design.
 
-    Above one half: predicted to be stable on the plant.
+    That is, where the controller is unstable by itself or the noise leaves the band. Above one half: predicted to be
+    stable on the plant.
     """
-    margin = table["resolved_margin"].to_numpy(float)
-    return 1 - 1 / (1 + margin) - (table["controller_radius"].to_numpy(float) >= 1)
+    margin, others = table["resolved_margin"].to_numpy(float), table[["controller_radius", "noise_peak"]]
+    return 1 - 1 / (1 + margin) - (others >= 1).any(axis=1).to_numpy()
 
 
 def roc(table: pd.DataFrame) -> Figure:
@@ -61,7 +62,7 @@ def roc(table: pd.DataFrame) -> Figure:
     axes.set(xlabel="Share of failing designs accepted (–)", ylabel="Share of settling designs accepted (–)")
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     if axes.get_legend_handles_labels()[0]:
-        title = "stable controllers first, by resolved margin\n(dot: margin 1); dotted: by margin in total"
+        title = "what is predicted first, by prediction margin\n(dot: margin 1); dotted: by margin in total"
         axes.legend(loc="lower right", title=title, title_fontsize=6)
     return fig
 
@@ -72,7 +73,7 @@ def settling(table: pd.DataFrame) -> Figure:
     fig = style.canvas(style.PAGE_IN, 2.7)
     for axes, plant in zip(np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True):
         _panel(axes, table[table["plant"] == plant])
-        axes.set(title=spoken(plant), xlabel="Mismatch margin by frequency (–)")
+        axes.set(title=spoken(plant), xlabel="Prediction margin (–)")
     fig.axes[0].set_ylabel("Settling time / uncontrolled (–)")
     handles, labels = fig.axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=2)

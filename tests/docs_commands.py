@@ -50,7 +50,6 @@ FEWER = (
 # A benchmark runs as a copy, its tables go beside the copy, with these options or this source instead of its own.
 SMALL_OPTIONS = {
     "loop_batch.py": "--cases 3 --samples 20 --one-by-one 1",
-    "loop_margin.py run": "--order 2 --seed 0",
     "results_gather.py": "--runs 20",
     "synthesis_agreement.py": "--count 2",
     "synthesis_certified.py": "--count 2 --gaps 0.1 -0.01",
@@ -64,10 +63,6 @@ SMALL_SOURCE = {  # pattern: what stands in its place
         r'^OVERRIDES = \("model=ssm"': 'OVERRIDES = ("model=ssm", "training.max_epochs=2"',
     },
     "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
-    "loop_margin.py": {
-        r'"study=margin"': '"study=margin", "experiment=smoke", "loop.initial_conditions=2"',
-        r"DesignGrid\(\)": "DesignGrid(designs=3)",
-    },
     "plants_error.py": {r"^CASES, SAMPLES, STEPS_S = .*": "CASES, SAMPLES, STEPS_S = 1, 40, (5e-4, 2.5e-4)"},
     "plants_mcap.py": {r"^SAMPLES, ROUNDS = .*": "SAMPLES, ROUNDS = 500, 1"},
     "plants_simulation.py": {
@@ -90,7 +85,7 @@ SMALL_SOURCE = {  # pattern: what stands in its place
     "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
 }
 # Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
-AS_IT_IS = {"plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
+AS_IT_IS = {"loop_margin.py", "plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
 ELSEWHERE = {  # what a test cannot have, by name
     "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
     "ssm-study new": "made, run and judged in tests/laws/test_extensions.py",

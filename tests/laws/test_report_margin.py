@@ -23,6 +23,7 @@ def designs(count: int = 60) -> pd.DataFrame:
             "mismatch_margin": margin,
             "resolved_margin": margin,
             "controller_radius": rng.uniform(0.5, 1.3, count),
+            "noise_peak": rng.uniform(0.0, 1.3, count),
             "kind": np.where(settled, "settled", "lost"),
             "relative_time": np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count)),
         }
@@ -38,14 +39,10 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
     assert (false[-1], true[-1]) == (1.0, 1.0)
 
 
-def test_the_score_puts_stable_controllers_first_and_then_the_larger_margin():
+def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_margin():
     table = designs()
-    score, kept = (
-        loop_margin_figures.prediction_score(table),
-        (table.resolved_margin > 1) & (table.controller_radius < 1),
-    )
-    assert ((score > 0.5) == kept).all()
-    stable = table.controller_radius < 1
+    score, stable = loop_margin_figures.prediction_score(table), (table.controller_radius < 1) & (table.noise_peak < 1)
+    assert ((score > 0.5) == (stable & (table.resolved_margin > 1))).all()
     assert score[stable].min() >= score[~stable].max()
     assert (np.argsort(score[stable], kind="stable") == np.argsort(table.resolved_margin[stable], kind="stable")).all()
 
