@@ -62,7 +62,7 @@ def roc(table: pd.DataFrame) -> Figure:
     axes.set(xlabel="Share of failing designs accepted (–)", ylabel="Share of settling designs accepted (–)")
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     if axes.get_legend_handles_labels()[0]:
-        title = "what is predicted first, by prediction margin\n(dot: margin 1); dotted: by margin in total"
+        title = "what own radius and noise pass first, by margin\n(dot: margin 1); dotted: by margin in total"
         axes.legend(loc="lower right", title=title, title_fontsize=6)
     return fig
 
@@ -83,12 +83,12 @@ def settling(table: pd.DataFrame) -> Figure:
 def _panel(axes: Axes, own: pd.DataFrame) -> None:
     margin = own["resolved_margin"].clip(*SHOWN)
     time = own["relative_time"].fillna(SHOWN[1]).clip(SHOWN[0], SHOWN[1])
-    settled, stable = own["kind"].eq("settled"), own["controller_radius"] < 1
+    settled, passed = own["kind"].eq("settled"), (own[["controller_radius", "noise_peak"]] < 1).all(axis=1)
     for mask, colour, marker, label in (
-        (settled & stable, style.BLUE, "o", "stable controller, all starts settle"),
-        (settled & ~stable, style.ORANGE, "o", "unstable controller, all starts settle"),
-        (~settled & stable, style.BLUE, "x", "stable controller, not all settle (at the top: none)"),
-        (~settled & ~stable, style.VERMILLION, "x", "unstable controller, not all settle"),
+        (settled & passed, style.BLUE, "o", "own radius and noise pass, all starts settle"),
+        (settled & ~passed, style.ORANGE, "o", "one of them refuses, all starts settle"),
+        (~settled & passed, style.BLUE, "x", "both pass, not all settle (at the top: none)"),
+        (~settled & ~passed, style.VERMILLION, "x", "one of them refuses, not all settle"),
     ):
         size, width = (14, 1.0) if marker == "x" and colour == style.BLUE else (5, 0.5 if marker == "x" else 0.0)
         axes.scatter(margin[mask], time[mask], s=size, color=colour, marker=marker, alpha=0.45, lw=width, label=label)
