@@ -66,7 +66,7 @@ def shown(output: NotebookNode, pictures: Iterator[str]) -> str:
         (TARGET / picture).write_bytes(smaller(base64.b64decode(data["image/png"])))
         return f"![{picture.removesuffix('.png').replace('_', ' ')}]({picture})"
     if "text/html" in data:
-        table = re.sub(r"<style scoped>.*?</style>|<div>|</div>", "", data["text/html"], flags=re.S)
+        table = re.sub(r"<style scoped>.*?</style>|<div>|</div>|<pre[^>]*></pre>", "", data["text/html"], flags=re.S)
         return "\n".join(line.strip() for line in table.splitlines() if line.strip())
     return data["text/markdown"] if "text/markdown" in data else fenced(data.get("text/plain", ""))
 
