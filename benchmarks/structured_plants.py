@@ -8,7 +8,7 @@ on the exact verdict finds for a state feedback (the ball of S_u included) and f
 and processor seconds of a start with its training. Nothing is chosen by a test record: the starts go by validation.
 With `--each` a row is a start, and r is found for those within a percent point of the best by validation:
 
-    python benchmarks/structured_plants.py dc_motor --each --first 10 --set model.starts=24 --to structured_each.csv
+    python benchmarks/structured_plants.py dc_motor --each --first 10 --set model.starts=12 model.ridge=1e-7 --to FILE
 """
 
 import argparse
