@@ -49,7 +49,7 @@ NUMBERS = {
     **{f"{side}_certified_rate": ITERATED for side in ("controller", "observer")},
     **dict.fromkeys(("certified_tolerance", "certified_tolerance_resolved"), ITERATED),
     **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
-    **dict.fromkeys(("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius"), ITERATED),
+    **dict.fromkeys(("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"), ITERATED),
     **{f"fit_{record}_percent": ONE_FORMULA for record in ("train", "validation", "test")},
     **dict.fromkeys(
         ("rmse_test", "input_coverage", "stable_fraction", "overshoot_worst", "input_peak_v", "control_energy"),
