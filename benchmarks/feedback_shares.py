@@ -27,7 +27,7 @@ Samples = np.ndarray
 
 
 def plant(rng: np.random.Generator) -> Samples:
-    """Poles of a plant of gain one, half of them slow."""
+    """Poles of a plant of gain one."""
     return rng.uniform(0.3, 0.98, rng.integers(1, 5))
 
 

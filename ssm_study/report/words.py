@@ -39,11 +39,8 @@ def decides(margin: float | None, radius: float | None, noise: float | None = No
     """What a prediction rests on, beside its bounds: `margin 2.03 > 1, own radius 0.892 < 1`; noise where it counts."""
     told = [] if margin is None else [f"margin {margin:.3g} {'>' if margin > 1 else '≤'} 1"]
     told += [] if radius is None else [f"own radius {radius:.3g} {'<' if radius < 1 else '≥'} 1"]
-    told += (
-        [f"the noise reaches {noise:.3g} {'<' if noise < 1 else '≥'} 1 of the band"]
-        if noise is not None and noise > 0
-        else []
-    )
+    if noise is not None and noise > 0:
+        told.append(f"the noise reaches {noise:.3g} {'<' if noise < 1 else '≥'} 1 of the band")
     return ", ".join(told)
 
 

@@ -134,9 +134,8 @@ def noise_peak(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float
     moved = slope[0] * slope[1] * frequency_response(system, COARSE) @ answer
     density = np.stack([loops.sizes(answer), loops.sizes(moved)]) ** 2 * np.interp(COARSE, ANGLES, shown.noise)
     at_input, at_output = np.sqrt(np.trapezoid(density, COARSE) / np.pi)
-    answered = np.interp(
-        PEAK * at_input / np.sqrt(2), *np.transpose([(view.amplitude, view.response) for view in shown.views])
-    )
+    amplitudes, responses = np.transpose([(view.amplitude, view.response) for view in shown.views])
+    answered = np.interp(PEAK * at_input / np.sqrt(2), amplitudes, responses)
     return 0.0 if answered < HOLDS else PEAK * float(at_output) / shown.band
 
 

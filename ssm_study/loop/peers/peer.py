@@ -24,12 +24,8 @@ if TYPE_CHECKING:
     from ssm_study.synthesis.auto import Auto
 
 Row = dict[str, Any]
-PREDICTED = (
-    "mismatch_margin",
-    "resolved_margin",
-    "controller_radius",
-    "noise_peak",
-)  # nothing where a controller has no model
+# Nothing where a controller has no model.
+PREDICTED = ("mismatch_margin", "resolved_margin", "controller_radius", "noise_peak")
 UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED), "reason": ""}
 
 
