@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from benchmarks.adversarial.__main__ import study_of
-from ssm_study.evidence.feedback import EARLIER, PRESENT, SCATTER, fed_back
+from ssm_study.evidence.feedback import fed_back, is_closed
 from ssm_study.signals import DataSet, Scale, Trajectory
 
 MEASURED, SIMULATED = ("ced", "cascaded_tanks", "silverbox", "emps"), ("dc_motor", "stribeck_drive", "cascaded_tanks")
@@ -85,8 +85,7 @@ def row(name: str, logs: Iterable[DataSet]) -> dict[str, object]:
     shares, alarms = [], 0
     for data in logs:
         shares.append((fed_back(data, 1), fed_back(data, 0)))
-        chance = SCATTER / sum(len(record) for record in data.training)
-        alarms += max(shares[-1][0] - EARLIER, shares[-1][1] - PRESENT) >= chance
+        alarms += is_closed(data)
     ends = np.percentile(100 * np.array(shares), [0, 5, 50, 95, 100], axis=0)
     told: dict[str, object] = {"logs": name, "count": len(shares), "taken_for_closed": alarms}
     for side, values in zip(("earlier", "present"), ends.T, strict=True):

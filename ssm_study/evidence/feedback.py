@@ -33,18 +33,25 @@ Rows = Float[np.ndarray, "_ _"]
 
 def findings(case: Case) -> Iterator[Finding]:
     """One doubt at most, and whether what the loop held runs away without it."""
-    samples, share = sum(len(record) for record in case.data.training), case.data.metadata.get("by_set_point")
-    chance = SCATTER / samples
+    share = case.data.metadata.get("by_set_point")
     if share is not None:
         told = f"The input is what the set point of the log's loop makes of it, {100 * float(share):.0f} % of its power"
         yield note(f"{told}.") if float(share) >= LEAST_SHARE else doubt(f"{told}: move the set point more.")
         yield from runs_away(case)
-    if samples >= FEWEST and max(fed_back(case.data, 1) - EARLIER, fed_back(case.data, 0) - PRESENT) >= chance:
+    if is_closed(case.data):
         told = f"What is new in the output explains {100 * fed_back(case.data, 0):.0f} % of what is new in the input"
         remedy = "check data.reference or data.controller" if share else "name its set point, data.reference, or PI"
         yield doubt(f"{told}, as in a closed-loop log: {remedy}, or record with the loop open.")
         if share is None:
             yield from runs_away(case)
+
+
+def is_closed(data: DataSet) -> bool:
+    """Whether either share is above what logs in open loop reach, by more than chance adds to it."""
+    samples = sum(len(record) for record in data.training)
+    if samples < FEWEST:
+        return False
+    return max(fed_back(data, 1) - EARLIER, fed_back(data, 0) - PRESENT) >= SCATTER / samples
 
 
 def runs_away(case: Case) -> Iterator[Finding]:
