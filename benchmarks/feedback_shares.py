@@ -85,7 +85,7 @@ def row(name: str, logs: Iterable[DataSet]) -> dict[str, object]:
     shares, alarms = [], 0
     for data in logs:
         shares.append((fed_back(data, 1), fed_back(data, 0)))
-        alarms += is_closed(data)
+        alarms += is_closed(data, *shares[-1])
     ends = np.percentile(100 * np.array(shares), [0, 5, 50, 95, 100], axis=0)
     told: dict[str, object] = {"logs": name, "count": len(shares), "taken_for_closed": alarms}
     for side, values in zip(("earlier", "present"), ends.T, strict=True):

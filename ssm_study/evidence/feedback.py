@@ -38,20 +38,19 @@ def findings(case: Case) -> Iterator[Finding]:
         told = f"The input is what the set point of the log's loop makes of it, {100 * float(share):.0f} % of its power"
         yield note(f"{told}.") if float(share) >= LEAST_SHARE else doubt(f"{told}: move the set point more.")
         yield from runs_away(case)
-    if is_closed(case.data):
-        told = f"What is new in the output explains {100 * fed_back(case.data, 0):.0f} % of what is new in the input"
+    earlier, present = fed_back(case.data, 1), fed_back(case.data, 0)
+    if is_closed(case.data, earlier, present):
+        told = f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
         remedy = "check data.reference or data.controller" if share else "name its set point, data.reference, or PI"
         yield doubt(f"{told}, as in a closed-loop log: {remedy}, or record with the loop open.")
         if share is None:
             yield from runs_away(case)
 
 
-def is_closed(data: DataSet) -> bool:
-    """Whether either share is above what logs in open loop reach, by more than chance adds to it."""
+def is_closed(data: DataSet, earlier: float, present: float) -> bool:
+    """Whether a share, without or with the present output, is more than an open-loop log and chance give."""
     samples = sum(len(record) for record in data.training)
-    if samples < FEWEST:
-        return False
-    return max(fed_back(data, 1) - EARLIER, fed_back(data, 0) - PRESENT) >= SCATTER / samples
+    return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
 
 
 def runs_away(case: Case) -> Iterator[Finding]:
