@@ -171,11 +171,12 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)
     scale = np.maximum(np.diagonal(normal), WRITTEN_OUT.weakest * np.diagonal(normal).max())
-    by, value, damping = damped(
-        WRITTEN_OUT, at.loss, gradient, normal, at.damping,
-        lambda damping: _solved(normal + np.diag(damping * scale), gradient),
-        lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), ridge),
-    )  # fmt: skip
+    with np.errstate(over="ignore"):  # a damped matrix that overflows is a step that failed
+        by, value, damping = damped(
+            WRITTEN_OUT, at.loss, gradient, normal, at.damping,
+            lambda damping: _solved(normal + np.diag(damping * scale), gradient),
+            lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), ridge),
+        )  # fmt: skip
     theta = at.theta if by is None else at.theta | unpack(flat + by, at.theta, free)
     return Descent(theta=theta, loss=value, damping=damping)
 
@@ -183,7 +184,7 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str
 def _solved(damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"] | None:
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite
         return None
 
 

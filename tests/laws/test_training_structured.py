@@ -18,7 +18,18 @@ from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training import structured_choice
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.structured_fit import StructuredFit, pruned
-from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Residuals, Theta, loss, pack, unpack
+from ssm_study.training.structured_problem import (
+    CORE,
+    FREE_CORE,
+    Batch,
+    Descent,
+    Residuals,
+    Theta,
+    loss,
+    pack,
+    step,
+    unpack,
+)  # fmt: skip
 from ssm_study.training.structured_start import linear_start, screened_poles
 from ssm_study.training.training import Training
 
@@ -110,6 +121,22 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: boo
     ahead, behind = ([one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1))
     differences = (np.stack(ahead) - np.stack(behind)).T / 2e-6
     np.testing.assert_allclose(j @ turn, differences, atol=2e-7)
+
+
+def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
+    """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a damping."""
+    maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
+    one = Residuals(records=Batch.padded([(np.ones((900, 1)), np.arange(900.0)[:, None])]), neurons=(), **maps)  # type: ignore[arg-type]
+    begun = linear_start(one, 1, False, np.random.default_rng(0)) | {"a": np.array([[1.48]])}
+    at = Descent(theta=begun, loss=loss(one, begun, {}), damping=1e6)
+    normal = np.square(one.linearised(begun, ("a",))[1]).sum()
+    assert np.isfinite(at.loss)
+    assert np.isfinite(normal)
+    with np.errstate(over="ignore"):
+        assert not np.isfinite(normal * at.damping)
+    after = step(one, at, ("a",), {})
+    assert after.theta is begun
+    assert after.loss == at.loss
 
 
 def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input() -> None:
