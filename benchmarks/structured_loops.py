@@ -8,7 +8,7 @@ settle on the plant, their mean time, that of the plant alone, and the time over
 seconds of the choice. Each as configured, `ssm-study run model=... plant=...`, with neurons also by the settings given:
 nothing is chosen by the loop. The files: structured_loops.csv as configured; _starts.csv by `--set model.starts=12
 model.among_starts.within_percent=0.2`; _slopes.csv by these and model.slope_lower=0.3 for the Stribeck drive;
-_ridge.csv by `--set model.starts=12 model.ridge=1e-7`.
+_ridge.csv by `--set model.starts=12 model.ridge=1e-7`; _many.csv by `--set model.starts=24 model.ridge=1e-7`.
 """
 
 import argparse
