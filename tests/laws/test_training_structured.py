@@ -29,7 +29,7 @@ from ssm_study.training.structured_problem import (
     pack,
     step,
     unpack,
-)  # fmt: skip
+)
 from ssm_study.training.structured_start import linear_start, screened_poles
 from ssm_study.training.training import Training
 
