@@ -13,10 +13,20 @@ from ssm_study.models.structured import Model, StructuredSSM, slopes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
-from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Descent, Residuals, Theta, loss, step
+from ssm_study.training.structured_problem import (
+    CORE,
+    FREE_CORE,
+    Batch,
+    Descent,
+    Residuals,
+    Theta,
+    descended,
+    ended,
+    loss,
+    step,
+)
 from ssm_study.training.structured_start import contracting_start, linear_start, screened_poles, with_neurons
 
-SETTLED = 1e-4  # relative gain of a step below which a starting phase ends
 IDLE = 1e-3  # relative change of the output below which a neuron does nothing
 START_SAMPLES = 2000  # of which a start is made: the training goes on with all
 RACE = 5  # steps of each draw inside the contracting set
@@ -65,7 +75,7 @@ class StructuredFit(pl.LightningModule):
         for _ in range(1 + steps):
             before = float(self.loss)
             self.training_step(None, 0)
-            if before - float(self.loss) < SETTLED * before:
+            if np.isfinite(before) and ended(before, float(self.loss), float(self.damping)):
                 break
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
@@ -91,7 +101,7 @@ class StructuredFit(pl.LightningModule):
         matrices = ("a", "b", "c", *(("d",) if spec.feedthrough else ()), *(("x0",) if self.estimates else ()))
 
         def settled(theta: Theta) -> Descent:  # phase 1: the linear fit
-            return self._descended(linear, theta, matrices, spec.start_steps[0])
+            return descended(linear, theta, matrices, self._ridge(matrices), spec.start_steps[0])
 
         begun = linear_start(linear, int(spec.order), spec.feedthrough, rng)
         at = settled(begun)
@@ -101,7 +111,7 @@ class StructuredFit(pl.LightningModule):
         theta = at.theta
         if spec.knots or spec.output_knots:
             maps = (*matrices, "scaffold_in", "scaffold_out")
-            theta = self._descended(linear, theta, maps, spec.start_steps[1]).theta
+            theta = descended(linear, theta, maps, self._ridge(maps), spec.start_steps[1]).theta
         best = min((self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss)
         x0 = np.zeros(self._shapes()["x0"])  # records that the start has not seen begin at rest
         x0[: len(best.theta["x0"])] = best.theta["x0"]
@@ -111,20 +121,12 @@ class StructuredFit(pl.LightningModule):
         """Random neurons, a few steps without the constraint, the nearest contracting model, a few steps as one."""
         spec, free = self.spec, replace(short, rate=None)
         theta = with_neurons(free, theta, spec.neurons, rng)
-        at = self._descended(free, theta, self._free(CORE, spec.input_path == "free"), spec.start_steps[2])
+        unbound, inside = (self._free(core, spec.input_path == "free") for core in (CORE, FREE_CORE))
+        at = descended(free, theta, unbound, self._ridge(unbound), spec.start_steps[2])
         if spec.rate is None:
             return at
         theta = contracting_start(free, at.theta, spec.rate)
-        return self._descended(short, theta, self._free(FREE_CORE, spec.input_path == "free"), RACE)
-
-    def _descended(self, problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
-        ridge = self._ridge(free)
-        at = Descent(theta=theta, loss=loss(problem, theta, ridge))
-        for _ in range(most):
-            before, at = at.loss, step(problem, at, free, ridge)
-            if not at.loss < before * (1.0 - SETTLED):
-                break
-        return at
+        return descended(short, theta, inside, self._ridge(inside), RACE)
 
     def _free(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:  # The blocks that a phase moves
         spec = self.spec

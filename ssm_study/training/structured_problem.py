@@ -12,12 +12,13 @@ from ssm_study.models.structured import codes
 from ssm_study.models.structured_kernel import Matrices, blocks, free_run, sensitivities, split
 from ssm_study.models.structured_spec import Pieces
 from ssm_study.training.fit import Pairs, padded
-from ssm_study.training.levenberg import WRITTEN_OUT, damped
+from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, damped
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out, x0.
 Theta = dict[str, Float[np.ndarray, "..."]]
 Columns = dict[str, Float[np.ndarray, "N T p _"]]
 FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
+SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
 class Batch(NamedTuple):
@@ -179,6 +180,22 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str
         )  # fmt: skip
     theta = at.theta if by is None else at.theta | unpack(flat + by, at.theta, free)
     return Descent(theta=theta, loss=value, damping=damping)
+
+
+def descended(problem: Residuals, theta: Theta, free: tuple[str, ...], ridge: dict[str, float], most: int) -> Descent:
+    """At most so many steps, until one has `ended` the descent."""
+    at = Descent(theta=theta, loss=loss(problem, theta, ridge))
+    for _ in range(most):
+        before, at = at.loss, step(problem, at, free, ridge)
+        if ended(before, at.loss, at.damping):
+            break
+    return at
+
+
+def ended(before: float, after: float, damping: float) -> bool:
+    """An accepted step gained less than `SETTLED`; after a refused one, damped more, a shorter step may still gain."""
+    refused = after == before and damping < DAMPING_RANGE[1]
+    return not refused and not after < before * (1.0 - SETTLED)
 
 
 def _solved(damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"] | None:

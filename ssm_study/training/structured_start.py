@@ -31,7 +31,7 @@ def linear_start(problem: Residuals, order: int, feedthrough: bool, rng: np.rand
     (n, m), p = system.b.shape, len(system.c)
     shapes = {"e": (n, 0), "f": (0, n), "g": (0, m), "h": (p, 0), "bias": (0,)}  # no neurons yet
     shapes |= {"x0": (len(u), n + p * problem.integrated)}
-    return {name: np.zeros(shape) for name, shape in shapes.items()} | {
+    start = {name: np.zeros(shape) for name, shape in shapes.items()} | {
         "a": system.a * min(1.0, SLOWEST / radius),
         "b": system.b,
         "c": system.c,
@@ -39,6 +39,20 @@ def linear_start(problem: Residuals, order: int, feedthrough: bool, rng: np.rand
         "scaffold_in": problem.lift.start(samples[0]),
         "scaffold_out": problem.read.start(samples[1]),
     }
+    return unit_states(problem, start)
+
+
+def unit_states(problem: Residuals, theta: Theta) -> Theta:
+    """The same linear model in coordinates in which each state has a root mean square of one over the records.
+
+    Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one overturns another.
+    """
+    states = problem.simulated(theta)[2][:, :-1][problem.records.scored]
+    size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9
+    x0 = theta["x0"].copy()
+    x0[:, : len(size)] /= size
+    turned = {"a": theta["a"] * size / size[:, None], "b": theta["b"] / size[:, None], "c": theta["c"] * size}
+    return theta | turned | {"x0": x0}
 
 
 def screened_poles(problem: Residuals, begun: Theta, estimates: bool, rng: np.random.Generator) -> Theta:
@@ -103,16 +117,13 @@ def _least(x: Float[np.ndarray, "N k"], y: Float[np.ndarray, "N p"]) -> Float[np
 
 def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Generator) -> Theta:
     """States of unit size, then F and the bias random, so that neurons bend within the data, E small, G and H zero."""
-    states = problem.simulated(theta)[2][:, :-1][problem.records.scored]
-    size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9  # root mean square of each state
-    n, m, p = len(size), theta["b"].shape[1], len(theta["c"])
-    x0, b = theta["x0"].copy(), theta["b"] / size[:, None]
-    x0[:, :n] /= size
+    theta = unit_states(problem, theta)
+    (n, m), p = theta["b"].shape, len(theta["c"])
     f = rng.normal(size=(count, n))
     f *= rng.uniform(0.7, 3.0, (count, 1)) / np.linalg.norm(f, axis=1, keepdims=True)
-    e, bias = SMALL * rng.normal(size=(n, count)) * np.linalg.norm(b), RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
-    turned = {"a": theta["a"] * size / size[:, None], "b": b, "c": theta["c"] * size, "x0": x0}
-    return theta | turned | {"e": e, "f": f, "g": np.zeros((count, m)), "h": np.zeros((p, count)), "bias": bias}
+    e, bias = SMALL * rng.normal(size=(n, count)), RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
+    e *= np.linalg.norm(theta["b"])
+    return theta | {"e": e, "f": f, "g": np.zeros((count, m)), "h": np.zeros((p, count)), "bias": bias}
 
 
 def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:

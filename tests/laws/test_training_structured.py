@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plants_cases import from_yaml
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.models.contracting import Core, Free, explicit, in_metric, metric, parameters, projected
 from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.models.spec import scaled
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import Pieces, StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training import structured_choice
+from ssm_study.training.levenberg import DAMPING_RANGE
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.structured_fit import StructuredFit, pruned
 from ssm_study.training.structured_problem import (
@@ -25,6 +28,8 @@ from ssm_study.training.structured_problem import (
     Descent,
     Residuals,
     Theta,
+    descended,
+    ended,
     loss,
     pack,
     step,
@@ -137,6 +142,19 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
     after = step(one, at, ("a",), {})
     assert after.theta is begun
     assert after.loss == at.loss
+
+
+def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
+    """Records of the motor: a step that suits the largest balanced state overturns one of a six hundredth."""
+    made = from_yaml("data", "simulated", "validation_samples=20", "test_samples=20")
+    data = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
+    maps = {"lift": Pieces(1, 16, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
+    one = Residuals(records=Batch.padded(scaled(data)).cut(2000), neurons=(), **maps)  # type: ignore[arg-type]
+    begun = linear_start(one, 5, False, np.random.default_rng(8))
+    assert loss(one, begun, {}) > 0.05
+    assert descended(one, begun, ("a", "b", "c"), {}, 15).loss < 0.0055
+    assert not ended(1.0, 1.0, 1.0)
+    assert ended(1.0, 1.0, DAMPING_RANGE[1])
 
 
 def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input() -> None:
