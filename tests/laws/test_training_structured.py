@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants_cases import from_yaml
+from structured_adjoint import gradient
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.models.contracting import Core, Free, explicit, in_metric, metric, parameters, projected
@@ -126,6 +127,16 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: boo
     ahead, behind = ([one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1))
     differences = (np.stack(ahead) - np.stack(behind)).T / 2e-6
     np.testing.assert_allclose(j @ turn, differences, atol=2e-7)
+
+
+def test_the_gradient_is_that_of_the_adjoint() -> None:
+    one, theta = problem(5, None)
+    one = replace(one, lift=Pieces(2, 0, 0.1, 1.0), read=Pieces(2, 0, 0.1, 1.0))
+    theta |= {"scaffold_in": np.zeros(0), "scaffold_out": np.zeros(0)}
+    free = (*CORE, *"bcdgh", "bias")
+    r, j, _ = one.linearised(theta, free)
+    by_adjoint = gradient(one, theta)
+    np.testing.assert_allclose(2 * j.T @ r, np.concatenate([by_adjoint[name].ravel() for name in free]), rtol=1e-9)
 
 
 def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
