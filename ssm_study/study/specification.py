@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
 
 MOST = 10_000_000  # samples of one kind, and any whole number of a part: more is said before memory runs out
 WIDEST = {"model.order": 512, "model": 4096}  # what matrices and networks are as wide as
+PART = "a part of the configuration"
 _PARTS: dict[tuple[str, str], Any] = {}  # the runs of a sweep share the parts in which they do not differ
 NUMBERS = BeartypeConf(is_pep484_tower=True)  # a whole number is a number
 
@@ -183,7 +184,9 @@ def built(path: str, node: Any) -> Any:
             given[key] = built(field, value)
         elif key in hints:
             fits = is_bearable(value, hints[key], conf=NUMBERS)
-            require(fits, field, value, f"is not {_words(hints[key])}", "correct the value")
+            words = _words(hints[key])
+            remedy = "choose it by its group, as in training/optimiser=lbfgs" if PART in words else "correct the value"
+            require(fits, field, value, f"is not {words}", remedy)
             given[key] = value if is_bearable(value, hints[key]) else float(value)
             if type(given[key]) is int:
                 most = WIDEST.get(field) or WIDEST.get(path.split(".")[0], MOST)
@@ -201,4 +204,5 @@ def _words(hint: Any) -> str:
     """A type as a reader would say it."""
     said = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", type(None): "null"}
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    return " or ".join(said.get(part, str(part).replace("typing.", "")) for part in parts)
+    other = (PART if isinstance(part, type) else str(part).replace("typing.", "") for part in parts)
+    return " or ".join(said.get(part, word) for part, word in zip(parts, other, strict=True))
