@@ -9,6 +9,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
 
 import hydra
+import numpy as np
 from beartype import BeartypeConf
 from beartype.door import is_bearable
 from omegaconf import DictConfig
@@ -76,6 +77,7 @@ class Specification:
             configuration=settings,
         )
         found.refuse_sizes()
+        found.refuse_limits()
         found.refuse_feedthrough()
         found.refuse_fast_modes()
         return found
@@ -112,6 +114,18 @@ class Specification:
         counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
         for field, count in (counts | {"loop.initial_conditions * horizon_s / step_s": samples}).items():
             require(count <= MOST, field, count, f"more than {MOST} samples", "use fewer")
+
+    def refuse_limits(self) -> None:
+        """Raise `BadRequest` for input limits that do not fit the plant's inputs, or that its rest lies beyond."""
+        if self.plant is None:
+            return
+        rest, ends = self.plant.equilibrium().u, self.loop.limits
+        names, shown = "loop.input_lower, loop.input_upper", tuple(end.tolist() for end in ends)
+        fits = all(end.shape in ((), rest.shape) for end in ends)
+        require(fits, names, shown, f"the plant's inputs number {len(rest)}", "give one number, or one for each")
+        inside = bool(np.all((ends[0] <= rest) & (rest <= ends[1])))
+        problem = f"the plant rests at the input {', '.join(f'{u:g}' for u in rest)}"
+        require(inside, names, shown, problem, "choose limits around it")
 
     def select(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """What a stage depends on: the settings of these parts, and the parts themselves."""

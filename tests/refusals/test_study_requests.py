@@ -75,6 +75,8 @@ WRONG = {
     "a group takes the name of one of its choices": ["plant=null"],
     "--dryrun: there is no such option; did you mean --dry-run?": ["--dryrun"],
     "loop.input_lower, loop.input_upper = (3.0, -3.0)": ["loop.input_lower=3", "loop.input_upper=-3"],
+    "the plant rests at the input 0; choose limits around it": ["loop.input_lower=1", "loop.input_upper=3"],
+    "the plant's inputs number 1": ["loop.input_lower=[-1.0,-2.0]", "loop.input_upper=[1.0,2.0]"],
     "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
 }
 
