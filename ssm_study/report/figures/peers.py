@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study.report import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
@@ -42,6 +42,7 @@ def draw(study: StudyFolder) -> Figure:
         if axes.get_xscale() == "log":
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())  # else 3 x 10^-1 stands beside 0.5 on less than a decade
         axes.set_yticks(range(len(methods)), [spoken(name) for name in methods])
         axes.grid(axis="y", visible=False)
     return fig
