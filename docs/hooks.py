@@ -75,6 +75,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     `<!-- columns -->` becomes the table of the declared columns.
     """
     markdown = markdown.replace("](../results/reference/", "](measured/")
+    markdown = re.sub(r"\]\(\.\./ssm_study/(\w+)/\w+\.py\)", r"](reference/\1.md)", markdown)  # in a clone, the file
     markdown = markdown.replace("<!-- columns -->", _columns())
     return re.sub(r"<!-- answers (\w+) -->", lambda match: _answers(match[1]), markdown)
 

@@ -6,8 +6,10 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import yaml  # type: ignore[import-untyped]
+from hydra.errors import OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
+from ssm_study.cli.request import OPTIONS
 from ssm_study.refusal import BadRequest, require
 
 ASK = "see `ssm-study run --help`"
@@ -16,6 +18,9 @@ ASK = "see `ssm-study run --help`"
 def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
     """The refusal of `overrides` over the configuration in `folder` that Hydra answered with `error`."""
     asked, said = " ".join(overrides) or "(no override)", one_sentence(error)
+    if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
+        remedy = "write KEY=VALUE, in a sweep KEY=VALUE,VALUE, and close what you open"
+        return BadRequest("request", asked, f"{error.override} cannot be read", remedy)
     if found := re.search(r"Could not find '(.+)/([^/']+)' Available options in '.+': (.+)", said):
         group, name, choices = found[1], found[2], found[3].split()
         near = get_close_matches(name, choices, n=1)
@@ -23,6 +28,8 @@ def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequ
         return BadRequest("request", asked, f"there is no {group}/{name}", remedy)
     if found := re.search(r"Ambiguous value for argument '(.+?)'", said):
         return BadRequest("request", asked, f"{found[1]} are several values for one run", "add -m to sweep over them")
+    if "Config group override" in said:
+        return BadRequest("request", asked, "a group takes the name of one of its choices", ASK)
     if found := re.search(r"Could not override '([^']+)'", said):
         return BadRequest("request", asked, said, meant(found[1], overrides, folder) or ASK)
     return BadRequest("request", asked, said, ASK)
@@ -37,7 +44,13 @@ def one_sentence(error: BaseException) -> str:
 
 
 def refuse_dashes(overrides: list[str], folder: Path) -> None:
-    """Raise `BadRequest` for a setting that is written like an option, `--model.order 4`, and for Hydra's rerun."""
+    """Raise `BadRequest` for a setting that is written like an option, `--model.order 4`, and for Hydra's rerun.
+
+    Also for an option that is nearly one of ours; to others Hydra answers.
+    """
+    near = {word: get_close_matches(word, OPTIONS, n=1, cutoff=0.8) for word in overrides if word not in OPTIONS}
+    for word in (word for word in near if near[word] and word.startswith("--")):
+        raise BadRequest("request", word, "there is no such option", f"did you mean {near[word][0]}?")
     settings = {"seed", "study", "results_dir", *(group.name for group in folder.iterdir() if group.is_dir())}
     for word in overrides:
         key = word.removeprefix("--").split("=")[0]

@@ -53,16 +53,17 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
     if isinstance(error, BadRequest):
         return error
     if isinstance(error, OSError):
-        return full_or_forbidden("file", error)
+        named = error.filename is not None  # the error of a write does not know its file
+        return full_or_forbidden(*(("file", error) if named else ("command", error, " ".join(arguments))))
     problem = f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
     remedy = "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 
-def full_or_forbidden(field: str, error: OSError) -> BadRequest:
+def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
     """The sentence for a disk that is full or a folder that is not ours; `field` names what was asked."""
     problem, remedy = error.strerror or type(error).__name__, "make room, or choose a folder that you may write to"
-    return BadRequest(field, error.filename or "not named", problem, remedy)
+    return BadRequest(field, error.filename or otherwise, problem, remedy)
 
 
 def _reader_is_gone() -> bool:

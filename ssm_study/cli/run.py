@@ -69,6 +69,10 @@ def run(overrides: list[str]) -> int:
         return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
+    except ValueError as error:  # Hydra's own, for a number or null where the name of a choice belongs
+        if "Config group override" not in str(error):
+            raise
+        raise advised(error, overrides, configuration_folder()) from error
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             raise

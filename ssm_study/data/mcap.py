@@ -93,7 +93,8 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     )
     context = foxglove.Context()
     queue: list[tuple[int, int, bytes]] = []
-    with foxglove.open_mcap(temporary, allow_overwrite=True, context=context, writer_options=options) as writer:
+    written = BytesIO()  # on a full disk Foxglove prints a line a message and its error does not say what it met
+    with foxglove.open_mcap(written, context=context, writer_options=options) as writer:
         writer.write_metadata(METADATA_NAME, metadata)
         shared = _shared(groups)
         channels = [_open_channel(context, topic, parts) for topic, parts in shared.items()]
@@ -102,6 +103,7 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
             queue += [(time, index, message) for time, message in zip(times, _encoded(parts), strict=True)]
         for time, index, message in sorted(queue, key=lambda item: item[:2]):  # by log time, as players expect
             channels[index].log(message, log_time=time)
+    temporary.write_bytes(written.getbuffer())
     temporary.replace(path)
 
 

@@ -6,7 +6,7 @@ from ssm_study.columns import Column
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.judgement import Judgement
 
-NOT_KEPT = "the training records, which it rests on, are not kept in the run's folder"
+NOT_KEPT = "where the training records cannot be made or read again"
 
 COLUMNS = (
     Column("evidence", "string", word="Evidence", unchecked=NOT_KEPT),

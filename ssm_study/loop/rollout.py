@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from ssm_study.loop.controller import Controller
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
 
 LARGEST_SIGNAL = 1e6
 """An estimate (scaled), or an input in the plant's own amplitudes from rest, beyond this counts as having left the
@@ -108,9 +108,12 @@ def _matched(plant: Plant, controller: Controller) -> None:
 
 def _reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
     excess = float(np.abs(demanded - np.clip(demanded, *limits)).max(initial=0.0))
-    needed = f"is held by inputs in [{demanded.min(initial=0.0):.4g}, {demanded.max(initial=0.0):.4g}]"
-    problem = f"beyond the limits loop.input_lower, loop.input_upper by {excess:.4g}"
-    require(excess == 0.0, "loop.reference", needed, problem, "choose a smaller reference")
+    if excess == 0.0:
+        return
+    ends = tuple(np.asarray(end).tolist() for end in limits)
+    problem = f"what the loop is to hold is held by inputs from {demanded.min():.4g} to {demanded.max():.4g}"
+    remedy = f"widen the limits by {excess:.4g}, or choose a smaller loop.reference"
+    raise BadRequest("loop.input_lower, loop.input_upper", ends, problem, remedy)
 
 
 def last_step(reference: Float[np.ndarray, "T p"]) -> int:

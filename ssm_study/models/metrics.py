@@ -12,7 +12,7 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectories, Trajectory, fit_percent, rmse
 
 AS_TRAINED = "the model as it was trained is kept in the store, not in the run's folder"
-NOT_KEPT = "the outputs of the training records are not kept in the run's folder"
+NOT_KEPT = "where the training records cannot be made or read again"
 
 COLUMNS = (
     Column("model", "string", word="Model class", setting="model"),

@@ -9,6 +9,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
 
 import hydra
+import numpy as np
 from beartype import BeartypeConf
 from beartype.door import is_bearable
 from omegaconf import DictConfig
@@ -31,6 +32,7 @@ if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
 
 MOST = 10_000_000  # samples of one kind, and any whole number of a part: more is said before memory runs out
 WIDEST = {"model.order": 512, "model": 4096}  # what matrices and networks are as wide as
+PART = "a part of the configuration"
 _PARTS: dict[tuple[str, str], Any] = {}  # the runs of a sweep share the parts in which they do not differ
 NUMBERS = BeartypeConf(is_pep484_tower=True)  # a whole number is a number
 
@@ -75,6 +77,7 @@ class Specification:
             configuration=settings,
         )
         found.refuse_sizes()
+        found.refuse_limits()
         found.refuse_feedthrough()
         found.refuse_fast_modes()
         return found
@@ -111,6 +114,18 @@ class Specification:
         counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
         for field, count in (counts | {"loop.initial_conditions * horizon_s / step_s": samples}).items():
             require(count <= MOST, field, count, f"more than {MOST} samples", "use fewer")
+
+    def refuse_limits(self) -> None:
+        """Raise `BadRequest` for input limits that do not fit the plant's inputs, or that its rest lies beyond."""
+        if self.plant is None:
+            return
+        rest, ends = self.plant.equilibrium().u, self.loop.limits
+        names, shown = "loop.input_lower, loop.input_upper", tuple(end.tolist() for end in ends)
+        fits = all(end.shape in ((), rest.shape) for end in ends)
+        require(fits, names, shown, f"the plant's inputs number {len(rest)}", "give one number, or one for each")
+        inside = bool(np.all((ends[0] <= rest) & (rest <= ends[1])))
+        problem = f"the plant rests at the input {', '.join(f'{u:g}' for u in rest)}"
+        require(inside, names, shown, problem, "choose limits around it")
 
     def select(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """What a stage depends on: the settings of these parts, and the parts themselves."""
@@ -183,7 +198,9 @@ def built(path: str, node: Any) -> Any:
             given[key] = built(field, value)
         elif key in hints:
             fits = is_bearable(value, hints[key], conf=NUMBERS)
-            require(fits, field, value, f"is not {_words(hints[key])}", "correct the value")
+            words = _words(hints[key])
+            remedy = "choose it by its group, as in training/optimiser=lbfgs" if PART in words else "correct the value"
+            require(fits, field, value, f"is not {words}", remedy)
             given[key] = value if is_bearable(value, hints[key]) else float(value)
             if type(given[key]) is int:
                 most = WIDEST.get(field) or WIDEST.get(path.split(".")[0], MOST)
@@ -201,4 +218,5 @@ def _words(hint: Any) -> str:
     """A type as a reader would say it."""
     said = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", type(None): "null"}
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    return " or ".join(said.get(part, str(part).replace("typing.", "")) for part in parts)
+    other = (PART if isinstance(part, type) else str(part).replace("typing.", "") for part in parts)
+    return " or ".join(said.get(part, word) for part, word in zip(parts, other, strict=True))

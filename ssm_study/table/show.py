@@ -93,30 +93,45 @@ def short_names(names: pd.Series) -> pd.Series:
 def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
     """Fixed-width text with as many columns as fit: what pipes and files get.
 
-    Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are known. Of each run's
-    name only its digits, both certificates in one word, and how many starts settled of how many.
+    Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are known; where the width
+    is short, a setting that follows from those before it gives way to the outcomes. Of each run's name only its digits,
+    both certificates in one word, and how many starts settled of how many.
     """
     controller, observer = table["controller_certified"], table["observer_certified"]
     pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
     certified = pd.Series([CERTIFIED[bool(one), bool(other)] for one, other in pairs], table.index, dtype="string")
     certified = certified.where(controller.notna() | observer.notna())
     settled = table["stable_count"].astype("string") + "/" + table["initial_conditions"].astype("string")
+    varied, telling = _varied_settings(table)
     table = table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
-    names = ["run", "status", *([by] if by else [])]
-    settings = [c.name for c in SETTINGS if c.name in table and c.name != "rates_chosen"]
-    names += [name for name in settings if requested(table, name).nunique(dropna=False) > 1]
-    names += [name for name in OUTCOMES if table[name].notna().any()]
-    columns: list[list[str]] = []
+    first, outcomes = ["run", "status", *([by] if by else [])], [n for n in OUTCOMES if table[n].notna().any()]
+    columns: dict[str, list[str]] = {}
     taken = 0
-    for name in dict.fromkeys(names):  # what the table is sorted by stands once
+    for name in dict.fromkeys([*first, *telling, *outcomes, *varied]):  # what the table is sorted by stands once
         head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
         cells = [head, *map(cell, table[name])]
         room = max(map(len, cells))
         if taken + room + 2 > width and columns:  # a narrower one may still fit
             continue
-        columns.append([text.ljust(room) if name in ("run", "status") else text.rjust(room) for text in cells])
+        columns[name] = [text.ljust(room) if name in ("run", "status") else text.rjust(room) for text in cells]
         taken += room + 2
-    return "\n".join("  ".join(line).rstrip() for line in zip(*columns, strict=True))
+    shown = [columns[name] for name in dict.fromkeys([*first, *varied, *outcomes]) if name in columns]
+    return "\n".join("  ".join(line).rstrip() for line in zip(*shown, strict=True))
+
+
+def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """The settings in which the runs differ, and those of them that tell runs apart which the ones before do not."""
+    settings = [c.name for c in SETTINGS if c.name in table and c.name != "rates_chosen"]
+    values = {name: requested(table, name) for name in settings}
+    varied = [name for name in settings if values[name].nunique(dropna=False) > 1]
+    telling: list[str] = []
+    alike = pd.Series(0, index=table.index)  # a number for each group of runs that are not told apart yet
+    for name in varied:
+        finer = pd.DataFrame({"before": alike, "now": values[name].astype("string")})
+        groups = finer.groupby(["before", "now"], dropna=False).ngroup()
+        if groups.nunique() > alike.nunique():
+            telling, alike = [*telling, name], groups
+    return varied, telling
 
 
 def cell(value: object) -> str:

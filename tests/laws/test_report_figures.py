@@ -68,6 +68,17 @@ def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(smoke
     assert drawn == set(figures.names()) - NEEDS_SEVERAL
 
 
+def test_one_situation_is_no_robustness(monkeypatch: pytest.MonkeyPatch, studies: dict[str, Path]) -> None:
+    """The peers are compared in the nominal one alone: what would be drawn is a wall of one colour."""
+    whole = StudyFolder(folder=studies["runs"]).comparison
+    nominal = whole[whole["situation"] == "nominal"]
+    assert len(nominal) < len(whole)
+    monkeypatch.setattr(StudyFolder, "comparison", nominal)
+    told: list[str] = []
+    assert figures.draw(["robustness"], studies["runs"], told.append) == []
+    assert "several situations" in told[0]
+
+
 def test_the_figure_of_the_fit_shows_the_test_record_first_and_validation_below(smoke_copy: Path) -> None:
     panels = drawn("validation_trajectory", smoke_copy).axes
     assert [panel.lines[0].get_label() for panel in panels[:2]] == ["test record", "validation record"]

@@ -244,6 +244,22 @@ def test_what_was_swept_stands_before_what_came_of_it() -> None:
     assert first.split() == ["0000000000", "ok", "0", "0", "9/10"]
 
 
+def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None:
+    """Two model classes differ in five settings: one says which is which, and the reader wants the fit."""
+    rows = [
+        {"run": "r-1", "status": "ok", "model": "ssm", "order": 4, "hidden_width": 32, "slope_lower": 0.01,
+         "scaffold_in": "monotone", "scaffold_out": "linear", "fit_test_percent": 96.3, "stable_count": 10,
+         "initial_conditions": 10, "resolved_margin": 2.156, "predicted_stable": True},
+        {"run": "r-2", "status": "ok", "model": "structured", "order": 5, "slope_lower": 0.1, "fit_test_percent": 97.2,
+         "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697, "predicted_stable": True},
+    ]  # fmt: skip
+    heads = plain_table(table_of(rows)).splitlines()[0].split()
+    assert heads[2] == "model"
+    assert heads[-5:] == ["settled", "fit", "%", "margin", "predicted"]
+    assert "scaffold_out" not in heads
+    assert "scaffold_out" in plain_table(table_of(rows), width=160).splitlines()[0]  # where there is room
+
+
 def test_one_reason_is_told_once() -> None:
     lines = summary(sweep(20), shown=20)
     assert lines[1] == "20 runs: 10 ok, 10 infeasible"

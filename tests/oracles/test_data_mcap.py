@@ -143,6 +143,20 @@ def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) 
     assert recording.read_bytes() == before
 
 
+def test_a_full_disk_is_the_systems_own_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Known as a fault of the machine, so that the same command tries again; and it fills no terminal."""
+    values = np.random.default_rng(0).standard_normal((4000, 2))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))  # bytes of a file: writes beyond fail as on a full disk
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_mcap(tmp_path / "a.mcap", (group("/output", values),), {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not (tmp_path / "a.mcap").exists()
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     """A few kilobytes that would unpack to a gigabyte: what the chunk claims does not matter, its frame says it."""
     press = zstandard.ZstdCompressor().compressobj(size=2**30)

@@ -125,7 +125,7 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     assert run.u.max() == 1.2 * held
     assert np.abs(run.y - run.reference)[:, -50:].max() < 1e-3
     assert run.y.max() < 1.1 * 8.0
-    with pytest.raises(BadRequest, match=r"is held by inputs in .* beyond the limits"):
+    with pytest.raises(BadRequest, match=r"is held by inputs from .* widen the limits by"):
         replace(limited, input_upper=0.9 * held).run(motor(), motor_model(), design, seed=0)
 
 

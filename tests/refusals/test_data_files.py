@@ -69,6 +69,7 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
         (lambda rows: [*rows[:50], rows[50].rsplit(",", 1)[0], *rows[51:]], r"Row #51: Expected 3 columns, got 2"),
         (lambda rows: [rows[0]] + [row + ",7" for row in rows[1:]], r"Expected 3 columns, got 4"),
         (lambda rows: [row.replace(",", ";") for row in rows], r"semicolons"),
+        (lambda rows: [row.replace(",", "\t") for row in rows], r"separated by tabs"),
         (lambda rows: ["t,u,speed", *rows[1:]], r"log.csv \(column\) = y: the header has t, u, speed"),
         (lambda rows: ["y,u,y", *rows[1:]], r"2 times"),
         (lambda rows: [*rows[:50], "0.49,,1.0", *rows[51:]], r"column u, line 51 = \(empty\).*interpolate"),
@@ -78,7 +79,7 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
         (lambda _: [], r"no header"),
         (lambda rows: [rows[0], "\0\0", *rows[1:]], r"NUL"),
     ],
-    ids=["text", "no names", "long row", "short row", "shifted", "semicolons", "missing column", "duplicate",
+    ids=["text", "no names", "long row", "short row", "shifted", "semicolons", "tabs", "missing column", "duplicate",
          "empty cell", "nan", "inf", "no rows", "empty file", "nul"],
 )  # fmt: skip
 def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore[no-untyped-def]

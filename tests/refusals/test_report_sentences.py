@@ -62,8 +62,14 @@ def test_a_full_disk_is_one_sentence(
     def full(path: Path, *_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
+    def nameless(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
     (study / "runs.csv").unlink()
     monkeypatch.setattr(gather, "write_atomically", full)
     for command in ("gather", "show"):
         assert main([command, str(study)]) == 2
         assert "No space left on device" in capsys.readouterr().err
+    monkeypatch.setattr(gather, "write_atomically", nameless)
+    assert main(["gather", str(study)]) == 2
+    assert f"command = gather {str(study)[:40]}" in capsys.readouterr().err

@@ -66,6 +66,17 @@ WRONG = {
         "synthesis.rate_controller=0.9999999999999999",
     ],
     "excitation.path": ["excitation=file"],
+    "synthesis.rate_controller = nan: is not a finite number": ["synthesis=riccati", "synthesis.rate_controller=nan"],
+    "excitation.amplitude = -inf: is not a finite number": ["excitation.amplitude=-inf"],
+    "training.optimiser = sgd: is not a part of the configuration": ["training.optimiser=sgd"],
+    "seed=0,,1 cannot be read": ["-m", "seed=0,,1"],
+    "model.order cannot be read": ["model.order"],
+    "study='x cannot be read": ["study='x"],
+    "a group takes the name of one of its choices": ["plant=null"],
+    "--dryrun: there is no such option; did you mean --dry-run?": ["--dryrun"],
+    "loop.input_lower, loop.input_upper = (3.0, -3.0)": ["loop.input_lower=3", "loop.input_upper=-3"],
+    "the plant rests at the input 0; choose limits around it": ["loop.input_lower=1", "loop.input_upper=3"],
+    "the plant's inputs number 1": ["loop.input_lower=[-1.0,-2.0]", "loop.input_upper=[1.0,2.0]"],
     "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
 }
 

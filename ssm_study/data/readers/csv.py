@@ -45,9 +45,10 @@ def _header(path: Path) -> list[str]:
         first = next(csv.reader(start.decode("utf-8-sig", errors="strict").splitlines()[:1]))
     except (StopIteration, UnicodeDecodeError, csv.Error) as error:
         raise BadRequest("data.path", path, "has no header line of readable text", "export it as UTF-8 CSV") from error
-    commas = len(first) > 1 or ";" not in "".join(first)
     remedy = "export it with commas between columns and points in numbers"
-    require(commas, f"{path.name} (header)", "".join(first), "looks separated by semicolons", remedy)
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        commas = len(first) > 1 or mark not in "".join(first)
+        require(commas, f"{path.name} (header)", "".join(first), f"looks separated by {name}", remedy)
     return first
 
 

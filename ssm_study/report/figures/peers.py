@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study.report import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
@@ -40,8 +40,8 @@ def draw(study: StudyFolder) -> Figure:
                 axes.plot([own.median()] * 2, [row - 0.3, row + 0.3], color=style.VERMILLION, lw=1.6, zorder=4)
         axes.set(xlabel=label, ylim=(len(methods) - 0.5, -0.5), **scale)
         if axes.get_xscale() == "log":
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.xaxis.set_major_formatter("{x:g}")
+            ticks = {"major_locator": LogLocator(subs=(1.0, 2.0, 5.0)), "minor_formatter": NullFormatter()}
+            axes.xaxis.set(major_formatter="{x:g}", **ticks)  # without minor ones: 3 x 10^-1 would stand beside 0.5
         axes.set_yticks(range(len(methods)), [spoken(name) for name in methods])
         axes.grid(axis="y", visible=False)
     return fig

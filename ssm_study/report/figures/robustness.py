@@ -14,7 +14,8 @@ from ssm_study.table.columns import column
 
 def draw(study: StudyFolder) -> Figure:
     compared = study.comparison
-    if "situation" not in compared or column(compared, "stable_fraction").isna().all():
+    several = "situation" in compared and compared["situation"].nunique() > 1
+    if not several or column(compared, "stable_fraction").isna().all():
         raise NothingToDraw("No run compared controllers in several situations (experiment=robustness does).")
     shares, times = 100 * _table(compared, "stable_fraction"), _table(compared, "settling_time_mean_s")
     said = shares.map("{:.0f} %".format) + times.map(lambda time: "" if pd.isna(time) else f"\n{time:.2g} s")
