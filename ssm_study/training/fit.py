@@ -33,9 +33,8 @@ Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]
 def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
     """Records `(u, y)`, padded with zeros at the end to one length."""
     most = max(len(u) for u, _ in pairs)
-    u, y = (
-        np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in zip(*pairs, strict=True)
-    )
+    sides = zip(*pairs, strict=True)
+    u, y = (np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in sides)
     return u, y
 
 
@@ -133,9 +132,9 @@ def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) ->
     Both terms are free of scale, so a weight of 0.001 means a thousandth of the output's variance. The second is the
     nuclear norm of the Hankel operator: it drives the singular values of redundant states to zero, one after the other.
     """
+    total = torch.zeros(())
     if not isinstance(model, TorchSSM):
-        return torch.zeros(())
-    total = torch.zeros((), dtype=model.lru.nu.dtype, device=model.lru.nu.device)
+        return total
     if roughness_weight > 0:
         total = total + roughness_weight * (model.scaffold_in.roughness() + model.scaffold_out.roughness())
     if hankel_weight > 0:

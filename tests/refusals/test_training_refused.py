@@ -15,9 +15,8 @@ from test_training_identify import LBFGS, spec, training
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.residual import Residual
 from ssm_study.refusal import BadRequest
-from ssm_study.training.fit import Fit
 from ssm_study.training.optimisers import Adam, Lbfgs
-from ssm_study.training.saving import DurableCheckpointIO, load_state
+from ssm_study.training.saving import DurableCheckpointIO
 
 
 @pytest.mark.parametrize(
@@ -81,14 +80,6 @@ def test_other_settings_out_of_range_are_refused() -> None:
 def test_a_device_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match=r"training\.accelerator = gpu"):
         training(accelerator="gpu").identify(spec(), data_set(), 0, tmp_path)
-
-
-def test_a_checkpoint_of_another_architecture_is_refused(tmp_path: Path) -> None:
-    data = data_set()
-    training(max_epochs=1).identify(spec(), data, 0, tmp_path)
-    other = Fit(spec(order=5).build(data, 0), data, training())
-    with pytest.raises(BadRequest, match="another architecture"):
-        load_state(tmp_path / "best.ckpt", other)
 
 
 def test_resuming_something_else_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,7 +34,7 @@ class TorchDeepSSM(TorchModel):
 
     def __init__(self, blocks: list[TorchSSM]) -> None:
         super().__init__()
-        self.blocks = nn.ModuleList(blocks)
+        self.blocks: Any = nn.ModuleList(blocks)
         self.orders = [block.states for block in blocks]
         self.states = sum(self.orders)
 
@@ -46,7 +47,6 @@ class TorchDeepSSM(TorchModel):
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
         ends = []
         for block, start in zip(self.blocks, x0.split(self.orders, dim=1), strict=True):
-            assert isinstance(block, TorchSSM)
             u, end = block.advance(u, start)
             ends.append(end)
         return u, torch.cat(ends, 1)
@@ -55,7 +55,6 @@ class TorchDeepSSM(TorchModel):
         """Signals between the blocks have no unit: only the outer ends are scaled."""
         frozen, ends = [], vars(data.scale)
         for i, block in enumerate(self.blocks):
-            assert isinstance(block, TorchSSM)
             sides = ("input",) * (i == 0) + ("output",) * (i == len(self.blocks) - 1)
             outer = {name: values for name, values in ends.items() if name.startswith(sides)}
             unit = Scale.unit(block.lru.modes().b.shape[1], len(block.lru.d))
@@ -80,7 +79,6 @@ class DeepSSMSpec(ModelSpec):
 
     def build(self, data: DataSet, seed: int) -> TorchDeepSSM:
         rng = np.random.default_rng(seed)
-        torch.manual_seed(seed)
         records = scaled(data)
         samples = np.concatenate([u for u, _ in records])
         wires = [samples.shape[1], *[self.channels] * (self.layers - 1), records[0][1].shape[1]]
