@@ -68,9 +68,9 @@ def on_ring(
 def from_data(records: Records, order: int, rng: np.random.Generator, feedthrough: bool) -> Start:
     """ARX by least squares over all records, its impulse response, a balanced realisation of it, its modes.
 
-    Where the input acts at once and no feedthrough is allowed, or of noise, long ARX models are unstable, and modes
-    pulled into the unit circle answer a thousandfold: a start whose free run is further from the records than no
-    model at all is made again with as many lags as states, then scaled to what it explains.
+    Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is allowed; their modes,
+    pulled into the unit circle, then answer a thousandfold. A start whose free run is further from the records than
+    zero is made again with as many lags as states; if that is no better, it is scaled to what it explains.
     Source: Ho & Kalman (1966); Juang & Pappa (1985) for the realisation.
     """
     longest = min(ARX_LAGS, max(len(u) for u, _ in records) // 4)
@@ -160,7 +160,7 @@ class ModelSpec(ABC):
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
     def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """What training k of several is of; they differ in the seed."""
+        """The model of training number `start` among several: the same, as each has a seed of its own."""
         return self
 
 

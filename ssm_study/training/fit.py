@@ -1,7 +1,4 @@
-"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch.
-
-The loss is the squared error of windows of the records, and the defects between windows.
-"""
+"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch."""
 
 import math
 from collections.abc import Sequence
@@ -79,7 +76,7 @@ class Records(nn.Module):
         """Free run of the model over all records."""
         if isinstance(model, TorchSSM):
             return model(self.u, x0, self.lift(model.scaffold_in))
-        return model(self.u) if x0 is None else model(self.u, x0)
+        return model(self.u, x0)
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
         """As `simulate`, and the states after the last sample, padding included."""

@@ -121,8 +121,8 @@ def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> p
 
 
 def fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """What a checkpoint belongs to: model, settings and every number of the records."""
-    digest = hashlib.sha256(f"{spec!r} {settings!r}".encode())
+    """What a checkpoint belongs to: model, settings, and the records as they are scaled and scored."""
+    digest = hashlib.sha256(f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode())
     for record in (*data.training, *data.validation):
         digest.update(np.ascontiguousarray(record.u).tobytes())
         digest.update(np.ascontiguousarray(record.y).tobytes())
@@ -183,8 +183,7 @@ class Keeper(Callback):
     Validation fits of noisy records differ by chance: among states whose validation fit is within `tolerance` percent
     points of the best seen, the one with the best training fit is kept. A line search that fails at a kink of the
     objective fails again and again: epochs that leave both fits as they were, to the last bit, end the training.
-    `curve` has one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. Whenever `every_s`
-    seconds have passed `last.ckpt` is written, so that a killed training can go on from there.
+    Whenever `every_s` seconds have passed `last.ckpt` is written, so that a killed training can go on from there.
     """
 
     remembered = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still", "curve")

@@ -2,15 +2,17 @@
 
 import pickle
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "laws"))
 from models_cases import data_set
-from test_training_identify import LBFGS, spec, training
+from test_training_identify import spec, training
 
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.residual import Residual
@@ -83,9 +85,12 @@ def test_a_device_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
-    training(max_epochs=1, checkpoint_every_s=0.0).identify(spec(), data_set(), 0, tmp_path)
-    with pytest.raises(BadRequest, match="another model, training or data set"):
-        training(LBFGS, max_epochs=1).identify(spec(hidden_width=9), data_set(), 0, tmp_path)
+    data, settings = data_set(), training(max_epochs=1, checkpoint_every_s=0.0)
+    settings.identify(spec(), data, 0, tmp_path)
+    wider = replace(data, scale=replace(data.scale, input_scale=np.array([2.0])))
+    for model, records in ((spec(hidden_width=9), data), (spec(), replace(data, start_up_samples=20)), (spec(), wider)):
+        with pytest.raises(BadRequest, match="another model, training or data set"):
+            settings.identify(model, records, 0, tmp_path)
 
 
 def test_a_damaged_or_evil_checkpoint_is_refused(tmp_path: Path) -> None:

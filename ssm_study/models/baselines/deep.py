@@ -16,6 +16,8 @@ from ssm_study.models.torch_ssm import LRU, Signals, States, TorchModel, TorchSS
 from ssm_study.refusal import at_least
 from ssm_study.signals import DataSet, Scale
 
+SLOPES = (0.01, 1.0)  # of each scaffolding, scaled units
+
 
 @dataclass(frozen=True, kw_only=True)
 class DeepSSM(Simulator, names=("deep_ssm",)):
@@ -58,7 +60,7 @@ class TorchDeepSSM(TorchModel):
             sides = ("input",) * (i == 0) + ("output",) * (i == len(self.blocks) - 1)
             outer = {name: values for name, values in ends.items() if name.startswith(sides)}
             unit = Scale.unit(block.lru.modes().b.shape[1], len(block.lru.d))
-            frozen.append(block.frozen(replace(unit, **outer), data.step_s))
+            frozen.append(block.freeze(replace(data, scale=replace(unit, **outer))))
         return DeepSSM(blocks=tuple(frozen))
 
 
@@ -71,7 +73,6 @@ class DeepSSMSpec(ModelSpec):
     channels: int
     hidden_width: int
     scaffold: Trainable
-    slopes: tuple[float, float] | list[float] = (0.01, 1.0)
 
     def __post_init__(self) -> None:
         for name in ("layers", "order", "channels", "hidden_width"):
@@ -85,7 +86,7 @@ class DeepSSMSpec(ModelSpec):
         blocks: list[TorchSSM] = []
         for enter, leave in pairwise(wires):
             seen = samples if not blocks else rng.normal(size=(500, enter))
-            frame = Frame(width=self.hidden_width, slopes=(self.slopes[0], self.slopes[1]), samples=seen)
+            frame = Frame(width=self.hidden_width, slopes=SLOPES, samples=seen)
             start = on_ring(self.order, self.order % 2, (0.3, 0.99), (0.01, 1.0), (enter, leave), rng)
             through = Linear().build(replace(frame, samples=np.zeros((1, leave))), rng)
             blocks.append(TorchSSM(self.scaffold.build(frame, rng), LRU(start, feedthrough=True), through))

@@ -133,7 +133,7 @@ class Mlp(Trainable):
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
         """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between sorted kinks."""
         w, b, low, high, after = explicit[0]
-        if after is None or w.shape[1] > 1:  # one input of more layers is `OneChannel`, or not certified
+        if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
             return None
         first, last = w[:, 0], after[0]
         points, order = (-b / first).sort()
@@ -166,11 +166,10 @@ class OneChannel(Trainable):
     depth: int
 
     def start(self, frame: Frame, rng: np.random.Generator) -> Start:  # noqa: ARG002
-        kinks, free = max(frame.width - 1, 1), {}
-        for i in range(self.depth):
-            free[f"points_{i}"] = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
-            free |= {f"jumps_{i}": np.zeros(kinks), f"base_{i}": np.zeros(1)}
-        return free
+        kinks = max(frame.width - 1, 1)
+        points = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
+        layer = {"points": points, "jumps": np.zeros(kinks), "base": np.zeros(1)}
+        return {f"{name}_{i}": values for i in range(self.depth) for name, values in layer.items()}
 
     def explicit(self, free: Free, slopes: Sector) -> list[Pieces]:
         (lower, upper), layers = layer_sector(*slopes, self.depth, channels=1), []
