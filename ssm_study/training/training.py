@@ -78,10 +78,10 @@ class Training:
         choice_s = time.perf_counter() - began
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
-        found = [trained(self, spec, data, seed, folder, progress)]
-        for start in range(1, spec.trainings if isinstance(spec, StructuredSpec) else self.starts):
-            one = trained(self, spec.at_start(start), data, seed + 1000 * start, folder / f"start_{start}", progress)
-            found.append(one)
+        found: list[Identification] = []
+        for k in range(getattr(spec, "trainings", self.starts)):
+            into = folder / f"start_{k}" if k else folder
+            found.append(trained(self, spec.at_start(k), data, seed + 1000 * k, into, progress))
         rule = getattr(spec, "among_starts", None)
         best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
         return replace(best, seconds=choice_s + sum(one.seconds for one in found), choice=tuple(choice))
