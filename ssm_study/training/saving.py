@@ -149,12 +149,6 @@ def read(path: Path) -> dict[str, Any]:
         raise BadRequest("checkpoint", path, problem, "remove it and train again") from error
 
 
-def fits_of(trainer: pl.Trainer) -> tuple[float, float]:
-    """The last epoch's fits to training and validation records, percent."""
-    training, validation = (float(trainer.callback_metrics[name]) for name in FITS)
-    return training, validation
-
-
 class Line(Callback):
     """Epochs, fits and time left on one live line; silent where stderr is not a terminal."""
 
@@ -168,9 +162,9 @@ class Line(Callback):
         self.progress.start()
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
-        training, validation = fits_of(trainer)
+        training, validation = (f"{trainer.callback_metrics[name]:.2f} %" for name in FITS)
         epoch = trainer.current_epoch + 1
-        told = f"epoch {epoch}/{trainer.max_epochs}, fit {training:.2f} %, validation {validation:.2f} %"
+        told = f"epoch {epoch}/{trainer.max_epochs}, fit {training}, validation {validation}"
         self.progress.update(self.task, completed=epoch, description=told)
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:  # noqa: ARG002
@@ -226,10 +220,9 @@ class Keeper(Callback):
             self.kept = copy.deepcopy(pl_module.state_dict())
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        fits = fits_of(trainer)
-        self.see(trainer.current_epoch, *fits, pl_module)
-        row = {"epoch": float(trainer.current_epoch), "seconds": self.seconds}
-        self.curve.append(row | dict(zip(FITS, fits, strict=True)))
+        fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
+        self.see(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
+        self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
     def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
