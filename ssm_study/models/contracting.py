@@ -79,9 +79,9 @@ def derivative(free: Free, change: Free, rate: float) -> Core:
 
 
 def parameters(core: Core, rate: float) -> Free:
-    """The inverse of `explicit` with `d = 1`; `BadRequest` where the LMI does not hold with `M = I, Lambda = I`."""
+    """The inverse of `explicit` with `d = 1`; `LinAlgError` where the LMI does not hold with `M = I, Lambda = I`."""
     e = core.e / np.sqrt(2.0)
-    root = _root(2.0 * np.eye(e.shape[1]) - core.e.T @ core.e)  # R of the module's equations
+    root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - core.e.T @ core.e)  # R of the module's equations
     gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
     x_g = _uncontracted(np.vstack([core.a, gh]) / rate)
     return Free(x_e=_uncontracted(e), x_g=x_g, log_d=np.zeros(e.shape[1]))
@@ -131,7 +131,7 @@ def metric(core: Core, rate: float) -> Contracting | None:
             p = scipy.linalg.solve_discrete_lyapunov(a.T, weight)
         found = Contracting(core, np.linalg.cholesky(p / 2.0).T, d)
         parameters(in_metric(found), rate)
-    except (np.linalg.LinAlgError, ValueError, BadRequest):  # the gain is one or more: there is no solution
+    except (np.linalg.LinAlgError, ValueError):  # the gain is one or more: there is no solution
         return None
     return found
 
@@ -161,15 +161,7 @@ def _contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = 
 
 def _uncontracted(y: Tall) -> Tall:
     """X with `con(X) = Y`: `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
-    return y @ np.linalg.inv(_root(np.eye(y.shape[1]) - y.T @ y)).T
-
-
-def _root(gap: Square) -> Square:  # The Cholesky factor of what must be positive definite; raises BadRequest
-    try:
-        return np.linalg.cholesky(gap)
-    except np.linalg.LinAlgError as error:
-        problem, remedy = "does not contract at this rate in M = I, Lambda = I", "find its metric first"
-        raise BadRequest("model", "gap not positive definite", problem, remedy) from error
+    return y @ np.linalg.inv(np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)).T
 
 
 def _change(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:  # d con(X) along dx

@@ -141,24 +141,21 @@ class SSM(Wired):
         refused. Derivation: docs/theory.md, "The ball of Jacobians".
         """
         linear, scaffold_in, scaffold_out = self.linear, self.scaffold_in, self.scaffold_out
-        if (m := _mixing(scaffold_in)) is not None:
-            straight = scaffold_in.after(np.linalg.inv(m))
-            if _narrower(straight, scaffold_in):
-                linear, scaffold_in = replace(linear, b=linear.b @ m, d=linear.d @ m), straight
-        if (m := _mixing(scaffold_out)) is not None:
-            straight = scaffold_out.before(np.linalg.inv(m))
-            if _narrower(straight, scaffold_out):
-                linear, scaffold_out = replace(linear, c=m @ linear.c, d=m @ linear.d), straight
+        if (found := _straightened(scaffold_in, "after")) is not None:
+            scaffold_in, m = found
+            linear = replace(linear, b=linear.b @ m, d=linear.d @ m)
+        if (found := _straightened(scaffold_out, "before")) is not None:
+            scaffold_out, m = found
+            linear = replace(linear, c=m @ linear.c, d=m @ linear.d)
         return replace(self, linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out)
 
 
-def _mixing(scaffold: Scaffold) -> Float[np.ndarray, "m m"] | None:
-    """The centre of the Jacobians, if it is a square invertible matrix of more than one channel."""
-    if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1:
+def _straightened(scaffold: Scaffold, side: str) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
+    """The scaffolding without the centre M of its Jacobians, and M, where that makes its ball narrower."""
+    if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1 or (m := scaffold.centre()) is None:
         return None
-    centre = scaffold.centre()
-    return centre if centre is not None and np.linalg.cond(centre) < 1e8 else None
-
-
-def _narrower(candidate: Scaffold, present: Scaffold) -> bool:
-    return jacobian_ball(candidate).ball.relative_radius < jacobian_ball(present).ball.relative_radius
+    if not np.linalg.cond(m) < 1e8:
+        return None
+    straight = getattr(scaffold, side)(np.linalg.inv(m))
+    before, after = (jacobian_ball(each).ball.relative_radius for each in (scaffold, straight))
+    return (straight, m) if after < before else None

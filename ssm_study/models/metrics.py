@@ -83,7 +83,7 @@ GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the fir
 def free_run(model: Any, record: Trajectory, start_up_samples: int) -> Float[np.ndarray, "T p"]:
     """The simulated output `(T, p)`, physical: from rest if every sample is scored, else from the estimated state.
 
-    A model that is no `SSM`, of one layer or structured, (a baseline) simulates as it does by itself.
+    A baseline whose state cannot be estimated starts at rest always.
     """
     if start_up_samples == 0 or not isinstance(model, Wired):
         return model.simulate(record.u)

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy
 from jaxtyping import Complex, Float
+from scipy.linalg import block_diag, svd
+from scipy.signal import lfilter
 
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
 from ssm_study.refusal import one_of, positive, require
@@ -41,12 +42,9 @@ class Start:
 
     def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
         """The output to `u` from rest."""
-        x = np.stack(
-            [scipy.signal.lfilter([0.0, 1.0], [1.0, -z], u @ b) for z, b in zip(self.modes, self.b, strict=True)]
-        )
+        x = np.stack([lfilter([0.0, 1.0], [1.0, -z], u @ b) for z, b in zip(self.modes, self.b, strict=True)])
         twice = np.where(self.modes.imag == 0, 1.0, 2.0)
-        made: np.ndarray = (twice * self.c @ x).real.T + u @ self.d.T
-        return made
+        return np.asarray((twice * self.c @ x).real.T + u @ self.d.T)
 
 
 def on_ring(
@@ -70,9 +68,9 @@ def on_ring(
 def from_data(records: Records, order: int, rng: np.random.Generator, feedthrough: bool) -> Start:
     """ARX by least squares over all records, its impulse response, a balanced realisation of it, its modes.
 
-    Where the input acts at once and no feedthrough is allowed, or of noise, long ARX models are unstable, and modes
-    pulled into the unit circle answer a thousandfold: a start whose free run is further from the records than no
-    model at all is made again with as many lags as states, then scaled to what it explains.
+    Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is allowed; their modes,
+    pulled into the unit circle, then answer a thousandfold. A start whose free run is further from the records than
+    zero is made again with as many lags as states; if that is no better, it is scaled to what it explains.
     Source: Ho & Kalman (1966); Juang & Pappa (1985) for the realisation.
     """
     longest = min(ARX_LAGS, max(len(u) for u, _ in records) // 4)
@@ -127,7 +125,7 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     p, m = h.shape[1:]
     lags = 1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]  # h[1 + i + j]: the direct term h[0] is D
     hankel = h[lags].transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
-    left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
+    left, values, right = svd(hankel, full_matrices=False)
     kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
     root = np.sqrt(values[:kept])
     observe, reach = left[:, :kept] * root, root[:, None] * right[:kept]
@@ -136,7 +134,7 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     spare = rng.uniform(0.1, 0.4, size=order - kept)  # forgotten within a few samples
     b = np.vstack([reach[:, :m], 0.1 * rng.normal(size=(order - kept, m))])
     c = np.hstack([observe[:p], 0.1 * rng.normal(size=(p, order - kept))])
-    return StateSpace(a=scipy.linalg.block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
+    return StateSpace(a=block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
 
 
 def modal_start(system: StateSpace) -> Start:
@@ -162,7 +160,7 @@ class ModelSpec(ABC):
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
     def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """What training k of several is of; they differ in the seed."""
+        """The model of training number `start` among several: the same, as each has a seed of its own."""
         return self
 
 
@@ -186,8 +184,8 @@ class SSMSpec(ModelSpec):
     scaffold_out: Trainable
     start: str = "data"
     real_modes: int = 2
-    ring_radius: Sequence[float] = (0.5, 0.98)
-    ring_frequency: Sequence[float] = (0.05, 1.5)
+    ring_radius: Range = (0.5, 0.98)
+    ring_frequency: Range = (0.05, 1.5)
     dead_time: int = 0
 
     def __post_init__(self) -> None:

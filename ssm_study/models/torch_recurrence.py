@@ -100,14 +100,8 @@ def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tenso
 
 
 def _blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"]:  # Blocks of samples first, filled up with zeros
-    experiments, samples, channels = signal.shape
-    whole, rest = divmod(samples, CHUNK)
-    out = signal.new_empty(whole + bool(rest), experiments, CHUNK, channels)
-    out[:whole] = signal[:, : whole * CHUNK].unflatten(1, (whole, CHUNK)).transpose(0, 1)
-    if rest:
-        out[whole, :, :rest] = signal[:, whole * CHUNK :]
-        out[whole, :, rest:] = 0.0
-    return out.flatten(2)
+    filled = torch.nn.functional.pad(signal, (0, 0, 0, -signal.shape[1] % CHUNK))
+    return filled.unflatten(1, (-1, CHUNK)).transpose(0, 1).flatten(2).contiguous()
 
 
 def _signal(blocks: Float[Tensor, "q e sp"], samples: int, channels: int) -> Float[Tensor, "e T p"]:

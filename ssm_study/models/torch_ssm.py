@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.scaffolds.scaffold import Pieces, Scaffold, Trainable
 from ssm_study.models.torch_recurrence import ModalForm, end_state, respond
-from ssm_study.signals import DataSet, Scale
+from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
 if TYPE_CHECKING:
@@ -252,9 +252,5 @@ class TorchSSM(TorchModel):
         return self.scaffold_out(respond(modes, lifted, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
-        return self.frozen(data.scale, data.step_s)
-
-    def frozen(self, scale: Scale, step_s: float) -> SSM:
-        """The explicit numbers between signals of this scale."""
         linear, inward, outward = self.lru.to_state_space(), self.scaffold_in.freeze(), self.scaffold_out.freeze()
-        return SSM(linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s)
+        return SSM(linear=linear, scaffold_in=inward, scaffold_out=outward, scale=data.scale, step_s=data.step_s)

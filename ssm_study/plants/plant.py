@@ -74,7 +74,7 @@ class Plant(ABC):
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """What ends every closed loop, however it ends: a device switches off."""
+        """Called at the end of every closed loop, also after an error: a device switches off."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium: ...

@@ -1,7 +1,4 @@
-"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch.
-
-The loss is the squared error of windows of the records, and the defects between windows.
-"""
+"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch."""
 
 import math
 from collections.abc import Sequence
@@ -33,9 +30,8 @@ Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]
 def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
     """Records `(u, y)`, padded with zeros at the end to one length."""
     most = max(len(u) for u, _ in pairs)
-    u, y = (
-        np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in zip(*pairs, strict=True)
-    )
+    sides = zip(*pairs, strict=True)
+    u, y = (np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in sides)
     return u, y
 
 
@@ -80,7 +76,7 @@ class Records(nn.Module):
         """Free run of the model over all records."""
         if isinstance(model, TorchSSM):
             return model(self.u, x0, self.lift(model.scaffold_in))
-        return model(self.u) if x0 is None else model(self.u, x0)
+        return model(self.u, x0)
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
         """As `simulate`, and the states after the last sample, padding included."""
@@ -133,9 +129,9 @@ def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) ->
     Both terms are free of scale, so a weight of 0.001 means a thousandth of the output's variance. The second is the
     nuclear norm of the Hankel operator: it drives the singular values of redundant states to zero, one after the other.
     """
+    total = torch.zeros(())
     if not isinstance(model, TorchSSM):
-        return torch.zeros(())
-    total = torch.zeros((), dtype=model.lru.nu.dtype, device=model.lru.nu.device)
+        return total
     if roughness_weight > 0:
         total = total + roughness_weight * (model.scaffold_in.roughness() + model.scaffold_out.roughness())
     if hankel_weight > 0:

@@ -65,7 +65,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         self.residual: Residual | None = None
         self.seen: Callable[[float], object] = float
         most = {name: longest_step if name.endswith(("nu", "theta")) else torch.inf for name, _ in named}
-        self.limits = torch.cat([torch.full((p.numel(),), most[name]) for name, p in named]).double()
+        self.limits = torch.cat([torch.full_like(p.detach(), most[name]).flatten() for name, p in named])
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss

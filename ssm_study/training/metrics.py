@@ -36,8 +36,8 @@ class Identification:
     @classmethod
     def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
         """The model with its fits to the training and to the validation records."""
-        fits = (mean_fit(model, records, data) for records in (data.training, data.validation))
-        return cls(model=model, fit_training_percent=next(fits), fit_validation_percent=next(fits), **how)
+        training, validation = (mean_fit(model, records, data) for records in (data.training, data.validation))
+        return cls(model=model, fit_training_percent=training, fit_validation_percent=validation, **how)
 
 
 def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:

@@ -88,8 +88,7 @@ class Adam(OptimiserSpec):
         """Half a cosine over all epochs, stepped once per epoch."""
 
         def factor(epoch: int) -> float:
-            share = min(epoch / max(max_epochs, 1), 1.0)
-            return self.final_fraction + (1 - self.final_fraction) * (1 + math.cos(math.pi * share)) / 2
+            return self.final_fraction + (1 - self.final_fraction) * (1 + math.cos(math.pi * (epoch / max_epochs))) / 2
 
         return torch.optim.lr_scheduler.LambdaLR(optimiser, factor)
 

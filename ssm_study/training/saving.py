@@ -76,6 +76,7 @@ def trained(
     """Epochs, checkpoints and early stopping are the same around a step of torch and one that needs none of it."""
     # More epochs or patience only continue a training, so a checkpoint is good for those too.
     belongs_to = fingerprint((spec, seed), replace(settings, max_epochs=1, patience=1), data)
+    keeper = Keeper(settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s)
     fit: Fit | StructuredFit
     if isinstance(spec, StructuredSpec):
         from ssm_study.training import structured_fit  # compiles
@@ -84,7 +85,6 @@ def trained(
     else:
         fit = Fit(spec.build(data, seed), data, settings)
         fit.to(torch.float32 if settings.precision == 32 else torch.float64)
-    keeper = Keeper(settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s)
     watched: Any = {"monitor": FITS[1], "mode": "max", "check_finite": False}
     stopping = EarlyStopping(**watched, min_delta=settings.min_gain_percent, patience=settings.patience)
     one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
@@ -100,10 +100,10 @@ def trained(
     if keeper.kept is not None:
         kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
-        load_state(folder / BEST, fit)
+        fit.load_state_dict(keeper.kept)
     model, told = fit.concluded()
-    seconds = keeper.curve[-1]["seconds"] if keeper.curve else 0.0
-    return Identification.of(model, data, seconds=seconds, curve=keeper.curve, ended=(keeper.ended or early) + told)
+    ended = (keeper.ended or early) + told
+    return Identification.of(model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended)
 
 
 def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> pl.Trainer:
@@ -121,8 +121,8 @@ def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> p
 
 
 def fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """What a checkpoint belongs to: model, settings and every number of the records."""
-    digest = hashlib.sha256(f"{spec!r} {settings!r}".encode())
+    """What a checkpoint belongs to: model, settings, and the records as they are scaled and scored."""
+    digest = hashlib.sha256(f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode())
     for record in (*data.training, *data.validation):
         digest.update(np.ascontiguousarray(record.u).tobytes())
         digest.update(np.ascontiguousarray(record.y).tobytes())
@@ -147,16 +147,6 @@ def read(path: Path) -> dict[str, Any]:
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here
         problem = f"unreadable ({type(error).__name__})"
         raise BadRequest("checkpoint", path, problem, "remove it and train again") from error
-
-
-def load_state(path: Path, module: nn.Module) -> None:
-    """Load `best.ckpt` into a module of the same architecture; raises `BadRequest` for any other."""
-    state, own = read(path)["state_dict"], module.state_dict()
-    shapes, needed = ({(name, tensor.shape) for name, tensor in each.items()} for each in (state, own))
-    differing = sorted({name for name, _ in shapes ^ needed})
-    problem = f"the checkpoint is of another architecture (differs in {', '.join(differing[:3])})"
-    require(not differing, "checkpoint", path, problem, "use the settings it was trained with")
-    module.load_state_dict(state)
 
 
 class Line(Callback):
@@ -187,8 +177,7 @@ class Keeper(Callback):
     Validation fits of noisy records differ by chance: among states whose validation fit is within `tolerance` percent
     points of the best seen, the one with the best training fit is kept. A line search that fails at a kink of the
     objective fails again and again: epochs that leave both fits as they were, to the last bit, end the training.
-    `curve` has one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. Whenever `every_s`
-    seconds have passed `last.ckpt` is written, so that a killed training can go on from there.
+    Whenever `every_s` seconds have passed `last.ckpt` is written, so that a killed training can go on from there.
     """
 
     remembered = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still", "curve")
@@ -198,7 +187,7 @@ class Keeper(Callback):
     ) -> None:
         self.tolerance, self.folder, self.belongs_to, self.every_s = tolerance, folder, belongs_to, every_s
         self.curve: list[dict[str, float]] = []
-        self.started, self.before_s, self.saved_at = time.perf_counter(), 0.0, time.monotonic()
+        self.began, self.saved_at = time.perf_counter(), time.monotonic()
         self.best_validation = self.kept_training = self.kept_validation = -math.inf
         self.kept: dict[str, Tensor] | None = None
         self.ended, self.seen, self.still = "", (-math.inf, -math.inf), 0
@@ -209,7 +198,12 @@ class Keeper(Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         for name in self.remembered:
             setattr(self, name, state_dict[name])
-        self.before_s = self.curve[-1]["seconds"] if self.curve else 0.0
+        self.began -= self.curve[-1]["seconds"] if self.curve else 0.0  # as if it had never stopped
+
+    @property
+    def seconds(self) -> float:
+        """Of this training, with those before an interruption."""
+        return time.perf_counter() - self.began
 
     def on_save_checkpoint(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]  # noqa: ARG002
@@ -228,17 +222,14 @@ class Keeper(Callback):
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
         self.see(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
-        seconds = self.before_s + time.perf_counter() - self.started
-        self.curve.append({"epoch": float(trainer.current_epoch), "seconds": seconds, **fits})
+        self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
     def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
         """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
-            self.ended = (
-                f"the loss was not finite in epoch {epoch}; the last good state is kept; "
-                "lower the learning rate, or start from modes further inside the unit circle"
-            )
+            remedy = "lower the learning rate, or start from modes further inside the unit circle"
+            self.ended = f"the loss was not finite in epoch {epoch}; the last good state is kept; {remedy}"
             return
         self.still = self.still + 1 if (training, validation) == self.seen else 0
         self.seen = (training, validation)

@@ -71,11 +71,8 @@ def held_out(data: DataSet) -> Iterator[DataSet]:
 
 def _fit(spec: StructuredSpec, fold: DataSet, seed: int) -> float:
     """Of the start that fits the kept pieces best, on the held-out ones, percent; never below zero."""
-    best: tuple[float, float] = (np.inf, 0.0)
-    for start in range(spec.starts):
-        fit = StructuredFit(spec, fold, seed + 1000 * start)
+    fits = [StructuredFit(spec, fold, seed + 1000 * start) for start in range(spec.starts)]
+    for fit in fits:
         fit.advance(STEPS)
-        loss = float(fit.loss)
-        if loss < best[0]:
-            best = loss, max(mean_fit(fit.stored(), fold.test, fold), 0.0)
-    return best[1]
+    best = min(fits, key=lambda fit: float(fit.loss))
+    return max(mean_fit(best.stored(), fold.test, fold), 0.0) if np.isfinite(float(best.loss)) else 0.0

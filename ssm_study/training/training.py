@@ -65,8 +65,8 @@ class Training:
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
             model = spec.solve(data)
-            how = {"seconds": time.perf_counter() - began, "curve": [], "ended": "solved without training"}
-            return Identification.of(model, data, **how)
+            seconds = time.perf_counter() - began
+            return Identification.of(model, data, seconds=seconds, curve=[], ended="solved without training")
         from ssm_study.training.saving import trained  # with it torch's compiler, which any optimiser of torch loads
 
         began = time.perf_counter()  # the imports are no training
@@ -75,12 +75,13 @@ class Training:
             from ssm_study.training.structured_choice import choose
 
             spec, choice = choose(spec, data, seed)
+        choice_s = time.perf_counter() - began
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
-        found = [trained(self, spec, data, seed, folder, progress)]
-        for start in range(1, spec.trainings if isinstance(spec, StructuredSpec) else self.starts):
-            one = trained(self, spec.at_start(start), data, seed + 1000 * start, folder / f"start_{start}", progress)
-            found.append(one)
+        found: list[Identification] = []
+        for k in range(getattr(spec, "trainings", self.starts)):
+            into = folder / f"start_{k}" if k else folder
+            found.append(trained(self, spec.at_start(k), data, seed + 1000 * k, into, progress))
         rule = getattr(spec, "among_starts", None)
         best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
-        return replace(best, seconds=time.perf_counter() - began, choice=tuple(choice))
+        return replace(best, seconds=choice_s + sum(one.seconds for one in found), choice=tuple(choice))

@@ -26,7 +26,7 @@ class Windows:
 
     def __post_init__(self) -> None:
         field, weight = "training.windows", self.continuity_weight
-        require(0 <= weight < float("inf"), f"{field}.continuity_weight", weight, "must not be negative", "use 0 or 1")
+        at_least(0, f"{field}.continuity_weight", weight, "use 0 or 1")
         if self.samples is None:
             alone = (self.washout, self.stride, weight) == (0, None, 0.0)
             require(alone, f"{field}.samples", None, "washout, stride and continuity need windows", "give their length")

@@ -42,7 +42,11 @@ def test_a_killed_training_resumes_to_the_same_model(
         patch.setattr(room, "trainer_of", lambda told, calls, folder: make(told, [*calls, Interrupt(3)], folder))
         with pytest.raises(InterruptedError):
             settings.identify(spec(), data, 0, tmp_path / "broken")
+    stopped = room.read(last := tmp_path / "broken" / room.LAST)
+    stopped["callbacks"]["Keeper"]["curve"][-1]["seconds"] += 100.0
+    DurableCheckpointIO().save_checkpoint(stopped, last)
     resumed = settings.identify(spec(), data, 0, tmp_path / "broken")
+    assert 100.0 < resumed.curve[-1]["seconds"] < resumed.seconds, "the time before the interruption counts"
     assert resumed.model.to_json() == whole.model.to_json()
     assert [row["epoch"] for row in resumed.curve] == [row["epoch"] for row in whole.curve]
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +15,8 @@ from ssm_study.models.spec import ModelSpec, on_ring, scaled
 from ssm_study.models.torch_ssm import LRU, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import at_least
 from ssm_study.signals import DataSet, Scale
+
+SLOPES = (0.01, 1.0)  # of each scaffolding, scaled units
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +36,7 @@ class TorchDeepSSM(TorchModel):
 
     def __init__(self, blocks: list[TorchSSM]) -> None:
         super().__init__()
-        self.blocks = nn.ModuleList(blocks)
+        self.blocks: Any = nn.ModuleList(blocks)
         self.orders = [block.states for block in blocks]
         self.states = sum(self.orders)
 
@@ -46,7 +49,6 @@ class TorchDeepSSM(TorchModel):
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
         ends = []
         for block, start in zip(self.blocks, x0.split(self.orders, dim=1), strict=True):
-            assert isinstance(block, TorchSSM)
             u, end = block.advance(u, start)
             ends.append(end)
         return u, torch.cat(ends, 1)
@@ -55,11 +57,10 @@ class TorchDeepSSM(TorchModel):
         """Signals between the blocks have no unit: only the outer ends are scaled."""
         frozen, ends = [], vars(data.scale)
         for i, block in enumerate(self.blocks):
-            assert isinstance(block, TorchSSM)
             sides = ("input",) * (i == 0) + ("output",) * (i == len(self.blocks) - 1)
             outer = {name: values for name, values in ends.items() if name.startswith(sides)}
             unit = Scale.unit(block.lru.modes().b.shape[1], len(block.lru.d))
-            frozen.append(block.frozen(replace(unit, **outer), data.step_s))
+            frozen.append(block.freeze(replace(data, scale=replace(unit, **outer))))
         return DeepSSM(blocks=tuple(frozen))
 
 
@@ -72,7 +73,6 @@ class DeepSSMSpec(ModelSpec):
     channels: int
     hidden_width: int
     scaffold: Trainable
-    slopes: tuple[float, float] | list[float] = (0.01, 1.0)
 
     def __post_init__(self) -> None:
         for name in ("layers", "order", "channels", "hidden_width"):
@@ -80,14 +80,13 @@ class DeepSSMSpec(ModelSpec):
 
     def build(self, data: DataSet, seed: int) -> TorchDeepSSM:
         rng = np.random.default_rng(seed)
-        torch.manual_seed(seed)
         records = scaled(data)
         samples = np.concatenate([u for u, _ in records])
         wires = [samples.shape[1], *[self.channels] * (self.layers - 1), records[0][1].shape[1]]
         blocks: list[TorchSSM] = []
         for enter, leave in pairwise(wires):
             seen = samples if not blocks else rng.normal(size=(500, enter))
-            frame = Frame(width=self.hidden_width, slopes=(self.slopes[0], self.slopes[1]), samples=seen)
+            frame = Frame(width=self.hidden_width, slopes=SLOPES, samples=seen)
             start = on_ring(self.order, self.order % 2, (0.3, 0.99), (0.01, 1.0), (enter, leave), rng)
             through = Linear().build(replace(frame, samples=np.zeros((1, leave))), rng)
             blocks.append(TorchSSM(self.scaffold.build(frame, rng), LRU(start, feedthrough=True), through))

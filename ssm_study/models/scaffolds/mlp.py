@@ -99,14 +99,14 @@ class Mlp(Trainable):
         return free | {f"slope_{side}_{i}": np.full(h, at) for i in trained for side, at in ends}
 
     def explicit(self, free: Free, slopes: Sector) -> list[Layer]:
-        """Certified, `b` puts the kink at `kinks`."""
         layers: list[Layer] = []
         for i in range(self.depth):
             if self.certified:
                 v = free[f"direction_{i}"]
                 root = torch.linalg.cholesky(v.T @ v)  # W = V R^{-T} has W^T W = I, and is cheap to differentiate
                 w = torch.linalg.solve_triangular(root, v.T, upper=False).T
-                b, sector, after = -free[f"kink_{i}"] * w.norm(dim=1), layer_sector(*slopes, self.depth, 2), w.T
+                b = -free[f"kink_{i}"] * w.norm(dim=1)  # a neuron bends where its unit direction meets the kink
+                sector, after = layer_sector(*slopes, self.depth, 2), w.T
             else:
                 w, b, sector = free[f"weight_{i}"], free[f"bias_{i}"], slopes
                 after = free[f"weight_{self.depth}"]
@@ -133,26 +133,24 @@ class Mlp(Trainable):
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
         """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between sorted kinks."""
         w, b, low, high, after = explicit[0]
-        if after is None or w.shape[1] > 1:  # one input of more layers is `OneChannel`, or not certified
+        if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
             return None
         first, last = w[:, 0], after[0]
         points, order = (-b / first).sort()
-        beyond = torch.arange(len(order) + 1)[:, None] > order.argsort()[None, :]  # piece j lies right of kink i
+        piece = torch.arange(len(order) + 1, device=order.device)
+        beyond = piece[:, None] > order.argsort()[None, :]  # piece j lies right of kink i
         active = torch.where(beyond == (first > 0), high, low)  # slope of neuron i in piece j
         offsets = active @ (last * b)
-        home = torch.searchsorted(points.detach(), torch.zeros(1, dtype=points.dtype), right=True)
+        home = torch.searchsorted(points.detach(), points.new_zeros(1), right=True)
         return points, active @ (last * first), offsets - offsets[home]
 
     def frozen(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
         ws, *rest, afters = zip(*explicit, strict=True)
-        weights: list[np.ndarray] = []
-        before: Any = None
-        for w, after in zip(ws, afters, strict=True):
-            weights.append(numbers(w) if before is None else numbers(w) @ numbers(before))
-            before = after
+        joined = zip(ws, (None, *afters[:-1]), strict=True)  # with what comes after the layer before
+        weights = [numbers(w) if before is None else numbers(w) @ numbers(before) for w, before in joined]
         biases, negative, positive = (tuple(numbers(part) for part in parts) for parts in rest)
         ends = {"negative_slopes": negative, "positive_slopes": positive}
-        return MlpScaffold(network=Network(weights=(*weights, numbers(before)), biases=biases, **ends))
+        return MlpScaffold(network=Network(weights=(*weights, numbers(afters[-1])), biases=biases, **ends))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,11 +166,10 @@ class OneChannel(Trainable):
     depth: int
 
     def start(self, frame: Frame, rng: np.random.Generator) -> Start:  # noqa: ARG002
-        kinks, free = max(frame.width - 1, 1), {}
-        for i in range(self.depth):
-            free[f"points_{i}"] = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
-            free |= {f"jumps_{i}": np.zeros(kinks), f"base_{i}": np.zeros(1)}
-        return free
+        kinks = max(frame.width - 1, 1)
+        points = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
+        layer = {"points": points, "jumps": np.zeros(kinks), "base": np.zeros(1)}
+        return {f"{name}_{i}": values for i in range(self.depth) for name, values in layer.items()}
 
     def explicit(self, free: Free, slopes: Sector) -> list[Pieces]:
         (lower, upper), layers = layer_sector(*slopes, self.depth, channels=1), []
