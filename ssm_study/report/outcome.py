@@ -17,7 +17,7 @@ from ssm_study.table.rank import standing
 WIDTH = 80
 MISSING = "–"
 LIMITS = ("limit_lower", "limit_upper", "limited_rate", "unlimited_from", "unlimited_to")
-LIMITED = "{} to {}: rate {} from everywhere, all of it from outputs {} to {}"
+LIMITED = "{} to {}: rate {} from everywhere, the full rate from outputs {} to {}"
 EACH_ITS_OWN = "a range of each output (see the exported header)"
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
