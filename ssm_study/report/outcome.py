@@ -105,7 +105,7 @@ def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator
     measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
     more = (record.get("noise_gain_measured") or 0.0) > (record.get("noise_gain") or float("inf"))
     measured += ": more than noise moves it" if more else ""
-    yield "noise_gain", "Sensor noise", f"moves the output by at most {number('noise_gain')} of it{measured}"
+    yield "noise_gain", "Sensor noise", f"reaches the output at most {number('noise_gain')}-fold{measured}"
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:

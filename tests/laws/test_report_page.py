@@ -287,6 +287,17 @@ def test_an_infeasible_run_says_on_the_first_screen_why_and_what_is_possible(bro
     assert "Infeasible: no certificate exists at the requested rate. Rate 0.6 is infeasible." in text
 
 
+def test_a_run_that_requested_no_rate_and_is_not_certified_has_a_first_screen(browser: Any, tmp_path: Path) -> None:
+    """A controller's own rate without the observer's certificate: the page stopped at a number that is not there."""
+    table = report_tables.table(60)
+    table = table[table["status"] == "ok"].head(1)
+    table = table.assign(rate_controller=None, controller_certified_rate=0.1, observer_certified=False)
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'", 5)
+    text = browser.execute_script("return document.getElementById('lead').innerText")
+    assert "largest rate that can be certified\n" in text
+
+
 @pytest.mark.parametrize("where", ["desk", "phone", "dark"])
 def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
     tmp_path: Path, page: Path, where: str

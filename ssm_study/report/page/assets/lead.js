@@ -51,7 +51,7 @@ function headline(i) {
   add(value("fit_test_percent") === null ? null : `${value("fit_test_percent").toFixed(1)} %`, "fit on the test record");
   const rate = value("controller_certified_rate") ?? value("rate_controller"), limit = value("controller_rate_limit");
   if (both && rate !== null) add(printed(Number(rate.toPrecision(2))), `certified rate${value("rate_controller") === null ? "" : `, designed for ${printed(Number(value("rate_controller").toPrecision(2)))}`}: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample`);
-  else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`);
+  else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified${value("rate_controller") === null ? "" : `; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`}`);
   add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, value("loop_on") === "plant" || !value("loop_on") ? "starts settle on the simulated plant" : "starts settle on the model");
   add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
   return told;
