@@ -2,11 +2,9 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from matplotlib.axes import Axes
 
 from ssm_study.data.metrics import persistency_order
@@ -37,15 +35,3 @@ def test_the_figure_says_what_the_inputs_can_identify(smoke_run: Path, tmp_path:
     assert told[0].get_title(loc="left") == "Training records; 85 % of the range is trained on"
     assert told[1].get_title(loc="left") == "Persistently exciting of order 8"
     assert "not identifiable" in warned[0].get_title(loc="left")
-
-
-def test_the_unit_of_the_power_is_the_channels_own(smoke_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a channel called `valve (left)` it was `left) (V`."""
-    study = StudyFolder(folder=smoke_run.parent, shown=smoke_run.name)
-    assert study.best is not None
-    assert study.best.excitation is not None
-    case = study.best.excitation.cases[0]
-    channel = replace(case["input"].channels[0], name="valve (left)", unit="V")
-    monkeypatch.setitem(case, "input", replace(case["input"], channels=(channel,)))
-    label = figures.drawn("excitation", study).axes[1].get_ylabel()
-    assert label == "Power density (V²/Hz)"
