@@ -36,6 +36,8 @@ from ssm_study.synthesis.theorems.integral_action import augmented, controlled_s
 from ssm_study.systems import Balls, JacobianBall
 
 UNLIMITED = 1e38  # either float's largest number stands for no limit
+LOOP_SAMPLES = 200  # as long as the replay of the C code: both loops have come to rest by then, or drift visibly
+HALVINGS = 12  # of the rate, where the stored one does not survive rounding: to a 4000th of it
 Range = Float[np.ndarray, "c"]
 _SCRIPT = Path(__file__).with_name("script.py.txt")
 
@@ -132,11 +134,10 @@ def _limited(run: Path, design: Design, device: Device) -> tuple[str, ...]:
         beyond = f"From everywhere the state feedback, cut at the limits, contracts at rate {found.everywhere.rate:.3g}"
         beyond += ", and the estimate as fast as without them."
     inside = f"Within the limits the full rates hold from rest at outputs from {ends}, at the set point of rest."
-    if device.set_points is None:
-        inside = (
-            "The limits are proved not to act from rest alone: the estimate cannot start at an output on the device."
-        )
-    return inside, beyond
+    cannot_start = (
+        "The limits are proved not to act from rest alone: the estimate cannot start at an output on the device."
+    )
+    return cannot_start if device.set_points is None else inside, beyond
 
 
 def _between(device: Device) -> tuple[str, ...]:
@@ -199,11 +200,6 @@ def _rounded_loop(run: Path, device: Device) -> tuple[str, ...]:
         found.append(np.array(y))
     apart = float((np.abs(found[0] - found[1]) / model.scale.output_scale).max())
     return (f"Rounding to {device.real} moves the loop on the model by at most {apart:.1e} output scales.",)
-
-
-# As long as the replay of the C code: both loops have come to rest by then, or drift visibly.
-LOOP_SAMPLES = 200
-HALVINGS = 12  # of the rate, where the stored one does not survive rounding: to a 4000th of it
 
 
 def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:

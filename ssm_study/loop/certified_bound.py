@@ -9,8 +9,7 @@ and Theorem 2 `e[k+1] <= r_o e[k]`, so
 `nu ||K (xh - x)||`. With neurons it also acts through them, see `input_gain`. Source: [Z26] Lemma 1 and Theorem 3,
 with the constant made explicit.
 
-With limited inputs: `theorems/limited_input.py`, whose certificate takes the state feedback's place here, and
-`theorems/unlimited_start.py`. Source: [Z26] Theorems 1 to 3.
+With limited inputs the certificate of `theorems/limited_input.py` takes the state feedback's place.
 """
 
 from itertools import product
@@ -54,9 +53,10 @@ def certified_bound(
 ) -> Float[np.ndarray, "N T"]:
     """The right-hand side above for `k = 0 .. samples - 1`."""
     c, bound, error = input_gain(feedback, observer), np.empty((len(d0), samples)), e0
-    for k in range(samples):
-        bound[:, k] = d0 if k == 0 else feedback.contraction * bound[:, k - 1] + c * error
-        error = error if k == 0 else observer.contraction * error
+    bound[:, 0] = d0
+    for k in range(1, samples):
+        bound[:, k] = feedback.contraction * bound[:, k - 1] + c * error
+        error = observer.contraction * error
     return bound
 
 

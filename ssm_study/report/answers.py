@@ -77,11 +77,11 @@ def _best(table: pd.DataFrame) -> list[str]:
     such = int(said.sum()) if said.iloc[0] else len(rivals)
     soonest = f"Of the {such} such runs it settles soonest," if such > 1 else "It settles"
     alone_s = _number(rivals, "settling_time_open_loop_s")
-    share = f", {time_s / alone_s:.2f} of the uncontrolled time ({alone_s:.3f} s)" if np.isfinite(alone_s) else ""
+    share = f", {time_s / alone_s:.2f} of the uncontrolled time ({alone_s:.4g} s)" if np.isfinite(alone_s) else ""
     fit, rate = _number(rivals, "fit_test_percent"), _number(rivals, "rate_controller")
     return [
         f"{name}. Both certificates hold and every start settles{where}{told}. "
-        f"{soonest} in {time_s:.3f} s on average{share}.",
+        f"{soonest} in {time_s:.4g} s on average{share}.",
         f"Its model fits the test record to {fit:.1f} %; its controller was designed for rate {rate:.3g} per sample, "
         f"where at most {_number(rivals, 'controller_rate_limit'):.3g} can be certified.",
         *_faster_but_not_predicted(rivals),
@@ -98,7 +98,7 @@ def _faster_but_not_predicted(rivals: pd.DataFrame) -> list[str]:
     if predicted(quickest).iloc[0] or not predicted(rivals).any():
         return []
     name, time_s = text(quickest, "run").iloc[0], _number(quickest, "settling_time_mean_s")
-    return [f"{name} was faster ({time_s:.3f} s), yet only the plant itself could tell ({_prediction(quickest)})."]
+    return [f"{name} was faster ({time_s:.4g} s), yet only the plant itself could tell ({_prediction(quickest)})."]
 
 
 def _feasibility(table: pd.DataFrame, side: str) -> list[str]:

@@ -17,7 +17,7 @@ from ssm_study.table.rank import standing
 WIDTH = 80
 MISSING = "–"
 LIMITS = ("limit_lower", "limit_upper", "limited_rate", "unlimited_from", "unlimited_to")
-LIMITED = "{} to {}: rate {} from everywhere, all of it from outputs {} to {}"
+LIMITED = "{} to {}: rate {} from everywhere, the full rate from outputs {} to {}"
 EACH_ITS_OWN = "a range of each output (see the exported header)"
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
@@ -105,7 +105,7 @@ def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator
     measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
     more = (record.get("noise_gain_measured") or 0.0) > (record.get("noise_gain") or float("inf"))
     measured += ": more than noise moves it" if more else ""
-    yield "noise_gain", "Sensor noise", f"moves the output by at most {number('noise_gain')} of it{measured}"
+    yield "noise_gain", "Sensor noise", f"reaches the output at most {number('noise_gain')}-fold{measured}"
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:

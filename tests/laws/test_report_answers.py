@@ -43,7 +43,7 @@ def test_among_certified_runs_that_settle_the_margin_decides_before_the_plant_do
     text = said(runs, "best")
     assert text.startswith("foretold. ")
     assert "predicted without the plant (margin 1.2 > 1, own radius 0.9 < 1)" in text
-    assert "lucky was faster (0.050 s), yet only the plant itself could tell (margin 0.4 ≤ 1, own" in text
+    assert "lucky was faster (0.05 s), yet only the plant itself could tell (margin 0.4 ≤ 1, own" in text
 
 
 def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:

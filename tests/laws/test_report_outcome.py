@@ -98,7 +98,7 @@ def test_outputs_that_share_no_range_are_not_given_one() -> None:
     """Two levels that rest apart: `from outputs 6.54 to 6.26` would be of neither."""
     record = a_run("ok") | {"limit_lower": 2.16, "limit_upper": 4.14, "limited_rate": 0.1}
     told = " ".join(printed(record | {"unlimited_from": None, "unlimited_to": None}).split())
-    assert "2.16 to 4.14: rate 0.1 from everywhere, all of it from a range of each output (see the" in told
+    assert "2.16 to 4.14: rate 0.1 from everywhere, the full rate from a range of each output (see the" in told
 
 
 def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None:

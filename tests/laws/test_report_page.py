@@ -114,6 +114,20 @@ def test_every_dashed_line_that_a_note_speaks_of_is_drawn(opened: Any) -> None:
     assert all(told == drawn for told, drawn in found)
 
 
+def test_an_axis_of_whole_numbers_has_whole_ticks(browser: Any, tmp_path: Path) -> None:
+    """Between orders 2 and 4 stood 2.2, 2.6 and 3.4."""
+    table = report_tables.table(12).assign(order=[2, 4] * 6)
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    change = "menu.value = 'order'; menu.dispatchEvent(new Event('change'))"
+    browser.execute_script(f"const menu = document.querySelector('[data-axis=across]'); {change}")
+    labels = """const labels = (item) => item.role === 'axis-label' ? item.items.map((one) => one.text)
+      : (item.items || []).flatMap(labels);
+      return labels(VIEWS.at(-1).scenegraph().root)"""
+    wait_for(browser, "VIEWS.at(-1).scale('x').domain()[0] > 1 && VIEWS.at(-1).scale('x').domain()[1] < 5")
+    assert [text for text in browser.execute_script(labels) if float(text) < 5] == ["2", "3", "4"]
+
+
 def test_a_run_opens_and_closes_from_the_keyboard(opened: Any) -> None:
     from selenium.webdriver.common.keys import Keys
 
@@ -208,11 +222,8 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     said = "the prediction margin is 2 (above 1 is needed) and the controller's own radius 0.9 (below 1 is needed)."
     assert lines[0] == f"Predicted for the plant\nIt stays stable: {said}"
     assert lines[1].startswith("Seen on the simulated plant\nIt settles in 0.")
-    assert lines[2:] == [
-        "Evidence: doubt\nThe records leave a doubt.",
-        "Note\nOne amplitude: the record shows no other.",
-        "Doubt\nThe record is short.",
-    ]
+    told = "The records leave a doubt. The record is short. Note: One amplitude: the record shows no other."
+    assert lines[2:] == [f"Evidence: doubt\n{told}"], "what matters first"
     hidden = "return ['compare', 'filters', 'beside'].every((id) => document.getElementById(id).hidden)"
     assert browser.execute_script(hidden), "a single run has nothing to compare"
 
@@ -274,6 +285,17 @@ def test_an_infeasible_run_says_on_the_first_screen_why_and_what_is_possible(bro
     text = browser.execute_script("return document.getElementById('lead').innerText")
     assert "0.359\nlargest rate that can be certified; requested: 0.6" in text
     assert "Infeasible: no certificate exists at the requested rate. Rate 0.6 is infeasible." in text
+
+
+def test_a_run_that_requested_no_rate_and_is_not_certified_has_a_first_screen(browser: Any, tmp_path: Path) -> None:
+    """A controller's own rate without the observer's certificate: the page stopped at a number that is not there."""
+    table = report_tables.table(60)
+    table = table[table["status"] == "ok"].head(1)
+    table = table.assign(rate_controller=None, controller_certified_rate=0.1, observer_certified=False)
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'", 5)
+    text = browser.execute_script("return document.getElementById('lead').innerText")
+    assert "largest rate that can be certified\n" in text
 
 
 @pytest.mark.parametrize("where", ["desk", "phone", "dark"])

@@ -33,7 +33,7 @@ def draw(study: StudyFolder) -> Figure:
     frequency, power = powers[0][0], np.mean([density for _, density in powers], axis=0)
     spectrum.loglog(frequency[1:], power[1:], color=style.BLUE)  # the mean was taken out
     spectrum.yaxis.set_minor_formatter(NullFormatter())
-    unit = label[label.find("(") + 1 : label.rfind(")")]
+    unit = kept.cases[0]["input"].channels[0].unit or "–"
     order = record.get("excitation_order")
     exciting = f"Persistently exciting of order {order}{' or more' if order >= HIGHEST_ORDER else ''}" if order else ""
     spectrum.set(xlabel="Frequency (Hz)", ylabel=f"Power density ({unit}²/Hz)", title=exciting)

@@ -36,6 +36,7 @@ def draw(study: StudyFolder) -> Figure:
             axes.yaxis.set(major_locator=LogLocator(subs=(1, 2, 5), numticks=12))
             axes.yaxis.set(major_formatter=FormatStrFormatter("%g"), minor_formatter=NullFormatter())
     gain.set(xlabel=words(rate.name), ylabel=words(norm.name))
+    fig.align_ylabels()
     return fig
 
 

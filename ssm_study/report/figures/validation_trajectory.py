@@ -13,7 +13,7 @@ def draw(study: StudyFolder) -> Figure:
     test = study.best.test if study.best is not None else None
     shown = [(name, part) for name, part in (("test", test), ("validation", run)) if part is not None]
     fig = style.canvas(style.COLUMN_IN, 1.0 + 1.7 * len(shown))
-    panels = fig.subplots(1 + len(shown), 1, height_ratios=[1.6] * len(shown) + [1])
+    panels = fig.subplots(1 + len(shown), 1, height_ratios=[1.6] * len(shown) + [1.2])
     for panel, (name, part) in zip(panels, shown, strict=False):
         time_s, fit = part.time_s("measured")[:LONGEST], record.get(f"fit_{name}_percent")
         y, simulated = (part[signal][0, :LONGEST, 0] for signal in ("measured", "simulated"))

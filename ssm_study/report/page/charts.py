@@ -29,7 +29,7 @@ class Panel:
 
 
 ABOVE_ONE = "Dashed: margin one; to its right every start should settle."
-ALL_SETTLE = "All starts of all runs settle, so the plot shows how fast."
+ALL_SETTLE = "All starts settle, so the plot shows how fast."
 OWN_LIMIT = "Bars: the exact rate limit of each model; nothing above its own bar can be certified."
 ALONE = "Dashed: the plant left alone."
 PANELS = (
@@ -97,7 +97,7 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(stroke=None)
     spec: dict[str, Any] = chart.configure_axis(
         labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12, labelFontSize=11,
-        labelSeparation=8,  # pixels: else neighbours read as one number ("1.82.0")
+        labelFlush=False, labelSeparation=8,  # pixels: else neighbours read as one number ("1.82.0")
         gridColor="#E6E6E6", domainColor=style.GREY, tickColor=style.GREY,
     ).to_dict(validate=True)  # fmt: skip
     return spec

@@ -27,7 +27,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     """Everything the page's script needs, as plain JSON values."""
     table, best = best_ordered(study.table), study.best
     named = [(name, sorted(set(text(table, name)) - {""})) for name in PROVENANCE if name in table]
-    config = None if best is None else best.path / ".hydra" / "config.yaml"
+    config = best.path / ".hydra" / "config.yaml" if best else None
     on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
     subject = "".join(f"{word}: {', '.join(names)}. " for word, said in on.items() if (names := sorted({*said} - {""})))
     return {
@@ -46,7 +46,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         "trajectories": trajectories(study, table),
         "comparisons": comparisons(study, table),
         "choices": CHOICES,
-        "configuration": config.read_text() if config is not None and config.is_file() else "",
+        "configuration": config.read_text() if config and config.is_file() else "",
         # Several values where the runs disagree, which a reader should know.
         "provenance": [(name.replace("_", " "), ", ".join(values)) for name, values in named if values],
     }
@@ -67,11 +67,6 @@ def best_ordered(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(slope_ratio=ratio) if ratio.notna().any() else table
 
 
-def plain(values: pd.Series) -> list[Any]:
-    """Numbers (to seven digits), texts, truth values or None: JSON has no NaN."""
-    return [_plain(value) for value in values.astype(object)]
-
-
 def coded(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
     """The plain values, or where few differ each once and which of them stands where; nowhere, if all are the same."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
@@ -82,6 +77,7 @@ def coded(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
 
 
 def _plain(value: Any) -> Any:
+    """A number (to seven digits), a text, a truth value, or None: JSON has no NaN."""
     value = value.item() if isinstance(value, np.generic) else value
     if pd.isna(value) or value in (np.inf, -np.inf):
         return None
@@ -101,7 +97,7 @@ def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     best, compared = set(text(table, "run").head(MOST_TRAJECTORIES)), study.comparison
     kept = [name for name in COMPARED if name in compared]
     return {
-        str(run): {name: plain(rows[name]) for name in kept if rows[name].notna().any()}
+        str(run): {name: [_plain(value) for value in rows[name]] for name in kept if rows[name].notna().any()}
         for run, rows in (compared.groupby("run") if len(compared) else ())
         if run in best
     }

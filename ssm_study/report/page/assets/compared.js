@@ -7,7 +7,7 @@ function rowsOf(compared) {
 }
 
 function percent(share) {
-  return share === null || share === undefined ? "–" : `${Math.round(100 * share)} %`;
+  return share == null ? "–" : `${Math.round(100 * share)} %`;
 }
 
 /** Controllers down; across the numbers of the one situation, or all situations. */
@@ -34,8 +34,8 @@ function numbersOf(row) {
 
 /** The fewer settle the darker; the number says it too. */
 function settledCell(row) {
-  if (!row || row.stable_fraction === null || row.stable_fraction === undefined) return element("td", {}, "–");
-  const time = row.settling_time_mean_s === null || row.settling_time_mean_s === undefined ? "" : `${printed(row.settling_time_mean_s)} s`;
+  if (!row || row.stable_fraction == null) return element("td", {}, "–");
+  const time = row.settling_time_mean_s == null ? "" : `${printed(row.settling_time_mean_s)} s`;
   return element("td", { style: `background: rgb(179 89 0 / ${Math.round(45 * (1 - row.stable_fraction))}%)` },
     percent(row.stable_fraction), element("br"), time);
 }
@@ -46,17 +46,12 @@ function designsChart(content, compared) {
     .filter(({ margin, share }) => margin > 0 && Number.isFinite(share));
   const above = rows.filter(({ margin }) => margin > 1), settled = (some) => some.filter(({ share }) => share >= 1).length;
   const below = rows.length - above.length, belowSettled = settled(rows) - settled(above);
-  const figure = element("figure", {}, element("figcaption", {}, `${rows.length} certified designs for this model`,
-    element("span", { class: "note" }, `Above margin one ${settled(above)} of ${above.length} bring every start to rest, at or below it ${belowSettled} of ${below}.`)));
-  const chart = element("div", { class: "chart" });
-  figure.append(chart);
-  content.append(figure);
+  const note = `Above margin one ${settled(above)} of ${above.length} bring every start to rest, at or below it ${belowSettled} of ${below}.`;
   const axis = (field, title, scale) => ({ field, type: "quantitative", title, scale });
-  const spec = { $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150,
-    description: "Share of starts settled on the plant against mismatch margin, one point per certified design", layer: [
-      { data: { values: [{}] }, mark: { type: "rule", strokeDash: [4, 3], color: "#6b6b6b" }, encoding: { x: { datum: 1 } } },
-      { data: { values: rows }, mark: { type: "point", filled: true, size: 25, opacity: 0.5, color: "#0072b2", aria: false }, encoding: {
-        x: axis("margin", "Mismatch margin (–)", { type: "log" }), y: axis("share", "Starts settled (share)", { domain: [-0.05, 1.05], nice: false }) } }],
-    config: { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal" } } };
-  return () => vegaEmbed(chart, shaded(spec), { ...EMBED, actions: false });
+  const layer = [
+    { data: { values: [{}] }, mark: { type: "rule", strokeDash: [4, 3], color: "#6b6b6b" }, encoding: { x: { datum: 1 } } },
+    { data: { values: rows }, mark: { type: "point", filled: true, size: 25, opacity: 0.5, color: "#0072b2", aria: false }, encoding: {
+      x: axis("margin", "Mismatch margin (–)", { type: "log" }), y: axis("share", "Starts settled (share)", { domain: [-0.05, 1.05], nice: false }) } }];
+  const said = "Share of starts settled on the plant against mismatch margin, one point per certified design";
+  return placeChart(content, [`${rows.length} certified designs for this model`, note], said, () => ({ layer }));
 }

@@ -17,13 +17,13 @@ function setting(name, i) {
 
 /** `{label: [run indices]}` of the shown runs, in the order of the settings' values. */
 function grouped(by, shown) {
-  const groups = new Map(), compared = (a, b) => (typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b)));
+  const groups = new Map();
   for (const i of shown.keys()) {
     if (!shown[i]) continue;
     const label = by.map((name) => printed(setting(name, i))).join(" · ");
     if (groups.has(label)) groups.get(label).push(i); else groups.set(label, [i]);
   }
-  return new Map([...groups].sort(([, [i]], [, [j]]) => by.reduce((said, name) => said || compared(setting(name, i), setting(name, j)), 0)));
+  return new Map([...groups].sort(([, [i]], [, [j]]) => by.reduce((said, name) => said || inOrder(setting(name, i), setting(name, j)), 0)));
 }
 
 /** `0.1883 ± 0.0014`: the spread to two digits, the mean as far as the spread reaches; rounding alone is no spread. */
@@ -51,7 +51,7 @@ function strips(groups, metric, rows) {
   const left = Math.min(width / 3, 20 + 6.5 * letters), most = Math.floor(left / 6.5); // on a phone the letters stay legible
   const x = (v) => left + 10 + ((scale(v) - low) / (high - low || 1)) * (width - left - 40);
   const svg = shape("svg", { viewBox: `0 0 ${width} ${groups.size * row + 30}`, role: "img", class: "strips",
-    "aria-label": `${DATA.words[metric] || metric} by group, one tick per run, a bar at the mean` });
+    "aria-label": `${DATA.words[metric]} by group, one tick per run, a bar at the mean` });
   [...groups].forEach(([label, runs], k) => {
     const y = k * row + row / 2, values = known(runs.map((i) => COLUMNS[metric][i]));
     svg.append(shape("text", { x: left, y: y + 4, class: "tick end" }, label.length > most ? `${label.slice(0, most - 1)}…` : label));
@@ -62,7 +62,7 @@ function strips(groups, metric, rows) {
     else if (values.length > 1) svg.append(shape("line", { x1: x(mean(values)), x2: x(mean(values)), y1: y - 9, y2: y + 9, class: "mean" }));
   });
   for (const value of [Math.min(...all), Math.max(...all)]) svg.append(shape("text", { x: x(value), y: groups.size * row + 20, class: "tick middle" }, printed(Number(value.toPrecision(3)))));
-  return element("figure", {}, element("figcaption", {}, DATA.words[metric] || metric, element("span", { class: "note" }, `Rows: ${rows}. One dot per run, a bar at the mean of several, a ring around the best run${log ? "; logarithmic axis" : ""}.`)), svg);
+  return element("figure", {}, element("figcaption", {}, DATA.words[metric], element("span", { class: "note" }, `Rows: ${rows}. One dot per run, a bar at the mean of several, a ring around the best run${log ? "; logarithmic axis" : ""}.`)), svg);
 }
 
 function drawGroups(shown, news) {
@@ -70,10 +70,10 @@ function drawGroups(shown, news) {
   if (!news && drawGroups.said === said) return; // sorting concerns the table alone
   drawGroups.said = said;
   const groups = grouped(by, shown), metrics = METRICS.filter((name) => !by.includes(name) && COLUMNS[name] && known(COLUMNS[name]).length);
-  const few = new Map([...groups].slice(0, MOST_GROUPS)), more = groups.size - few.size, names = by.map((name) => DATA.words[name] || name).join(" · ");
+  const few = new Map([...groups].slice(0, MOST_GROUPS)), more = groups.size - few.size, names = by.map((name) => DATA.words[name]).join(" · ");
   const caption = `Mean ± standard deviation over the runs of each group, below them over all${more ? `; ${more} more groups are not shown` : ""}`;
-  box.replaceChildren(strips(few, metric, names), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": caption },
-    element("table", {}, element("caption", {}, caption), element("thead", {}, element("tr", {}, ...[names, "Runs", ...metrics.map((name) => DATA.words[name] || name)].map((text) => element("th", { scope: "col" }, text)))),
+  box.replaceChildren(strips(few, metric, names), element("p", { class: "quiet" }, `${caption}.`), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": caption },
+    element("table", {}, element("thead", {}, element("tr", {}, ...[names, "Runs", ...metrics.map((name) => DATA.words[name])].map((text) => element("th", { scope: "col" }, text)))),
       element("tbody", {}, ...[...few].map((group) => groupRow(group, metrics))),
       element("tfoot", {}, ...(groups.size > 1 ? [groupRow(["All", [...groups.values()].flat()], metrics)] : [])))));
 }
@@ -89,7 +89,7 @@ function drawGroupForm() {
     changed(true);
   } }), DATA.words[name].replace(/ \(.*/, ""));
   const metric = element("select", { "aria-label": "What is compared", onchange: (event) => { state.group.metric = event.target.value; changed(true); } },
-    ...metrics.map((name) => element("option", { value: name, selected: name === state.group.metric }, DATA.words[name] || name)));
+    ...metrics.map((name) => element("option", { value: name, selected: name === state.group.metric }, DATA.words[name])));
   document.getElementById("group-form").append(element("label", {}, "Compare", metric), element("fieldset", {}, element("legend", {}, "by"), ...names.map(box)));
   listeners.push(drawGroups);
 }
@@ -102,7 +102,7 @@ function drawSideBySide() {
   const pictures = runs.map((i) => { const found = DATA.trajectories[COLUMNS.run[i]];
     return found && found.loop ? responses(shortName(COLUMNS.run[i]), unpack(found.loop.y), found.loop, bounds(runs)) : null; }).filter(Boolean);
   const head = ["", ...runs.map((i) => shortName(COLUMNS.run[i]))].map((text) => element("th", { scope: "col" }, text));
-  const rows = differ.map((name) => element("tr", {}, element("th", { scope: "row" }, DATA.words[name] || name), ...runs.map((i) => element("td", {}, printed(COLUMNS[name][i])))));
+  const rows = differ.map((name) => element("tr", {}, element("th", { scope: "row" }, DATA.words[name]), ...runs.map((i) => element("td", {}, printed(COLUMNS[name][i])))));
   box.replaceChildren(element("div", { class: "responses" }, ...pictures), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": "Chosen runs, what differs" },
     element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows))));
 }
@@ -116,7 +116,7 @@ function bounds(runs) {
 /** The shown runs, all columns, as a file; a text that begins like a formula gets an apostrophe before it. */
 function downloadTable() {
   const names = Object.keys(COLUMNS), cell = (value) => {
-    const text = value === null || value === undefined ? "" : String(value), safe = typeof value === "string" && /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
+    const text = value == null ? "" : String(value), safe = typeof value === "string" && /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
     return /[",\n]/.test(safe) ? `"${safe.replaceAll('"', '""')}"` : safe;
   };
   const lines = [names.join(","), ...state.order.map((i) => names.map((name) => cell(COLUMNS[name][i])).join(","))];

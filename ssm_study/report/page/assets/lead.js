@@ -51,7 +51,7 @@ function headline(i) {
   add(value("fit_test_percent") === null ? null : `${value("fit_test_percent").toFixed(1)} %`, "fit on the test record");
   const rate = value("controller_certified_rate") ?? value("rate_controller"), limit = value("controller_rate_limit");
   if (both && rate !== null) add(printed(Number(rate.toPrecision(2))), `certified rate${value("rate_controller") === null ? "" : `, designed for ${printed(Number(value("rate_controller").toPrecision(2)))}`}: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample`);
-  else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`);
+  else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified${value("rate_controller") === null ? "" : `; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`}`);
   add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, value("loop_on") === "plant" || !value("loop_on") ? "starts settle on the simulated plant" : "starts settle on the model");
   add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
   return told;
@@ -62,15 +62,17 @@ const SUPPORT = { sound: "no check of the records speaks against the prediction"
 /** What is proved, what is predicted, what was seen, and what the records say of it: one short line each. */
 function evidence(i) {
   const value = (name) => (COLUMNS[name] ? COLUMNS[name][i] : null), digits = (name) => printed(Number(value(name).toPrecision(2)));
+  const seconds = (name) => `${printed(value(name))}\u00a0s`;
   const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]), lines = word === "certified, settles" ? [] : [["Outcome", [`${word}: ${sentence}.`, ...reasons(i).map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`)].join(" ")]];
   const on = value("loop_on") === null || value("loop_on") === "plant" ? "plant" : "model";
   if (value("certified_tolerance") && value("mismatch_seen")) lines.push(["Proved for the model", `any two motions under control approach each other, also with a mismatch of gain up to ${digits("certified_tolerance")}; the records show ${digits("mismatch_seen")}, ${value("mismatch_seen") > value("certified_tolerance") ? "so the proof alone does not cover the plant" : "which is less"}.`]);
   if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? "it stays stable" : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
   else if (value("evidence") === "cannot judge") lines.push(["Predicted for the plant", "nothing: the records allow no judgement."]);
-  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on === "plant" ? "simulated plant" : on}`, `it settles in ${digits("settling_time_mean_s")}\u00a0s on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${digits("settling_time_open_loop_s")}\u00a0s`}.`]);
-  const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean).map((reason) => reason.split(/: (.*)/s));
-  if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, `${SUPPORT[value("evidence")]}.`]);
-  return [...lines, ...told.map(([level, text]) => [level[0].toUpperCase() + level.slice(1), text])];
+  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on === "plant" ? "simulated plant" : on}`, `it settles in ${seconds("settling_time_mean_s")} on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${seconds("settling_time_open_loop_s")}`}.`]);
+  const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean), isNote = (reason) => reason.startsWith("note: ");
+  const first = told.filter((reason) => !isNote(reason)).map((reason) => reason.replace(/^[a-z ]+: /, "")), notes = told.filter(isNote).map((note) => `N${note.slice(1)}`);
+  if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, [`${SUPPORT[value("evidence")]}.`, ...first, ...notes].join(" ")]);
+  return lines;
 }
 
 /** The two numbers that a prediction rests on, each with its bound. */
@@ -91,7 +93,7 @@ function drawLead() {
   if (!RUNS) return;
   const found = DATA.trajectories[COLUMNS.run[0]], loop = found && found.loop;
   const numbers = headline(0).map(([number, words]) => element("div", { class: "number" }, element("strong", {}, number), element("span", {}, words)));
-  const lines = evidence(0).map(([label, text]) => element("li", { class: /^(?:Outcome|Cannot judge|Doubt|Evidence: cannot)/.test(label) ? "warn" : "" }, element("strong", {}, label), text[0].toUpperCase() + text.slice(1)));
+  const lines = evidence(0).map(([label, text]) => element("li", { class: /^(?:Outcome|Evidence: (?:doubt|cannot))/.test(label) ? "warn" : "" }, element("strong", {}, label), text[0].toUpperCase() + text.slice(1)));
   box.append(
     element("p", {}, whyBest(), element("button", { type: "button", class: "link", onclick: () => choose(0) }, partsOf(COLUMNS.run[0]).join("-")),
       DATA.parameters.length ? `. Its settings: ${DATA.parameters.map((name) => `${DATA.words[name].replace(/[ ,]*[(,ρ].*/, "").toLowerCase()} ${printed(setting(name, 0))}`).join(", ")}.` : ""),

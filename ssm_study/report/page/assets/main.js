@@ -37,7 +37,7 @@ function drawForm() {
 function select(name) {
   const values = [...new Set(COLUMNS[name].map((_, i) => setting(name, i)).filter((value) => value !== null))];
   if (values.length > 30) return null; // the range filter serves those
-  values.sort((a, b) => (typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b))));
+  values.sort(inOrder);
   return element("label", {}, DATA.words[name].replace(/ \(.*/, ""),
     element("select", { "data-select": name, onchange: (event) => { state.selects[name] = event.target.value; changed(); } },
       element("option", { value: "" }, "any"), ...values.map((value) => element("option", { value: String(value), selected: state.selects[name] === String(value) }, printed(value)))));

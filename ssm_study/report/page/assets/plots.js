@@ -82,6 +82,7 @@ function placeExplorer() {
     spec.description = `${DATA.words[start.up]} against ${DATA.words[start.across]}, one point per run`;
     const rows = rowsFor([]).map((row) => ({ ...row, across: COLUMNS[start.across][row.i], up: COLUMNS[start.up][row.i] }));
     const known = rows.filter((row) => typeof row.across === "number" && typeof row.up === "number");
+    for (const [axis, name] of [["x", "across"], ["y", "up"]]) if (known.every((row) => Number.isInteger(row[name]))) points[axis].axis = { tickMinStep: 1 };
     return embed(chart, spec, { rows: known }, number, (field) => start[field]).then(() => changed(true));
   };
   const choice = (axis) => element("select", { "aria-label": `Column ${axis}`, "data-axis": axis,

@@ -44,7 +44,7 @@ function drawRun(i) {
   const compared = DATA.comparisons[name];
   if (compared && compared.controller) content.append(controllersTable(compared));
   if (compared && compared.design) charts.push(designsChart(content, compared));
-  const known = Object.keys(COLUMNS).filter((column) => COLUMNS[column][i] !== null && COLUMNS[column][i] !== undefined);
+  const known = Object.keys(COLUMNS).filter((column) => COLUMNS[column][i] !== null);
   const named = known.filter((column) => DATA.known_columns.includes(column)), rest = known.filter((column) => !named.includes(column));
   content.append(facts(named, i), element("details", {}, element("summary", {}, "Everything else in the record"), facts(rest, i)));
   drawOneByOne(charts, i);
@@ -64,7 +64,7 @@ function reasons(i) {
 }
 
 function facts(names, i) {
-  return element("dl", {}, ...names.flatMap((name) => [element("dt", {}, DATA.words[name] || name), element("dd", {}, printed(COLUMNS[name][i]))]));
+  return element("dl", {}, ...names.flatMap((name) => [element("dt", {}, DATA.words[name]), element("dd", {}, printed(COLUMNS[name][i]))]));
 }
 
 function unpack({ step, rows, steps }) {
@@ -77,7 +77,17 @@ function lines(packed, step_s, kind) {
   return unpack(packed).flatMap((values, n) => values.map((value, k) => ({ t: k * step_s, value, case: n, kind })));
 }
 
-/** Puts the figure in its place and returns what draws it. */
+// Labels stand under their ticks and apart: neighbours must not read as one number ("0.550.60").
+const LOOK = { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal", labelFlush: false, labelSeparation: 8 } };
+
+/** Puts a figure in its place and returns what draws it from its specification, made when it is asked for. */
+function placeChart(content, [title, note], description, spec) {
+  const chart = element("div", { class: "chart" });
+  content.append(element("figure", {}, element("figcaption", {}, title, ...(note ? [element("span", { class: "note" }, note)] : [])), chart));
+  const frame = { $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150, description, config: LOOK };
+  return () => vegaEmbed(chart, shaded({ ...frame, ...spec() }), { ...EMBED, actions: false });
+}
+
 function chartOf(content, title, rows, { y, kinds, band, goal = 0, held = false }) {
   const colour = kinds ? { field: "kind", type: "nominal", title: null, scale: { domain: kinds, range: ["#6b6b6b", "#0072b2"] }, legend: { orient: "top" } }
     : { field: "case", type: "ordinal", legend: null, scale: { scheme: "viridis" } };
@@ -85,19 +95,15 @@ function chartOf(content, title, rows, { y, kinds, band, goal = 0, held = false 
     x: { field: "t", type: "quantitative", title: "Time (s)" }, y: { field: "value", type: "quantitative", title: y }, color: colour,
     detail: { field: "case" } } };
   const layer = band ? [{ mark: { type: "rect", color: "#d9d9d9" }, encoding: { y: { datum: goal - band }, y2: { datum: goal + band } } }, line] : [line];
-  const chart = element("div", { class: "chart" });
-  content.append(element("figure", {}, element("figcaption", {}, title), chart));
-  const spec = () => ({ $schema: "https://vega.github.io/schema/vega-lite/v6.json", width: "container", height: 150, data: { values: rows() }, layer,
-    description: `${title}: ${y} against time`, config: { font: "system-ui, sans-serif", view: { stroke: null }, axis: { gridColor: "#e6e6e6", titleFontWeight: "normal" } } });
-  return () => vegaEmbed(chart, shaded(spec()), { ...EMBED, actions: false });
+  return placeChart(content, [title], `${title}: ${y} against time`, () => ({ data: { values: rows() }, layer }));
 }
 
 function trajectoryCharts(content, { loop, validation }, responses = true) {
   const charts = [];
   if (loop) {
     const speeds = { y: loop.output, band: loop.band, goal: loop.goal };
-    if (responses) charts.push(chartOf(content, "Controlled", () => lines(loop.y, loop.step_s), speeds));
-    if (responses && loop.alone) charts.push(chartOf(content, "Left alone from the same starts", () => lines(loop.alone, loop.step_s), speeds));
+    if (responses) charts.push(chartOf(content, "Under control", () => lines(loop.y, loop.step_s), speeds));
+    if (responses && loop.alone) charts.push(chartOf(content, "Left alone, same starts", () => lines(loop.alone, loop.step_s), speeds));
     charts.push(chartOf(content, "Input of the controlled runs", () => lines(loop.u, loop.step_s), { y: loop.input, held: true }));
   }
   if (validation) {

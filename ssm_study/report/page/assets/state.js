@@ -1,12 +1,11 @@
 "use strict";
 // What the reader has chosen, and which runs that leaves. Everything else draws from here.
 const DATA = JSON.parse(document.getElementById("data").textContent);
-const HOW_MANY = (DATA.columns.run || []).length;
+const RUNS = (DATA.columns.run || []).length; // all different, so never coded
 // Where few values differ, each once and which of them stands where; nowhere, if all are the same.
 const decoded = (column) => Array.isArray(column) ? column
-  : column.at.length ? column.at.map((k) => column.values[k]) : Array(HOW_MANY).fill(column.values[0]);
+  : column.at.length ? column.at.map((k) => column.values[k]) : Array(RUNS).fill(column.values[0]);
 const COLUMNS = Object.fromEntries(Object.entries(DATA.columns).map(([name, column]) => [name, decoded(column)]));
-const RUNS = (COLUMNS.run || []).length;
 
 const state = {
   text: "",
@@ -26,7 +25,7 @@ const ALL_TEXT = Array.from({ length: RUNS }, (_, i) =>
   Object.keys(COLUMNS).filter((name) => typeof COLUMNS[name][i] === "string").map((name) => COLUMNS[name][i]).join(" ").toLowerCase());
 
 function within(value, low, high) {
-  return value !== null && value !== undefined && (low === null || value >= low) && (high === null || value <= high);
+  return value != null && (low === null || value >= low) && (high === null || value <= high);
 }
 
 /** 1 for each run that passes every filter and every brush. */
@@ -43,6 +42,7 @@ function mask() {
     brushes.every(([name, [low, high]]) => within(COLUMNS[name][i], low, high))));
 }
 
+const ALPHABET = new Intl.Collator(); // ten times faster than localeCompare
 const listeners = [];
 let waiting = false;
 
@@ -80,14 +80,19 @@ function element(tag, attributes = {}, ...children) {
 }
 
 function printed(value) {
-  if (value === null || value === undefined) return "–";
+  if (value == null) return "–"; // a column that is not there, too
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value !== "number" || Number.isInteger(value)) return String(value);
   return value !== 0 && Math.abs(value) < 1e-3 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
 }
 
 function isNumeric(name) {
-  return COLUMNS[name].some((value) => typeof value === "number") && !COLUMNS[name].some((value) => typeof value === "string");
+  return COLUMNS[name].some((value) => typeof value === "number") && !isText(name);
+}
+
+/** By size where both are numbers, else by the alphabet. */
+function inOrder(a, b) {
+  return typeof a === "number" && typeof b === "number" ? a - b : ALPHABET.compare(String(a), String(b));
 }
 
 /** Words that need room; a yes or no does not. */
