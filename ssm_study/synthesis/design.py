@@ -190,8 +190,7 @@ class Synthesis(ABC):
 
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
-            rate = getattr(self, name)
-            contraction_rate(f"synthesis.{name}", rate, "try 0.1")
+            contraction_rate(f"synthesis.{name}", getattr(self, name), "try 0.1")
         for name in ("state_weight", "input_weight", "state_noise", "output_noise"):
             positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
@@ -239,8 +238,10 @@ class Synthesis(ABC):
             system = dual(system)
         on_output, on_state, on_input, rate = weights
         weight = on_output * system.c.T @ system.c + on_state * np.eye(system.order)  # of |C x|^2, and of x itself
-        data: Any = {"a": system.a, "b": system.b, "neurons": Neurons.of(system, observes)}
-        return Problem(**data, ball=ball, rate=rate, state_weight=weight, input_weight=on_input)
+        data: Any = {"a": system.a, "b": system.b, "state_weight": weight, "input_weight": on_input}
+        if isinstance(system, StructuredSystem):
+            data["neurons"] = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
+        return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate with room."""

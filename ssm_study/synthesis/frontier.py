@@ -13,6 +13,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import require
+from ssm_study.synthesis.problem import symmetric
 from ssm_study.systems import JacobianBall, StateSpace, System
 
 # A mode counts as out of the input's reach when its left eigenvector meets B at less than this share of `||B||`:
@@ -108,8 +109,7 @@ def minimum_energy(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> 
     With no weight on the state the Riccati equation is a Lyapunov equation in the inverse.
     """
     inverse = np.linalg.inv(a)  # stable, for all modes of A are outside the circle
-    w = scipy.linalg.solve_discrete_lyapunov(inverse, inverse @ b @ b.T @ inverse.T)
-    return (w + w.T) / 2
+    return symmetric(scipy.linalg.solve_discrete_lyapunov(inverse, inverse @ b @ b.T @ inverse.T))
 
 
 def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
