@@ -11,7 +11,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.refusal import at_least
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import JacobianBall, StateSpace, System
+from ssm_study.systems import StateSpace
 
 if TYPE_CHECKING:
     from ssm_study.training.metrics import Identification
@@ -21,19 +21,17 @@ if TYPE_CHECKING:
 class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
-    A model without neurons counts within `one_layer_within_percent`: for what neurons gain less, more is certified.
-    Records decide as long as they tell models apart. To take the best fit of the models that can be made twice as fast
-    as they are alone says nothing where no model can. Source of the rate: docs/theory.md, "The frontier".
+    A model without neurons counts within `one_layer_within_percent`: where neurons gain less, a faster rate is
+    worth more. Source of the rate: docs/theory.md, "The frontier".
     """
 
     within_percent: float = 0.3
     one_layer_within_percent: float = 1.0
 
     def __post_init__(self) -> None:
+        remedy = "use 0.3 and 1, or model.among_starts=null for the best fit"
         for name, value in vars(self).items():
-            at_least(
-                0, f"model.among_starts.{name}", value, "use 0.3 and 1, or model.among_starts=null for the best fit"
-            )
+            at_least(0, f"model.among_starts.{name}", value, remedy)
 
     def __call__(self, found: "Sequence[Identification]") -> "Identification":
         """One of `found`."""
@@ -41,16 +39,15 @@ class FastestCertified:
         near = [one for one, fit in zip(found, fits, strict=True) if fit >= max(fits) - self._within(one.model)]
         if len(near) == 1:
             return near[0]
-        models: list[Any] = [one.model for one in near]  # structured, or one layer
-        rates = [fastest(model.system, certified_balls(model).input) for model in models]
-        return near[rates.index(max(rates))]
+        return max(near, key=lambda one: fastest(one.model))
 
     def _within(self, model: Any) -> float:
         return self.one_layer_within_percent if isinstance(model.system, StateSpace) else self.within_percent
 
 
-def fastest(system: System, ball: JacobianBall) -> float:
+def fastest(model: Any) -> float:
     """The largest rate of any state feedback: exact for a linear recurrence, with neurons as bisection finds it."""
+    system, ball = model.system, certified_balls(model).input
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import largest_rate  # CVXPY: only where there are neurons

@@ -201,7 +201,9 @@ class Auto:
         rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
         return rates + ([] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares])
 
-    def _frozen(self, system: Any, ball: JacobianBall, observes: bool, rest: Slopes, rate: float) -> list[Found]:
+    def _frozen(
+        self, system: Any, ball: JacobianBall, observes: bool, rest: Float[np.ndarray, "q"], rate: float
+    ) -> list[Found]:
         """Gains as of one layer, the neurons' slopes frozen at rest or half way: those proved for every slope.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does not ask for it.
