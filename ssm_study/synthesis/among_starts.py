@@ -11,7 +11,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.refusal import at_least
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import StateSpace
+from ssm_study.systems import JacobianBall, StateSpace, System
 
 if TYPE_CHECKING:
     from ssm_study.training.metrics import Identification
@@ -39,15 +39,18 @@ class FastestCertified:
         near = [one for one, fit in zip(found, fits, strict=True) if fit >= max(fits) - self._within(one.model)]
         if len(near) == 1:
             return near[0]
-        return max(near, key=lambda one: fastest(one.model))
+
+        def rate(one: Any) -> float:
+            return fastest(one.model.system, certified_balls(one.model).input)
+
+        return max(near, key=rate)
 
     def _within(self, model: Any) -> float:
         return self.one_layer_within_percent if isinstance(model.system, StateSpace) else self.within_percent
 
 
-def fastest(model: Any) -> float:
+def fastest(system: System, ball: JacobianBall) -> float:
     """The largest rate of any state feedback: exact for a linear recurrence, with neurons as bisection finds it."""
-    system, ball = model.system, certified_balls(model).input
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import largest_rate  # CVXPY: only where there are neurons

@@ -104,10 +104,9 @@ class Request:
 def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None) -> list[str]:
     """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
 
-    `linear` is the recurrence, `balls` are re-derived from `model.json`, `controlled` is what the state feedback
-    acts on where that is not the model itself (integral action). A claim is: the digest of each part; every field that
-    its theorem calls the model's; the ball contains the model's; products, correctly rounded; the theorem's conditions,
-    in rational arithmetic, agree with `certified`; the rate limit; without a certificate, that it is excluded.
+    `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback acts on where that
+    is not the model itself (integral action). Claims are each part's digest, the model's fields and ball, products,
+    rate limits, and `certified`, or that an infeasible rate is excluded.
     """
     try:
         design = Design.from_json(content)

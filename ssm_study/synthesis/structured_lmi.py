@@ -25,10 +25,10 @@ from ssm_study.synthesis.theorems import structured_observer, structured_state_f
 
 Rows = Float[np.ndarray, "_ _"]
 
-INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
 LEAST_BALL = 1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
 INSIDE = 1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
+INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
@@ -119,15 +119,12 @@ def holds(problem: Problem, found: Solution) -> bool:
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """The largest rate at which the solver's matrices hold, by bisection on the exact verdict; 0 if there is none.
-
-    Over all gains, the best possible rate of the model as far as the solver finds it; or, `fixed`, of these gains.
-    """
+    """The largest rate over all gains (or `fixed` ones) as far as the solver finds it; 0 if there is none."""
     return fastest(problem, fixed)[0]
 
 
 def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
-    """That rate, and the matrices at it, from whose multipliers a search for the least cost may start."""
+    """That rate, by bisection on the exact verdict, and its matrices, from which a search may start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
     low, high, best = 0.0, 1.0, None
     for _ in range(RATE_STEPS):
