@@ -150,10 +150,8 @@ def _of_part(part: Theorem | Infeasible, known: Known) -> list[str]:
     return broken + part.broken(known)
 
 
-# A near miss is solved again for a faster rate: these shares of the way (in log r) to the frontier.
-REPAIRS = (0.03, 0.3, 0.8)
-# A frontier at r = 0 (linear output) would make the repair infinitely fast; this share of r is fast enough.
-REPAIR_FLOOR = 0.5
+REPAIRS = (0.03, 0.3, 0.8)  # a near miss is solved again at these shares of the way (in log r) to the frontier
+REPAIR_FLOOR = 0.5  # or to this share of r where the frontier is nearer to zero (r = 0 for a linear output)
 FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be told from 1
 
 

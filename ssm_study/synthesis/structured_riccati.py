@@ -28,8 +28,7 @@ from jaxtyping import Float
 from ssm_study.synthesis.game import Game, descend, evaluate
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
 
-# Where the first multipliers do not hold, the search starts slower by this factor a step, up to the second.
-SLOWER, SLOWEST = 1.5, 1e3
+SLOWER, SLOWEST = 1.5, 1e3  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
 # Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r, below which the
 # search has come to its end; each where the one before gets stuck.
 TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
