@@ -59,7 +59,7 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> tuple[Float[np
     found = np.asarray(centre.value, dtype=float).reshape(shape)
     values = [np.asarray(t.value, dtype=float) for t in multipliers]
     radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
-    require(np.isfinite(radius), "bound_method", "lipsdp", "the multipliers found prove no bound", "use interval")
+    require(np.isfinite(radius), "bound_method", "lipsdp", "the multipliers do not prove a bound", "use interval")
     return found, radius
 
 
