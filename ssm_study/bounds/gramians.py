@@ -9,12 +9,9 @@ from jaxtyping import Float
 from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, StateSpace
 
-# Balancing divides by the square roots of the Hankel singular values; below this share of the largest, a state is
-# rounding noise of the Gramians (they are accurate to about 1e-16 of their norm, and the values are square roots).
+# Hankel singular values below this share of the largest are rounding: they are square roots of what is known to 1e-16.
 BALANCING_FLOOR = 1e-8
-# Rank decisions: a matrix counts as rank deficient when its smallest singular value is below this share of the
-# largest, a hundred times the rounding of its entries.
-RANK_FLOOR = 1e-14
+RANK_FLOOR = 1e-14  # share of the norm below which a smallest singular value is zero: a hundred roundings
 
 
 def gramian(
@@ -75,9 +72,9 @@ def _roots(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
 class LocalProperty:
     """`mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along any trajectory of n steps.
 
-    `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')` bound every eigenvalue of W; W' is the Gramian of
-    the linear part over as many steps as it has states. `holds`: no mode is out of reach, within rounding, and
-    `mu > 0`; a Gramian of a high-order model may underflow to a `lower` of zero although the property holds.
+    `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')`, W' the Gramian of the linear part over as many
+    steps as it has states. `holds`: no mode is out of reach, within rounding, and `mu > 0`; of a high-order model
+    `lower` may underflow to zero although the property holds.
     Source: [Z26] Propositions 1 and 2.
     """
 

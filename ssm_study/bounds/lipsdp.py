@@ -59,8 +59,7 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> tuple[Float[np
     found = np.asarray(centre.value, dtype=float).reshape(shape)
     values = [np.asarray(t.value, dtype=float) for t in multipliers]
     radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
-    proved = np.isfinite(radius)
-    require(proved, "bound_method", "lipsdp", "the multipliers found do not prove a bound", "use interval")
+    require(np.isfinite(radius), "bound_method", "lipsdp", "the multipliers do not prove a bound", "use interval")
     return found, radius
 
 
@@ -91,8 +90,7 @@ def _sectors(network: Network, multipliers: Sequence[Any]) -> Any:
     """`-2 sum_l (d - lo q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
     total: Any = 0
     for layer, t in enumerate(multipliers):
-        low = np.minimum(network.negative_slopes[layer], network.positive_slopes[layer])
-        high = np.maximum(network.negative_slopes[layer], network.positive_slopes[layer])
+        low, high = np.sort(np.stack([network.negative_slopes[layer], network.positive_slopes[layer]]), axis=0)
         d, q = _select(network, layer + 1), network.weights[layer] @ _select(network, layer)
         left, right = d - low[:, None] * q, high[:, None] * q - d
         scaled = (cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)) @ right

@@ -32,11 +32,10 @@ COLUMNS = (
 
 
 def bound_facts(model: Any) -> dict[str, Any]:
-    """Everything that is proved of a model by itself: its linear part, certified slopes, and local Gramians.
+    """The columns that are proved of a model by itself, and beside them the paper's slopes (unsound below).
 
-    Beside the slopes of `S_u` the paper's figure from spectral norms (unsound below). Local controllability and
-    observability hold along any trajectory, with the bounds of [Z26] on the Gramians; those are of a recurrence
-    without neurons. A recurrence that integrates has no Hankel values.
+    Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without neurons. One that
+    integrates has no Hankel values.
     """
     facts = dict[str, Any]()
     bounds = {"input": jacobian_ball(model.scaffold_in), "output": jacobian_ball(model.scaffold_out)}
@@ -46,10 +45,10 @@ def bound_facts(model: Any) -> dict[str, Any]:
     norms = spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else norms
     facts |= {"input_slope_lower_spectral": norms[0], "input_slope_upper_spectral": norms[1]}
     facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
+    facts |= {"spectral_radius": model.linear.spectral_radius}
     if model.linear.spectral_radius < 1:
         hankel = hankel_singular_values(model.linear)
         facts |= {"hankel_largest": float(hankel[0]), "hankel_smallest": float(hankel[-1])}
-    facts |= {"spectral_radius": model.linear.spectral_radius}
     if not isinstance(getattr(model, "system", None), StructuredSystem):
         for name, local in (
             ("controllability", local_property(model.linear.a, model.linear.b, bounds["input"].ball)),

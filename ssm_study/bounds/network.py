@@ -28,10 +28,9 @@ class Network:
     """`N(v) = W_{L+1} d_L,  d_l = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l),  d_0 = v`.
 
     Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations at zero; here the
-    subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L = len(biases)` hidden layers; each neuron
-    has its own slopes: `phi(z) = positive z` for `z >= 0`, `negative z` below.
-    Shapes: `weights[l] (h_{l+1}, h_l)`, one more of them than of `biases[l]`, `negative_slopes[l]` and
-    `positive_slopes[l] (h_{l+1},)`.
+    subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L = len(biases)` layers of `leaky_relu`,
+    each neuron with its own slopes. Shapes: `weights[l] (h_{l+1}, h_l)`, one more of them than of `biases[l]`,
+    `negative_slopes[l]` and `positive_slopes[l] (h_{l+1},)`.
     """
 
     weights: tuple[Float[np.ndarray, "_ _"], ...]

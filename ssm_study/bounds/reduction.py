@@ -11,10 +11,9 @@ from ssm_study.refusal import at_least, require
 class Reduction:
     """`x = T z` with equal, diagonal Gramians; then keep the states that carry something.
 
-    `truncate_to` keeps that many states (None: all). `drop_below` drops states whose Hankel singular value is below
-    this share of the largest, whatever `truncate_to` says: they would make the coordinates ill-conditioned and ask
-    the controller to move modes it can hardly reach. `absorb` first moves rotations and gains of
-    multi-channel scaffoldings into B and C (`SSM.absorbed`). `balanced=False` keeps the model's coordinates.
+    `truncate_to` leaves that many states (None: all). `drop_below` drops, in any case, states whose Hankel singular
+    value is below this share of the largest: modes that the controller could hardly move, in coordinates that floats do
+    not hold. `absorb` first moves rotations and gains of multi-channel scaffoldings into B and C (`SSM.absorbed`).
     """
 
     balanced: bool = True

@@ -17,10 +17,9 @@ ROUNDING_SHARE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeBound:
-    """`lower <= slope <= upper`, and the ball `J = alpha I + beta Delta` that holds every Jacobian.
+    """The ball `J = alpha I + beta Delta` that holds every Jacobian; the least and the greatest slope, with sign.
 
-    For a scalar map the numbers are slopes with sign; in several dimensions they are the ends `alpha -+ beta` of the
-    ball.
+    In several dimensions these are the ends `alpha -+ beta` of the ball.
     """
 
     lower: float
@@ -56,8 +55,7 @@ def _rounded_down(value: Fraction) -> float:
 def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
     """A ball around `alpha I` that holds the ball around `centre`: the distance between the centres is paid for.
 
-    `alpha = trace(centre)/m`; a rotation far from the identity yields a ball that contains zero, which synthesis
-    refuses, never a wrong certificate.
+    `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which synthesis refuses.
     """
     alpha = float(np.trace(centre)) / len(centre)
     distance = float(np.linalg.norm(centre - alpha * np.eye(len(centre)), 2)) if len(centre) > 1 else 0.0
@@ -121,9 +119,8 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
 def jacobian_ball(scaffold: Any) -> SlopeBound:
     """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
 
-    The exact interval where there is one (scalar networks of any depth, monotone and linear scaffoldings), the
-    construction for residual ones, and otherwise the narrower of LipSDP and interval arithmetic. Raises `BadRequest`
-    for a scaffolding that is not square.
+    Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual), or the narrower of
+    LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is not square.
     """
     shape = (scaffold.outputs, scaffold.inputs)
     require(shape[0] == shape[1], "scaffold", shape, "the theorems need a square scaffolding", "lift to m channels")

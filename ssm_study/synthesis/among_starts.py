@@ -21,19 +21,17 @@ if TYPE_CHECKING:
 class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
-    A model without neurons counts within `one_layer_within_percent`: for what neurons gain less, more is certified.
-    Records decide as long as they tell models apart. To take the best fit of the models that can be made twice as fast
-    as they are alone says nothing where no model can. Source of the rate: docs/theory.md, "The frontier".
+    A model without neurons counts within `one_layer_within_percent`: where neurons gain less, a faster rate is
+    worth more. Source of the rate: docs/theory.md, "The frontier".
     """
 
     within_percent: float = 0.3
     one_layer_within_percent: float = 1.0
 
     def __post_init__(self) -> None:
+        remedy = "use 0.3 and 1, or model.among_starts=null for the best fit"
         for name, value in vars(self).items():
-            at_least(
-                0, f"model.among_starts.{name}", value, "use 0.3 and 1, or model.among_starts=null for the best fit"
-            )
+            at_least(0, f"model.among_starts.{name}", value, remedy)
 
     def __call__(self, found: "Sequence[Identification]") -> "Identification":
         """One of `found`."""
@@ -41,9 +39,11 @@ class FastestCertified:
         near = [one for one, fit in zip(found, fits, strict=True) if fit >= max(fits) - self._within(one.model)]
         if len(near) == 1:
             return near[0]
-        models: list[Any] = [one.model for one in near]  # structured, or one layer
-        rates = [fastest(model.system, certified_balls(model).input) for model in models]
-        return near[rates.index(max(rates))]
+
+        def rate(one: Any) -> float:
+            return fastest(one.model.system, certified_balls(one.model).input)
+
+        return max(near, key=rate)
 
     def _within(self, model: Any) -> float:
         return self.one_layer_within_percent if isinstance(model.system, StateSpace) else self.within_percent

@@ -154,7 +154,7 @@ class Observer(Side, abstract=True):
 class Infeasible:
     """No certificate at these settings: a result, not an error. `rate_limit` says how much was possible.
 
-    `proved`: the exact frontier (or a hypothesis) excludes the request for every method; else this one found nothing.
+    `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one found nothing.
     """
 
     theorem: str

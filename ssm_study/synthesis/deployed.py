@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
 from ssm_study.synthesis.commanded import of_commands
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
@@ -49,12 +49,11 @@ def as_deployed(
     """
     model, balls = of_commands(design, model, balls)
     limits = None if design.inverts else limits
-    beside: dict[str, Theorem] = {}
-    for side, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
-        again = None if isinstance(part, Infeasible) or not part.certified else within_reach(part.at_largest_rate)
-        if again is not None:
-            beside[f"{side}_deployed"] = again
     feedback, observer = design.state_feedback, design.observer
+    found: dict[str, Theorem | None] = {}
+    for side, part in (("state_feedback", feedback), ("observer", observer)):
+        if not isinstance(part, Infeasible) and part.certified:
+            found[f"{side}_deployed"] = within_reach(part.at_largest_rate)
     linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
     if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
         controlled = controlled_system(model, feedback)
@@ -67,8 +66,8 @@ def as_deployed(
         if linear and not model.linear.d.any():
             asked["noise"] = weights["tolerance"], NoiseGain
         for name, (weight, theorem) in asked.items():
-            found = within_reach(partial(largest_tolerance, known, weight, theorem=theorem))
-            beside |= {} if found is None else {name: found}
+            found[name] = within_reach(partial(largest_tolerance, known, weight, theorem=theorem))
+    beside = {name: part for name, part in found.items() if part is not None}
     design = replace(design, beside=beside)
     return replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
 
@@ -112,9 +111,8 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
     design.parts()
     parts, limits = with_limits(model, design, lower, upper), (lower.tolist(), upper.tolist())
     problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"
-    found = WithinLimits.of(model, parts)
-    require(found is not None, "input limits", limits, problem, remedy)
-    assert found is not None
+    if (found := WithinLimits.of(model, parts)) is None:
+        raise BadRequest("input limits", limits, problem, remedy)
     return found
 
 

@@ -104,10 +104,9 @@ class Request:
 def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None) -> list[str]:
     """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
 
-    `linear` is the recurrence, `balls` are re-derived from `model.json`, `controlled` is what the state feedback
-    acts on where that is not the model itself (integral action). A claim is: the digest of each part; every field that
-    its theorem calls the model's; the ball contains the model's; products, correctly rounded; the theorem's conditions,
-    in rational arithmetic, agree with `certified`; the rate limit; without a certificate, that it is excluded.
+    `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback acts on where that
+    is not the model itself (integral action). Claims are each part's digest, the model's fields and ball, products,
+    rate limits, and `certified`, or that an infeasible rate is excluded.
     """
     try:
         design = Design.from_json(content)
@@ -151,10 +150,8 @@ def _of_part(part: Theorem | Infeasible, known: Known) -> list[str]:
     return broken + part.broken(known)
 
 
-# A near miss is solved again for a faster rate: these shares of the way (in log r) to the frontier.
-REPAIRS = (0.03, 0.3, 0.8)
-# A frontier at r = 0 (linear output) would make the repair infinitely fast; this share of r is fast enough.
-REPAIR_FLOOR = 0.5
+REPAIRS = (0.03, 0.3, 0.8)  # a near miss is solved again at these shares of the way (in log r) to the frontier
+REPAIR_FLOOR = 0.5  # or to this share of r where the frontier is nearer to zero (r = 0 for a linear output)
 FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be told from 1
 
 
@@ -190,8 +187,7 @@ class Synthesis(ABC):
 
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
-            rate = getattr(self, name)
-            contraction_rate(f"synthesis.{name}", rate, "try 0.1")
+            contraction_rate(f"synthesis.{name}", getattr(self, name), "try 0.1")
         for name in ("state_weight", "input_weight", "state_noise", "output_noise"):
             positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
@@ -239,8 +235,10 @@ class Synthesis(ABC):
             system = dual(system)
         on_output, on_state, on_input, rate = weights
         weight = on_output * system.c.T @ system.c + on_state * np.eye(system.order)  # of |C x|^2, and of x itself
-        data: Any = {"a": system.a, "b": system.b, "neurons": Neurons.of(system, observes)}
-        return Problem(**data, ball=ball, rate=rate, state_weight=weight, input_weight=on_input)
+        data: Any = {"a": system.a, "b": system.b, "state_weight": weight, "input_weight": on_input}
+        if isinstance(system, StructuredSystem):
+            data["neurons"] = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
+        return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate with room."""

@@ -13,15 +13,12 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import require
+from ssm_study.synthesis.problem import symmetric
 from ssm_study.systems import JacobianBall, StateSpace, System
 
-# A mode counts as out of the input's reach when its left eigenvector meets B at less than this share of `||B||`:
-# eigenvectors of a well-conditioned matrix are accurate to about 1e-14.
-REACH_FLOOR = 1e-12
-# Eigenvalues closer than this share of the largest are treated as repeated (a defective pair splits by 1e-8).
-REPEATED = 1e-7
-# A mode this near to the circle `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`, and has an infinite metric.
-ON_CIRCLE = 1e-10
+REACH_FLOOR = 1e-12  # a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14
+REPEATED = 1e-7  # eigenvalues closer than this share of the largest count as repeated: a defective pair splits by 1e-8
+ON_CIRCLE = 1e-10  # a mode this near to `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`: its metric is infinite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +105,7 @@ def minimum_energy(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> 
     With no weight on the state the Riccati equation is a Lyapunov equation in the inverse.
     """
     inverse = np.linalg.inv(a)  # stable, for all modes of A are outside the circle
-    w = scipy.linalg.solve_discrete_lyapunov(inverse, inverse @ b @ b.T @ inverse.T)
-    return (w + w.T) / 2
+    return symmetric(scipy.linalg.solve_discrete_lyapunov(inverse, inverse @ b @ b.T @ inverse.T))
 
 
 def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:

@@ -7,7 +7,7 @@ what it returns is exact arithmetic's.
 
 import time
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -21,7 +21,7 @@ from ssm_study.refusal import BadRequest, one_of
 from ssm_study.synthesis.certificate import Side
 from ssm_study.synthesis.design import Request, Synthesis
 from ssm_study.synthesis.frontier import Frontier
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
 from ssm_study.synthesis.theorem import Blocks, full
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall, StateSpace, System
@@ -37,49 +37,41 @@ SOLVERS: dict[str, dict[str, Any]] = {
 # The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its strictness by this.
 STRICTNESS = 1e-6
 
+Matrix = Float[np.ndarray, "_ _"]
 Goal = tuple[cp.Expression, list[cp.Constraint]]
 
 
-@dataclass(frozen=True, kw_only=True)
 class CompiledLmi:
-    """Theorem 1 for one pair `(a, b)`, ready to be solved at any rate and ball.
+    """Theorem 1 for one pair `a (n, n)`, `b (n, m)`, ready to be solved at any rate and ball.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights matter for
     `guaranteed_cost` only, whose cost is that of the Riccati route.
     """
 
-    a: Float[np.ndarray, "n n"]
-    b: Float[np.ndarray, "n m"]
-    objective: str
-    full: bool
-    state_weight: Float[np.ndarray, "n n"]
-    input_weight: float
-    parts: dict[str, Any] = field(init=False, repr=False)
-    problem: cp.Problem = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        n, m = self.b.shape
+    def __init__(
+        self, *, a: Matrix, b: Matrix, objective: str, full: bool, state_weight: Matrix, input_weight: float
+    ) -> None:
+        n, m = b.shape
         p, x = cp.Variable((n, n), symmetric=True), cp.Variable((m, n))
-        y = cp.Variable((n, n)) if self.full else p
-        parts: dict[str, Any] = {"p": p, "y": y, "x": x, "sigma": cp.Variable(nonneg=True)}
-        parts |= {"rate": cp.Parameter(), "alpha": cp.Parameter(), "beta": cp.Parameter(nonneg=True)}
-        upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=self.a, b=self.b, **parts))
-        if self.objective == "smallest_gain":
+        y = cp.Variable((n, n)) if full else p
+        self.parts: dict[str, Any] = {"p": p, "y": y, "x": x, "sigma": cp.Variable(nonneg=True)}
+        self.parts |= {"rate": cp.Parameter(), "alpha": cp.Parameter(), "beta": cp.Parameter(nonneg=True)}
+        upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=a, b=b, **self.parts))
+        if objective == "smallest_gain":
             goal, constraints = _smallest_gain(upper, p, y, x)
         else:
-            root = np.real(scipy.linalg.sqrtm(self.state_weight))
-            goal, constraints = aim(self.objective, upper, p, 1, [root @ y, np.sqrt(self.input_weight) * x])
-        object.__setattr__(self, "parts", parts)
-        object.__setattr__(self, "problem", cp.Problem(cp.Minimize(goal), constraints))
+            root = np.real(scipy.linalg.sqrtm(state_weight))
+            goal, constraints = aim(objective, upper, p, 1, [root @ y, np.sqrt(input_weight) * x])
+        self.problem = cp.Problem(cp.Minimize(goal), constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
         """Raises `NoSolution` with the solver's status when it returns no matrices."""
-        parts = self.parts
-        parts["rate"].value = problem.rate
-        parts["alpha"].value, parts["beta"].value = problem.ball.alpha, problem.ball.beta
+        parts, known = self.parts, {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}
+        for name, value in known.items():
+            parts[name].value = value
         status = solved(self.problem, solver)
-        p = (parts["p"].value + parts["p"].value.T) / 2
-        y = parts["y"].value if self.full else p
+        p = symmetric(parts["p"].value)
+        y = p if parts["y"] is parts["p"] else parts["y"].value
         try:
             k = np.linalg.solve(y.T, parts["x"].value.T).T
         except np.linalg.LinAlgError as error:
@@ -130,10 +122,9 @@ def solved(program: cp.Problem, solver: str) -> str:
 
 
 @lru_cache(maxsize=4)
-def _compiled(pair: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float) -> Any:
-    a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in pair)
-    weights = {"state_weight": weight, "input_weight": input_weight}
-    return CompiledLmi(a=a, b=b, objective=objective, full=full, **weights)  # type: ignore[arg-type]  # two kinds
+def _compiled(data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float) -> Any:
+    a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in data)
+    return CompiledLmi(a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,8 +167,8 @@ class LmiSynthesis(Synthesis):
         if problem.neurons is None:
             one = np.eye(len(problem.a))
             weight = problem.state_weight if self.objective == "guaranteed_cost" else one
-            pair = (problem.a.tobytes(), problem.b.tobytes(), weight.tobytes())
-            compiled = _compiled(pair, len(one), self.objective, self.full, problem.input_weight)
+            data = (problem.a.tobytes(), problem.b.tobytes(), weight.tobytes())
+            compiled = _compiled(data, len(one), self.objective, self.full, problem.input_weight)
             return compiled.solve(problem, self.solver)
         from ssm_study.synthesis.structured_lmi import StructuredLmi  # which solves by this module
 

@@ -7,13 +7,12 @@ it has been, so there is one `View` for each amplitude. Within a view
     by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands in for it
     split           e    = Q y_model + r,   Q = S_(e, y_model) / S_(y_model),   g_r(w) = sqrt(S_r(w) / S_u(w))
 
-Q is linear in what the model says (a gain that differs at this amplitude, a lag: -1 where the plant holds still), and
-the loop answers it with a phase; r is distortion and whatever else is not linear, and counts by size alone. So nothing
-is hidden, as it would be by the cross spectrum alone.
+Q is linear in what the model says (another gain at this amplitude, a lag: -1 where the plant holds still), and the loop
+answers it with a phase; r is whatever is not linear, and counts by size alone, so that nothing is hidden.
 
-Sensor noise is removed only where it is measured by itself: where an input repeats, what does not repeat is noise (or
-motion of the plant's own, which shows at rest). A record at rest input that does not come to rest is a mismatch of
-infinite gain. Where no input repeats, noise counts as mismatch.
+Sensor noise is removed only where an input repeats: what does not repeat is noise (or motion of the plant's own, which
+shows at rest); elsewhere it counts as mismatch. A record at rest input that does not come to rest is a mismatch of
+infinite gain.
 
 In a closed loop `u = T_ue e` whatever e is: noise and the start alone show g = 1 / |T_ue|, the very gain that the loop
 just fails to tolerate. So a trial in closed loop counts only if its output does not come to rest (`MOVING`), and of e

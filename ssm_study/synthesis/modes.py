@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.problem import NoSolution, Problem
+from ssm_study.synthesis.problem import NoSolution, Problem, symmetric
 from ssm_study.synthesis.theorem import margin
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 
@@ -40,7 +40,7 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
         s = scipy.linalg.solve_discrete_are(a, b, q, np.eye(b.shape[1]) / kappa)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise NoSolution(f"no stabilising Riccati solution: {error}") from error
-    return (s + s.T) / 2
+    return symmetric(s)
 
 
 def doubled(a: Square, g: Square, q: Square) -> Square | None:
@@ -58,14 +58,14 @@ def doubled(a: Square, g: Square, q: Square) -> Square | None:
             except np.linalg.LinAlgError:
                 return None
             step = a.T @ h @ solved[:, :n]
-            h = h + (step + step.T) / 2
+            h = h + symmetric(step)
             if not np.isfinite(h).all():  # diverged: no stabilising solution in floats
                 return None
             if np.abs(step).max() <= CONVERGED * np.abs(h).max():
                 return h
             g = g + a @ solved[:, n:] @ a.T
             a = a @ solved[:, :n]
-        g = (g + g.T) / 2
+        g = symmetric(g)
     return None
 
 
@@ -82,12 +82,10 @@ def least_metric(
     p = doubled(np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise)
     if p is None:
         raise NoSolution("the bounded-real equation has no solution in floats")
-    whole = right @ p @ right.T
-    return (whole + whole.T) / 2
+    return symmetric(right @ p @ right.T)
 
 
-DOUBLINGS = 60  # of F in sum_j F^j G G^T F^jT: 2^60 terms, or stop when F^(2^j) no longer matters
-NEGLIGIBLE = 1e-20
+NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^j G G^T F^jT
 SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)  # of the slow modes' metric: from dominating to negligible beside the fast
 GOOD_SHARE = 0.3
 BETWEEN = 0.3  # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
@@ -97,10 +95,7 @@ ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 
 @dataclass(frozen=True, kw_only=True)
 class Modes:
-    """`x = right [z_fast; z_slow]`, `[z_fast; z_slow] = left x`, and the two parts do not see each other.
-
-    Shapes: `right, left (n, n)`; `a_fast (k, k)`, `b_fast (k, m)`, `a_slow (n-k, n-k)`, `b_slow (n-k, m)`.
-    """
+    """`x = right [z_fast; z_slow]`, `[z_fast; z_slow] = left x`, and the two parts do not see each other."""
 
     right: Float[np.ndarray, "n n"]
     left: Float[np.ndarray, "n n"]
@@ -116,7 +111,7 @@ class Modes:
 
 @dataclass(frozen=True, kw_only=True)
 class FastGain:
-    """The minimum-energy gain and its metric on the fast modes: `k (m, n)` in x, `p (k, k)` on `z_fast`, sigma = 1."""
+    """The minimum-energy gain `k`, in x, and its metric `p` on `z_fast`, sigma = 1."""
 
     k: Float[np.ndarray, "m n"]
     p: Float[np.ndarray, "k k"]
@@ -150,7 +145,7 @@ def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Flo
     """
     f = np.linalg.inv(a)
     root = f @ b
-    for _ in range(DOUBLINGS):
+    for _ in range(MOST_STEPS):
         root = np.hstack([root, f @ root])
         if root.shape[1] > len(root):
             root = np.asarray(np.linalg.qr(root.T, mode="r")).T  # R^T R = root root^T: as narrow as W again
@@ -172,11 +167,11 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
     if modes.fast == len(modes.left):
-        return _symmetric(modes.right @ fast.p @ modes.right.T)
+        return symmetric(modes.right @ fast.p @ modes.right.T)
     ah = modes.a_slow / problem.contraction
     if not np.abs(np.linalg.eigvals(ah)).max() < 1:
         raise NoSolution(ON_CIRCLE)
-    slow = _symmetric(np.linalg.inv(scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))))
+    slow = symmetric(np.linalg.inv(scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))))
     k, a, b = fast.k @ modes.right, modes.left @ problem.a @ modes.right, modes.left @ problem.b
     candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
     told = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate, "sigma": 1.0}
@@ -185,7 +180,7 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     if not max(margins) > 0:
         raise NoSolution("no metric of this form holds in floats")
     chosen = next(p for p, reached in zip(candidates, margins, strict=True) if reached >= max(margins) * GOOD_SHARE)
-    return _symmetric(modes.right @ chosen @ modes.right.T)
+    return symmetric(modes.right @ chosen @ modes.right.T)
 
 
 def whole_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Float[np.ndarray, "n n"]:
@@ -219,7 +214,3 @@ def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "
         return scipy.linalg.block_diag(root, np.linalg.cholesky(gramian))
     except np.linalg.LinAlgError as error:
         raise NoSolution(ON_CIRCLE) from error
-
-
-def _symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    return (matrix + matrix.T) / 2

@@ -27,8 +27,8 @@ must leave it in that band (`PEAK`):
 Not counted where the plant holds still at a sinusoid with the peak of the input that the noise makes.
 
 The margin is the inverse of the largest of these numbers but the last, which a larger mismatch does not change; zero
-where the plant does not rest at rest input. A design is predicted to settle the plant when its margin exceeds one, its
-controller is stable, and its noise stays in the band: no certificate.
+where the plant does not rest. A design is predicted to settle the plant when its margin exceeds one, its controller is
+stable, and its noise stays in the band: no certificate.
 Source: docs/theory.md, "Small gain for the plant"; docs/trust.md for the phase and what was measured.
 """
 
@@ -87,9 +87,8 @@ def worst(
 ) -> float:
     """The largest number that must stay below one, over views, mixtures and slopes; infinite for an unstable loop.
 
-    On `FINE_ANGLES` and at the angles of the loop's own modes, where it is sharpest. With `shared`, on its angles, and
-    what pairs have in common is computed once for all: the same number but for rounding. From `refused` on it is the
-    first that is found: the rest cannot make it smaller.
+    On `FINE_ANGLES`, or those of `shared`, where what pairs share is computed once (the same but for rounding),
+    and at the angles of the loop's own modes, where it is sharpest. It ends at the first number from `refused` on.
     """
     if not shown.rests:
         return float("inf")

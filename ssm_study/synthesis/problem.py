@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.systems import JacobianBall, StateSpace, System
+from ssm_study.systems import JacobianBall, System
 
 # Each matrix of a system, and the one that stands, transposed, in its place in the dual system.
 DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h": "g"}
@@ -25,22 +25,12 @@ def dual(system: System) -> System:
 
 @dataclass(frozen=True, kw_only=True)
 class Neurons:
-    """`w = phi(z) - phi(bias)`, slopes in [0, 1]: `e (n, q)`, `f (q, n)`, `g (q, m)` beside a state feedback's `a, b`.
-
-    For an observer those of the dual system, as `a, b` are: `F^T`, `E^T`, `H^T`; `observes` says so.
-    """
+    """`w = phi(z) - phi(bias)`, slopes in [0, 1], beside the `a, b` of a problem; of an observer the dual system's."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
     g: Float[np.ndarray, "q m"]
     observes: bool
-
-    @classmethod
-    def of(cls, system: System, observes: bool) -> "Neurons | None":
-        """Those of a system (`observes`: of a dual one); None without any."""
-        if isinstance(system, StateSpace):
-            return None
-        return cls(e=system.e, f=system.f, g=system.g, observes=observes)
 
     @property
     def injects(self) -> bool:
@@ -95,6 +85,13 @@ class Problem:
     def b_hat(self) -> Float[np.ndarray, "n m"]:
         return self.b / self.contraction
 
+    @property
+    def of_neurons(self) -> Neurons:
+        """The neurons; raises `ValueError` for a problem without any."""
+        if self.neurons is None:
+            raise ValueError("this problem has no neurons")
+        return self.neurons
+
     def at(self, rate: float) -> "Problem":
         """The same at another rate."""
         return replace(self, rate=rate)
@@ -124,6 +121,11 @@ class Solution:
         d = neurons.units
         weights = self.multipliers * (d**-2 if neurons.observes else d**2)
         return replace(self, multipliers=weights, k_w=self.k_w * d)
+
+
+def symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Without what rounding has made of it."""
+    return (matrix + matrix.T) / 2
 
 
 class NoSolution(Exception):

@@ -15,9 +15,7 @@ from ssm_study.signals import Scale, Trajectory
 AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
 FAINT = AT_REST / 4  # what is left beyond it is a doubt, and from `AT_REST` on nothing is predicted
 RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
-# Standard errors by which a record below the largest amplitude must exceed what noise leaves of it: of more than a
-# hundred bands the largest counts.
-SURE = 3.0
+SURE = 3.0  # standard errors by which a record must exceed its noise: of more than a hundred bands the largest counts
 NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
 FEWEST = 8  # samples of a rest
 FAR = 10 * AT_REST  # from where a return shows a decay
@@ -81,7 +79,7 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
 
 
 def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
-    """What is left of an output at rest input after the input has moved it; zero unless that outlasts the response."""
+    """What is left of an output after its input has moved and come to rest; zero unless that outlasts the response."""
     still = after_motion(u, y, response)
     return left(still) if len(still) else 0.0
 

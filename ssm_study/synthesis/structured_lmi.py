@@ -7,7 +7,7 @@ a ball without radius the rows of its multiplier are left out. Source: docs/theo
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,21 +18,20 @@ from jaxtyping import Float
 
 from ssm_study.synthesis.certificate import Side
 from ssm_study.synthesis.lmi import aim, solved
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
 from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 from ssm_study.synthesis.theorem import Blocks
 from ssm_study.synthesis.theorems import structured_observer, structured_state_feedback
 
 Rows = Float[np.ndarray, "_ _"]
 
-INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
 LEAST_BALL = 1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
 INSIDE = 1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
+INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
-@dataclass(frozen=True, kw_only=True)
 class StructuredLmi:
     """One problem with neurons, ready to be solved at any rate.
 
@@ -41,19 +40,13 @@ class StructuredLmi:
     holds the gain, so that one program proves many.
     """
 
-    problem: Problem
-    objective: str
-    fixed: Solution | None = None
-    of: Any = field(init=False, repr=False)
-    program: cp.Problem = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        assert self.problem.neurons is not None
-        neurons, ball, (n, m) = self.problem.neurons.scaled(), self.problem.ball, self.problem.b.shape
-        k = cp.Parameter((m, n), value=None if self.fixed is None else self.fixed.k)
-        of = SimpleNamespace(
+    def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:
+        self.problem, self.fixed = problem, fixed
+        neurons, ball, (n, m) = problem.of_neurons.scaled(), problem.ball, problem.b.shape
+        k = cp.Parameter((m, n), value=None if fixed is None else fixed.k)
+        self.of = of = SimpleNamespace(
             p=(p := cp.Variable((n, n), symmetric=True)),
-            x=cp.Variable((m, n)) if self.fixed is None else k @ p,
+            x=cp.Variable((m, n)) if fixed is None else k @ p,
             k=k,
             t=cp.Variable(neurons.e.shape[1]),
             sigma=cp.Variable() if ball.beta > 0 else 0.0,
@@ -65,12 +58,10 @@ class StructuredLmi:
         if ball.beta == 0:  # without those of its multiplier
             rows = [i for i in range(len(upper)) if i not in rows]
             upper = [[upper[i][j - i] for j in rows if j >= i] for i in rows]
-        root = np.real(scipy.linalg.sqrtm(self.problem.state_weight))
-        weighted = [root @ p, np.sqrt(self.problem.input_weight) * of.x]
-        at = len(upper) - 1 if neurons.observes else 0
-        goal, constraints = aim(self.objective, upper, p, at, weighted)
-        object.__setattr__(self, "of", of)
-        object.__setattr__(self, "program", cp.Problem(cp.Minimize(goal), constraints))
+        root = np.real(scipy.linalg.sqrtm(problem.state_weight))
+        weighted = [root @ p, np.sqrt(problem.input_weight) * of.x]
+        goal, constraints = aim(objective, upper, p, len(upper) - 1 if neurons.observes else 0, weighted)
+        self.program = cp.Problem(cp.Minimize(goal), constraints)
 
     def _feeding(self, of: Any, neurons: Any) -> tuple[Blocks, list[int]]:
         """The inequality, and the rows of the ball's multiplier; so too of an observer."""
@@ -83,7 +74,7 @@ class StructuredLmi:
         shape, t = (neurons.e.shape[1], self.problem.b.shape[1]), cp.diag(of.t)
         of.n = cp.Variable(shape) if neurons.injects else np.zeros(shape)
         if self.fixed is not None and self.fixed.k_w is not None:
-            of.n = t @ (self.fixed.k_w / self.problem.neurons.units).T  # type: ignore[union-attr]  # it has neurons
+            of.n = t @ (self.fixed.k_w / self.problem.of_neurons.units).T
         data = {"a": self.problem.a, "c": self.problem.b, "e": neurons.f, "f": neurons.e, "h": neurons.g}
         turned = {name: matrix.T for name, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
@@ -91,26 +82,23 @@ class StructuredLmi:
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
         """Raises `NoSolution` with the solver's status when it returns no matrices."""
-        of, fixed, neurons = self.of, self.fixed, self.problem.neurons
-        assert neurons is not None
+        of, fixed, neurons = self.of, self.fixed, self.problem.of_neurons
         of.rate.value = rate
         status = solved(self.program, solver)
-        p = (of.p.value + of.p.value.T) / 2
+        p = symmetric(of.p.value)
         k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T if fixed is None else of.k.value
         weights, k_w = of.t.value if neurons.observes else 1 / of.t.value, np.zeros((len(k), len(of.t.value)))
         if fixed is None and neurons.injects:
             k_w = (of.n.value / weights[:, None]).T
         sigma = float(of.sigma.value) if self.problem.ball.beta > 0 else without_ball(self.problem, p, k)
-        found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
-        found = found.of_neurons(neurons)
+        found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status).of_neurons(neurons)
         return found if fixed is None else replace(found, k_w=fixed.k_w)
 
     @classmethod
     def of_gains(cls, problem: Problem) -> "StructuredLmi":
         """The program that `proved` asks, for gains that inject nothing."""
         (n, m), one = problem.b.shape, np.eye(len(problem.a))
-        assert problem.neurons is not None
-        none = np.zeros((m, problem.neurons.e.shape[1]))
+        none = np.zeros((m, problem.of_neurons.e.shape[1]))
         fixed = Solution(p=one, y=one, k=np.zeros((m, n)), sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
@@ -125,22 +113,18 @@ class StructuredLmi:
 
 def holds(problem: Problem, found: Solution) -> bool:
     """The verdict of the theorem in exact arithmetic."""
-    assert problem.neurons is not None
     kinds = (structured_state_feedback.StructuredStateFeedback, structured_observer.StructuredObserver)
-    theorem: type[Side] = kinds[problem.neurons.observes]
+    theorem: type[Side] = kinds[problem.of_neurons.observes]
     return theorem.holds(**theorem.numbers_of(problem, found))
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """The largest rate at which the solver's matrices hold, by bisection on the exact verdict; 0 if there is none.
-
-    Over all gains, the best possible rate of the model as far as the solver finds it; or, `fixed`, of these gains.
-    """
+    """The largest rate over all gains (or `fixed` ones) as far as the solver finds it; 0 if there is none."""
     return fastest(problem, fixed)[0]
 
 
 def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
-    """That rate, and the matrices at it, from whose multipliers a search for the least cost may start."""
+    """That rate, by bisection on the exact verdict, and its matrices, from which a search may start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
     low, high, best = 0.0, 1.0, None
     for _ in range(RATE_STEPS):
@@ -198,11 +182,9 @@ def largest_mismatch(loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: f
     for share in INSIDE_LARGEST:
         given.value = np.asarray(mu.value) * (1 - share) ** 2
         solved(deepest, "CLARABEL")
-        whole = left.T @ p.value @ left
-        yield {
-            "s": float(np.sqrt(given.value)) / w, "lambda_p": float(np.asarray(lambda_p.value)) / moved**2,
-            "p": (whole + whole.T) / 2, "lambda_": weights.value / z**2,
-        }  # fmt: skip
+        numbers = {"p": symmetric(left.T @ p.value @ left), "lambda_": weights.value / z**2}
+        sizes = {"s": float(np.sqrt(given.value)) / w, "lambda_p": float(np.asarray(lambda_p.value)) / moved**2}
+        yield numbers | sizes
 
 
 def _unit_sizes(
@@ -213,7 +195,7 @@ def _unit_sizes(
     for _ in range(2):
         into = middle[:, order:] * np.repeat([moved, 1.0], [m, width - order - m])
         gramian = scipy.linalg.solve_discrete_lyapunov(middle[:, :order], into @ into.T)
-        right = np.linalg.cholesky((gramian + gramian.T) / 2 + FLOOR * np.trace(gramian) / order * np.eye(order))
+        right = np.linalg.cholesky(symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order))
         u, w, z = (np.linalg.norm(rows[:, :order] @ right, axis=1) for rows in (into_u, into_w, seen))
         moved = float(u.max()) * max(beta, LEAST_BALL)
         if not moved > 0:

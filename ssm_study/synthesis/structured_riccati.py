@@ -20,15 +20,15 @@ Petersen & Hollot 1986 (guaranteed cost).
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.synthesis.game import Game, descend, evaluate
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
 
-# Where the first multipliers do not hold, the search starts slower by this factor a step, up to the second.
-SLOWER, SLOWEST = 1.5, 1e3
+SLOWER, SLOWEST = 1.5, 1e3  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
 # Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r, below which the
 # search has come to its end; each where the one before gets stuck.
 TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
@@ -60,16 +60,12 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
 
 def game_of(problem: Problem) -> Game:
     """The problem as the search takes it; raises `ValueError` for a problem without neurons."""
-    if problem.neurons is None:
-        raise ValueError("a game needs neurons")
-    neurons, ball = problem.neurons.scaled(), problem.ball
+    neurons, ball = problem.of_neurons.scaled(), problem.ball
     parts = {"a": problem.a, "b": problem.b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
     parts |= {"state_weight": problem.state_weight}
-    return Game(
-        **{name: np.array(part, dtype=float, order="C") for name, part in parts.items()},
-        alpha=float(ball.alpha), beta=float(ball.beta), r=problem.contraction,
-        input_weight=float(problem.input_weight), injects=problem.neurons.injects,
-    )  # fmt: skip
+    numbers = {"alpha": ball.alpha, "beta": ball.beta, "r": problem.contraction, "input_weight": problem.input_weight}
+    matrices: Any = {name: np.array(part, dtype=float, order="C") for name, part in parts.items()}
+    return Game(**matrices, **{name: float(number) for name, number in numbers.items()}, injects=neurons.injects)
 
 
 def searched(
@@ -104,10 +100,9 @@ def cheapest(game: Game, logs: Float[np.ndarray, "s"]) -> Float[np.ndarray, "s"]
 
 def logs_of(problem: Problem, found: Solution) -> Float[np.ndarray, "s"]:
     """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of them."""
-    assert problem.neurons is not None
     assert found.multipliers is not None
-    units, r2, beta = problem.neurons.units, 1 - problem.rate, problem.ball.beta
-    observes = problem.neurons.observes
+    units, r2, beta = problem.of_neurons.units, 1 - problem.rate, problem.ball.beta
+    observes = problem.of_neurons.observes
     weights = r2 / (found.multipliers * units**2) if observes else found.multipliers / units**2
     bound = [1 / (found.sigma / (r2 * beta**2) if observes else found.sigma)] if beta > 0 else []
     return np.log(np.append(weights, bound))
@@ -119,7 +114,6 @@ def _between(game: Game, slow: Game, share: float) -> Game:
 
 def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solution:
     """The theorem's matrices at these multipliers. Raises `NoSolution` where they do not hold."""
-    assert problem.neurons is not None
     saddle = evaluate(game, logs, 0.0)
     if np.isinf(saddle.goal):
         raise NoSolution("the game has no saddle point at these multipliers")
@@ -131,17 +125,16 @@ def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solu
         k, k_w = known[:, len(x) :] @ game.f - known[:, : len(x)], -2 * known[:, len(x) :]
     else:
         k, k_w = -np.linalg.solve(h, toward)[:m], np.zeros((m, q))
-    inverse = np.linalg.inv(x)
-    p, weights = (inverse + inverse.T) / 2, np.exp(logs[:q])
+    p, weights = symmetric(np.linalg.inv(x)), np.exp(logs[:q])
     sigma = float(np.exp(-logs[-1])) if game.beta > 0 else 0.0
-    if problem.neurons.observes:
+    if problem.of_neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4 divides one by r and
         # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2 sigma`.
         r2 = 1 - problem.rate
         weights, sigma = r2 / weights, r2 * game.beta**2 * sigma
     sigma = sigma if game.beta > 0 else without_ball(problem, p, k)
     found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs)
-    return found.of_neurons(problem.neurons)
+    return found.of_neurons(problem.of_neurons)
 
 
 def without_ball(problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]) -> float:
@@ -149,6 +142,6 @@ def without_ball(problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndar
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """
-    if problem.neurons is not None and problem.neurons.observes:
+    if problem.of_neurons.observes:
         return float(BALL_SLACK * np.linalg.eigvalsh(p)[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300))
     return float(np.linalg.norm(k @ p @ k.T, 2) / BALL_SLACK + 1.0)

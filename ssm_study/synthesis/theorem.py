@@ -63,12 +63,12 @@ def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
 
 
 def margin(matrix: Float[np.ndarray, "s s"]) -> float:
-    """Smallest eigenvalue; of a matrix scaled to unit diagonal, between minus infinity and one."""
+    """Smallest eigenvalue: of a matrix scaled to unit diagonal at most one."""
     return float(np.linalg.eigvalsh(matrix)[0])
 
 
 def condition(matrix: Float[np.ndarray, "n n"]) -> float:
-    """Condition number after scaling to a unit diagonal, which is what rounding sees."""
+    """Condition number after scaling to a unit diagonal: what rounding sees."""
     return float(np.linalg.cond(unit_diagonal(matrix)))
 
 

@@ -40,7 +40,7 @@ from jaxtyping import Float
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.modes import solve_riccati
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, within_floats
+from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric, within_floats
 from ssm_study.synthesis.theorems.minimum_energy import minimum_energy_attempts
 
 # tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer matter.
@@ -72,10 +72,10 @@ def guaranteed_cost(problem: Problem) -> Solution:
     if abs(alpha) <= beta:
         raise NoSolution("the slopes include zero, so no input is sure to have an effect")
     tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
-    best = at_tau(problem, tau_min * TAU_SPAN[1]) if problem.ball.beta == 0 else None  # the cost only falls with tau
-    best = best or _search(lambda tau: at_tau(problem, tau), tau_min)
-    inverse = np.linalg.inv(best.s_over_tau)
-    p = (inverse + inverse.T) / 2  # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
+    best = at_tau(problem, tau_min * TAU_SPAN[1]) if beta == 0 else None  # the cost only falls with tau
+    best = best or _search(problem, tau_min)
+    # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
+    p = symmetric(np.linalg.inv(best.s_over_tau))
     return Solution(p=p, y=p, k=best.k, sigma=1.0, status=f"tau {best.tau:.6g}")
 
 
@@ -97,12 +97,12 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
 
 
-def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> GuaranteedCost:
+def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
     """Coarse logarithmic grid, then Brent's method between the neighbours of the best point."""
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
     def cost(log_step: float) -> float:
-        point = solve(tau_min * (1 + np.exp(log_step)))
+        point = at_tau(problem, tau_min * (1 + np.exp(log_step)))
         tried.append((FAR if point is None else point.cost, point))
         return tried[-1][0]
 
@@ -121,8 +121,8 @@ def _search(solve: Callable[[float], GuaranteedCost | None], tau_min: float) -> 
 class RiccatiSynthesis(Synthesis):
     """The certified gains of least guaranteed cost for the given weights.
 
-    With neurons the search starts from what is `near`: a neighbour's solution for the controller, for the observer
-    (under True).
+    With neurons the search starts from what is `near`: a neighbour's solution for the controller (under False) or for
+    the observer (under True).
     """
 
     near: Mapping[bool, Solution] = field(default_factory=dict, repr=False, compare=False)

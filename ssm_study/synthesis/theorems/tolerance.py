@@ -46,7 +46,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.synthesis.modes import doubled
-from ssm_study.synthesis.problem import DUAL
+from ssm_study.synthesis.problem import DUAL, symmetric
 from ssm_study.synthesis.sensitivity import frequency_response
 from ssm_study.synthesis.theorem import Blocks, Known, Theorem, diagonal, full, stacked
 from ssm_study.systems import JacobianBall, StateSpace, feed
@@ -221,12 +221,9 @@ def _energy(
     a, b = loop[:, :order], loop[:, order:].copy()
     b[:, :m] /= lambda_p**0.5  # sqrt(lambda_p) p then has unit weight, as e has
     gramian = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
-    right = np.linalg.cholesky((gramian + gramian.T) / 2 + FLOOR * np.trace(gramian) / order * np.eye(order))
+    right = np.linalg.cholesky(symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order))
     left = np.linalg.inv(right)
     energy = (into_u @ right).T @ (into_u @ right) + (into_w @ right).T @ (into_w @ right)
     scaled = left @ b
     p = doubled(left @ a @ right, -scaled @ scaled.T, energy + slack * np.trace(energy) * np.eye(order))
-    if p is None:
-        return None
-    whole = left.T @ p @ left
-    return (whole + whole.T) / 2
+    return None if p is None else symmetric(left.T @ p @ left)
