@@ -26,7 +26,7 @@ COLUMNS = (
     Column("settling_time_open_loop_s", "Float64", "", "open s", "Mean settling time, uncontrolled", "s"),
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),
     Column("input_peak_v", "Float64", "low", "peak u", "Input peak", "unit of the input"),
-    Column("control_energy", "Float64", "low", "energy", "Control energy", "V² s"),
+    Column("control_energy", "Float64", "low", "energy", "Control energy", "squared input, s"),
     Column("integral_squared_error", "Float64", "low", word="Integral of the squared error"),
     Column("final_error_worst", "Float64", "low", word="Worst remaining error", unit="output unit"),
     Column("left_bound_count", "Int64", "low", word="Starts stopped at the bound"),
