@@ -1,11 +1,8 @@
 """The stages of a run: what each computes, keeps and measures.
 
-To add a stage: write `compute(folder, *values of earlier stages, **parts of the configuration)`, which leaves files in
-`folder`; `read(folder)`, which gives back the value they hold; `measure(value, *values of earlier stages)`, which gives
-its columns (declared in the `metrics` module of their room). Name the three in a `Stage`, and take it in `line.py` with
-the parts of the configuration that it depends on. Keys need no care: they follow from the parts, the earlier stages and
-the sources of the functions (`engine/code.py`); `measure` has a key of its own, so a new column computes nothing again.
-What only computing takes is imported inside the functions: a run that reuses a stage then never loads it.
+To add a stage: write its three functions as `engine.stages.Stage` says, name them in a `Stage` below, and take it in
+`line.py` with the parts of the configuration that it depends on. Its columns are declared in the `metrics` module of
+their room. What only computing takes is imported inside the functions: a run that reuses a stage then never loads it.
 """
 
 import json
