@@ -81,10 +81,14 @@ class Command(Hydra):
     def help(self) -> None:
         self.app_help(self.name, get_args_parser(), self.asked)
 
+    @property
+    def many(self) -> bool:
+        """Whether it is a sweep."""
+        return bool(self.config.hydra.mode == RunMode.MULTIRUN)
+
     def do(self, task: TaskFunction) -> None:
         """The run, or the sweep."""
-        many = self.config.hydra.mode == RunMode.MULTIRUN
-        (self.multirun if many else self.run)(self.name, task, self.asked.overrides)
+        (self.multirun if self.many else self.run)(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
         if self.asked.help:
