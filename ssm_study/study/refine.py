@@ -14,7 +14,6 @@ from omegaconf import DictConfig
 from ssm_study.engine.records import FAILED, INFEASIBLE, OK, read_record
 from ssm_study.engine.runs import Outcome
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectories
 from ssm_study.study.line import STUDY
 from ssm_study.study.recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
@@ -81,7 +80,6 @@ def _tried(run: Path, log: Path | None) -> RunFiles:
 
 def _seen(files: RunFiles, log: Path | None) -> float:
     """The largest mismatch gain that the trial shows, beside the noise that the run's records measured."""
-    trial: Trajectories
     if log is None:
         trial = of_loops(read_experiment(files.path)[0].controlled)
     else:

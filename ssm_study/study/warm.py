@@ -38,7 +38,7 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 
 
 def warm(again: Set[str]) -> None:
-    """Everything that this module speaks of, in the process that jobs are forked from; `again` as in `Task.warm`."""
+    """Import for all jobs, in the process that they are forked from; `again` as in `Task.warm`."""
     for name in modules_for(again):
         with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
             importlib.import_module(name)

@@ -117,8 +117,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     settings = [c.name for c in SETTINGS if c.name in table and c.name != "rates_chosen"]
     names += [name for name in settings if requested(table, name).nunique(dropna=False) > 1]
     names += [name for name in OUTCOMES if table[name].notna().any()]
-    columns: list[list[str]] = []
-    taken = 0
+    columns, taken = list[list[str]](), 0
     for name in dict.fromkeys(names):  # what the table is sorted by stands once
         head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
         cells = [head, *map(cell, table[name])]
