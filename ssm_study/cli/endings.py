@@ -73,12 +73,9 @@ def _outcome(study: Path, record: dict[str, Any], drawn: Sequence[str], figures:
 def conclude_sweep(config: DictConfig) -> bool:
     """Gather the study and print its table; True if any of its runs failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
-    from ssm_study.table.gather import gather
     from ssm_study.table.show import show
 
-    study = study_folder(config)
-    show(study)
-    table = gather(study)
+    table = show(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
     return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)
 

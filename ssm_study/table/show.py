@@ -32,8 +32,8 @@ REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
 
 def show(
     study: Path, by: str | None = None, where: str | None = None, cost: bool = False, columns: bool = False
-) -> None:
-    """Print the study's table, best first, brought up to date; `where` filters, `by` sorts.
+) -> pd.DataFrame:
+    """Print the study's table, best first, brought up to date; `where` filters, `by` sorts. Returns the whole table.
 
     With `cost`: instead of it what was computed and what reused, stage by stage. With `columns`: which columns hold
     values, what they are called, which way is better and whether `verify` checks them.
@@ -41,13 +41,14 @@ def show(
     table, rows = gathered_rows(study, by, where)
     if columns or cost:
         print("\n".join(column_lines(table) if columns else cost_lines(rows)))
-        return
+        return table
     console = Console(force_jupyter=False)
     lines = plain_table(rows, by, max(WIDTH, console.width) if console.is_terminal else WIDTH).splitlines()
     for line, status in zip(lines, ["", *rows["status"]], strict=True):
         console.print(Text(line, style=COLOURS.get(str(status), "")), soft_wrap=True)  # no colour in a pipe
     for line in summary(table, shown=len(rows)):
         print(textwrap.fill(line, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+    return table
 
 
 def gathered_rows(
