@@ -44,8 +44,9 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def parse_record(content: bytes) -> dict[str, Any]:
     """The record written as `content`; anything that is not exactly a sealed record has only `status = corrupt`."""
     record = unsealed(content)
-    usable = record is not None and isinstance(record.get("status"), str) and _fits(*record.values())
-    return record if usable and record is not None else {"status": CORRUPT}
+    if record is None or not isinstance(record.get("status"), str) or not _fits(*record.values()):
+        return {"status": CORRUPT}
+    return record
 
 
 def _fits(*values: Any) -> bool:

@@ -1,7 +1,7 @@
 """What the files of a run and its configuration give, section by section: columns derived again and findings.
 
-Each section is a function of the run that yields `Checked`s (a claim of a file that holds or does not), `Derived`
-(columns of the record, to be compared) or `NotChecked` (what this run cannot be asked, with the reason).
+Each section is a function of the run that yields `Checked` (a claim that holds or does not), `Derived` (columns of the
+record, to be compared) and `NotChecked` (what cannot be derived of this run, with the reason).
 """
 
 import re
