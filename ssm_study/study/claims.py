@@ -31,7 +31,7 @@ from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import trials
 from ssm_study.study.labels import mislabelled
 from ssm_study.study.line import STUDY
-from ssm_study.study.recordings import NOISE_FREE, TRIALS, of_records, of_rollouts, read_experiment
+from ssm_study.study.recordings import NOISE_FREE, TRIALS, closed_on, of_records, of_rollouts, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
@@ -254,7 +254,7 @@ def loop(run: RunFiles) -> Claims:
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    same = loop_on == ("device" if plant.real else "plant" if spec.plant else "identified model")
+    same = loop_on == closed_on(spec.plant)
     yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
     if plant.real:

@@ -119,6 +119,11 @@ def read_rollouts(path: Path) -> tuple[Rollouts, list[Case], dict[str, str]]:
     return run, cases, about
 
 
+def closed_on(plant: Plant | None) -> str:
+    """The word of a recording for what its loop was closed on; without a plant on the identified model."""
+    return "identified model" if plant is None else "device" if plant.real else "plant"
+
+
 def write_experiment(folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]) -> None:
     """Every closed loop of a run into its file; `on` is the plant, `twin` the identified model."""
     about = about | {"plant": type(on).__name__}

@@ -229,7 +229,7 @@ def compute_loop(
     if not design.feasible or (plant is None and isinstance(model, StructuredSSM) and model.d.any()):
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
-    on, loop_on = (twin, "identified model") if plant is None else (plant, "device" if plant.real else "plant")
+    on, loop_on = plant or twin, recordings.closed_on(plant)
     fitted = (loop.within(data.applied) if plant is None or design.inverts else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
