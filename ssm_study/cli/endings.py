@@ -5,7 +5,6 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,23 +73,16 @@ def _outcome(study: Path, record: dict[str, Any], drawn: Sequence[str], figures:
 def conclude_sweep(config: DictConfig) -> bool:
     """Gather the study and print its table; True if any of its runs failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
-    from ssm_study.table.gather import gather
     from ssm_study.table.show import show
 
-    study = study_folder(config)
-    show(study)
-    table = gather(study)
+    table = show(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
     return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)
 
 
 class StudyCallback(Callback):
-    """Before a run: refuse what is wrong. After it: note what remains to be done, for Hydra swallows what that raises.
+    """Before a run or a sweep: refuse what is wrong. While another launcher works: tell how far it is."""
 
-    `conclude()` gathers the study, draws its figures and says how it went; True if runs failed.
-    """
-
-    conclude: Callable[[], bool] | None = None
     stop_watching: Callable[[], None] | None = None
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
@@ -112,17 +104,11 @@ class StudyCallback(Callback):
         if jobs:
             watch = Watch([job.folder for job in jobs])
             watch.start()
-            StudyCallback.stop_watching = watch.finish
+            self.stop_watching = watch.finish
 
-    def on_run_end(self, config: DictConfig, **_: Any) -> None:
-        if not config.dry_run:
-            StudyCallback.conclude = partial(conclude_run, config)
-
-    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        if StudyCallback.stop_watching:
-            StudyCallback.stop_watching()  # its last line comes before the table
-        if not config.dry_run:
-            StudyCallback.conclude = partial(conclude_sweep, config)
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:  # noqa: ARG002
+        if self.stop_watching:
+            self.stop_watching()  # its last line comes before the table
 
 
 def _refusing(check: Callable[[], object]) -> None:

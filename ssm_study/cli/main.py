@@ -151,10 +151,9 @@ def _excite(options: argparse.Namespace) -> None:
 
 # Each command imports what it takes when it is given, so that `--help` and refusals load no library of numerics.
 def _gather(options: argparse.Namespace) -> None:
-    from ssm_study.table.gather import MARKS, gather
+    from ssm_study.table.gather import gather
 
-    (options.study / MARKS).unlink(missing_ok=True)  # who asks for it trusts no earlier table, however well sealed
-    print(f"{len(gather(options.study))} runs in {options.study / 'runs.parquet'}")
+    print(f"{len(gather(options.study, anew=True))} runs in {options.study / 'runs.parquet'}")
 
 
 def _show(options: argparse.Namespace) -> None:

@@ -15,7 +15,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from ssm_study.cli.endings import StudyCallback
+from ssm_study.cli.endings import conclude_run, conclude_sweep
 from ssm_study.cli.explained import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden
 from ssm_study.cli.request import JUST_ASKING, check_request, translate
@@ -56,7 +56,6 @@ def run(overrides: list[str]) -> int:
     overrides = translate(overrides)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
     sys.argv = ["ssm-study run", *overrides]
-    StudyCallback.conclude = StudyCallback.stop_watching = None  # of an earlier call in this process
     try:
         if any(word in ("--help", "-h") for word in overrides):
             Command(overrides, configuration_folder(), "study").help()
@@ -64,9 +63,11 @@ def run(overrides: list[str]) -> int:
             answered = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
             answered(lambda _: None)()
         else:
-            check_request(overrides, configuration_folder(), "study").do(_job())
-        # Here and not in the callback: Hydra swallows what a callback raises.
-        return SOME_FAILED if StudyCallback.conclude and StudyCallback.conclude() else DONE
+            request = check_request(overrides, configuration_folder(), "study")
+            request.do(_job())
+            # Here and not in a callback, for Hydra swallows what that raises.
+            return SOME_FAILED if not request.config.dry_run and concluded(request) else DONE
+        return DONE
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
     except ValueError as error:  # Hydra's own, for a number or null where the name of a choice belongs
@@ -79,6 +80,11 @@ def run(overrides: list[str]) -> int:
         raise full_or_forbidden("results_dir", error) from error
     finally:
         GlobalHydra.instance().clear()  # a program that calls this may compose again
+
+
+def concluded(request: Command) -> bool:
+    """The study gathered and told, after a single run drawn; True if a run failed."""
+    return conclude_sweep(request.config) if request.many else conclude_run(request.config)
 
 
 def _job() -> Callable[[DictConfig], Any]:

@@ -1,15 +1,12 @@
 """What a result depends on, read from the sources: never from a list that somebody keeps.
 
 A symbol (function, class, constant) depends on the statements that bind it and on every name these use, followed
-through imports at any depth of a file, imports inside functions among them. Compared without comments, docstrings and
-layout: two sources with one syntax tree have one version. Libraries count by the version of their distribution.
+through imports anywhere in a file. Sources are compared as syntax trees, without comments, docstrings and layout;
+libraries by the version of their distribution; a package used as a whole (`from room import readers`) file by file.
+What is named by strings at run time (`getattr(module, name)`, entry points) is not seen: a class that a configuration
+names by `_target_` is therefore a root of its own.
 
-A package that is used as a whole (`from room import readers`) counts with all its files. What this cannot see is named
-by strings at run time: `getattr(module, name)`, entry points. A class that a configuration names by `_target_` is
-therefore given as a root of its own.
-
-What a file of this package says is kept in the user's cache by the content of the file: reading 300 syntax trees takes
-four seconds.
+What a file says is kept in the user's cache by its content: reading 300 syntax trees takes four seconds.
 """
 
 import ast

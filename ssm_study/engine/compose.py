@@ -1,8 +1,8 @@
-"""What is done behind Hydra's back, all in this file: composing a request once, and a thousand jobs with it.
+"""What is done by Hydra's private names, all in this file: composing a request once, and a thousand jobs with it.
 
-Hydra composes a request three times, and reads every file of every choice again for each job of a sweep: a quarter of
-a second each. Here a request is composed once; of the jobs of a sweep those are composed that differ in choices, and
-plain values (`model.order=8`) are put into copies. A test holds both against Hydra's own.
+Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter of a second each.
+Here the request is composed once, and so are all jobs that differ in plain values only (`model.order=8`): those are put
+into copies. A test compares both with Hydra's own.
 """
 
 import re
@@ -81,10 +81,14 @@ class Command(Hydra):
     def help(self) -> None:
         self.app_help(self.name, get_args_parser(), self.asked)
 
+    @property
+    def many(self) -> bool:
+        """Whether it is a sweep."""
+        return bool(self.config.hydra.mode == RunMode.MULTIRUN)
+
     def do(self, task: TaskFunction) -> None:
         """The run, or the sweep."""
-        many = self.config.hydra.mode == RunMode.MULTIRUN
-        (self.multirun if many else self.run)(self.name, task, self.asked.overrides)
+        (self.multirun if self.many else self.run)(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
         if self.asked.help:

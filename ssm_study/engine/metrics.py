@@ -26,8 +26,6 @@ CIRCUMSTANCES = (
     Column("stage_*_key", "string", unchecked=CODE),
     Column("stage_*_seconds", "Float64", "low", unchecked=WHEN),
     Column("stage_*_reused", "boolean", unchecked=WHEN),
-    Column(
-        "inputs_sha256", "string", unchecked="the files may be elsewhere; the next run of the command compares them"
-    ),
+    Column("inputs_sha256", "string", unchecked="the next run of the command compares the files"),
     Column("sha256", "string", unchecked="the seal of the record itself"),
 )

@@ -28,7 +28,7 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """A plan that asks for the keys of the columns, too: whatever of the code they depend on is read."""
+    """A plan that finds the keys of the columns, too: so it reads all code that they depend on."""
 
     def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:
         measure_key(kept, before)
@@ -58,7 +58,7 @@ def forecast(store: Store, walks: Sequence[Callable[[Stages], object]]) -> list[
 def plan(
     store: Store, walks: Sequence[Callable[[Stages], object]], runs: int, finished: int, jobs_at_once: int = 1
 ) -> list[str]:
-    """The plan of `runs` runs as text; the time is a lower bound while some stage was never timed."""
+    """The plan of `runs` runs as text; its time is `at least` that where a missing stage was never timed."""
     lines, seconds, bound = [], 0.0, "about"
     for stage in forecast(store, walks):
         known = "unknown" if stage.seconds_each is None else f"{stage.seconds_each:.2f} s"

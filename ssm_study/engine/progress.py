@@ -74,12 +74,12 @@ class Watch(Thread):
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
         self.folders, self.every_s, self.over = list(dict.fromkeys(folders)), every_s, Event()
-        self.there_before = {folder for folder in self.folders if self._status(folder) in FINAL}
+        self.there_before = sum(status in FINAL for status in self._statuses())
         atexit.register(self.finish)  # Hydra tells nobody of a sweep that ends by an exception
 
     def run(self) -> None:
         with Progress(total=len(self.folders)) as progress:
-            progress.reused = len(self.there_before)
+            progress.reused = self.there_before
             while not self.over.wait(self.every_s):  # sleeps, yet wakes at once when the sweep is over
                 self._look(progress)
             self._look(progress)  # the last line is of how it ended
@@ -91,10 +91,9 @@ class Watch(Thread):
             self.join(timeout=30)  # a dead network file system must not hold up the end
 
     def _look(self, progress: Progress) -> None:
-        statuses = [self._status(folder) for folder in self.folders]
+        statuses = self._statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
         progress.tick(running=statuses.count(RUNNING))
 
-    def _status(self, folder: Path) -> str:
-        record = read_record(folder)
-        return "absent" if record is None else str(record["status"])
+    def _statuses(self) -> list[str]:
+        return [str((read_record(folder) or {}).get("status")) for folder in self.folders]

@@ -12,7 +12,6 @@ from ssm_study.refusal import BadRequest
 
 RECORD = "record.json"
 LOCK = ".lock"
-RECORD_VERSION = 1
 LARGEST = 2**22  # bytes of a record: a real one has 5,000
 # What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the lock) and
 # `corrupt` (the file is not what was written).
@@ -24,7 +23,7 @@ FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one sto
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
     """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts `inf` and `-inf`."""
     flat = {str(key): storable(str(key), value) for key, value in record.items() if key != "sha256"}
-    write_json_atomically(folder / RECORD, sealed({"record_version": RECORD_VERSION} | flat), durable)
+    write_json_atomically(folder / RECORD, sealed({"record_version": 1} | flat), durable)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -45,8 +44,9 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def parse_record(content: bytes) -> dict[str, Any]:
     """The record written as `content`; anything that is not exactly a sealed record has only `status = corrupt`."""
     record = unsealed(content)
-    usable = record is not None and isinstance(record.get("status"), str) and _fits(*record.values())
-    return record if usable and record is not None else {"status": CORRUPT}
+    if record is None or not isinstance(record.get("status"), str) or not _fits(*record.values()):
+        return {"status": CORRUPT}
+    return record
 
 
 def _fits(*values: Any) -> bool:

@@ -1,6 +1,6 @@
 """The server that jobs are forked from: it was itself forked off the sweep, so it has all libraries and configurations.
 
-A job then starts at once and is handed nothing. The server also sees to it that no job outlives the sweep.
+So a job starts at once, and nothing is sent to it. The server also ends every job that would outlive the sweep.
 """
 
 import contextlib

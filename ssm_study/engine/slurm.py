@@ -67,7 +67,7 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
 
 
 def ended(submitted: submitit.Job, patience_s: float) -> str:
-    """Wait for the end; Slurm's word for it. Without accounting it forgets a job that is cancelled while it waits."""
+    """Wait for the end; Slurm's word for it. Without accounting a job cancelled in the queue is `FORGOTTEN`."""
     asked, unheard = time.monotonic(), 0
     while not submitted.done():
         time.sleep(0.5)  # of files that the job leaves; Slurm itself is asked far less often

@@ -1,7 +1,7 @@
 """Stages: what a run computes on its way, each a pure function of what it is given, computed once and kept.
 
-A stage is declared once, as a value of `Stage`, and taken down the line by `Stages.take`. What its result depends on is
-not written down: the key follows from the settings of its parts, the stages before it and the code of its functions.
+The key of a result is written by nobody: it follows from the settings of its parts, the stages before it and the code
+of its functions.
 """
 
 from abc import ABC, abstractmethod

@@ -61,9 +61,9 @@ class Store(Stages):
             if found := self.find(name, key):  # another process was faster
                 return found
             folder = self.folder(name, key)
-            if folder.exists() and (found := self.find(name, key)):  # placed since by a node beyond our lock
-                return found
-            if folder.exists():  # damaged: set aside, and computed anew under its name
+            if folder.exists():  # damaged, or placed since by a node beyond our lock
+                if found := self.find(name, key):
+                    return found
                 aside = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
                 aside.parent.mkdir(parents=True, exist_ok=True)
                 folder.rename(aside)
@@ -146,9 +146,7 @@ def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = 
     made = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
     (folder / MANIFEST).write_bytes(durable.json_bytes(sealed(note | made | {"files": files})))
     there = [path for path in paths if path.is_dir() or path.is_file()]
-    with ThreadPoolExecutor(
-        8
-    ) as pool:  # their file system commits them together; more than a disk's queue gain nothing
+    with ThreadPoolExecutor(8) as pool:  # the file system commits them together; more than 8 gain nothing
         list(pool.map(sync, [*there, folder / MANIFEST, folder]))
 
 

@@ -61,7 +61,7 @@ class Task(ABC, Generic[R]):
     def warm(self, again: Set[str]) -> None:
         """Import what every job of a sweep would import for itself; asked once, before the first is forked.
 
-        `again` names the stages that more than one job will compute: what only the others take, one job can import.
+        `again` names the stages that several jobs will compute; what only other stages take is left to the job.
         """
 
     def provenance(self) -> Facts:

@@ -28,7 +28,7 @@ FOLDERS = {
     "hydra.sweep.dir": ("${results_dir}/${study}",),
     "hydra.sweep.subdir": ("${run}",),
 }
-# What a study may be made of: a key that nobody reads is a mistake.
+# What a configuration may hold besides its parts: a key that nobody reads is a mistake.
 KEYS = frozenset(
     {"seed", "loop_seed", "refine", "study", "run", "results_dir", "hydra"}
     | {"dry_run", "progress", "retry_failed", "strict"}

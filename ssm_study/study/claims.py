@@ -1,7 +1,7 @@
 """What the files of a run and its configuration give, section by section: columns derived again and findings.
 
-Each section is a function of the run that yields `Checked`s (a claim of a file that holds or does not), `Derived`
-(columns of the record, to be compared) or `NotChecked` (what this run cannot be asked, with the reason).
+Each section is a function of the run that yields `Checked` (a claim that holds or does not), `Derived` (columns of the
+record, to be compared) and `NotChecked` (what cannot be derived of this run, with the reason).
 """
 
 import re
@@ -31,7 +31,7 @@ from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import trials
 from ssm_study.study.labels import mislabelled
 from ssm_study.study.line import STUDY
-from ssm_study.study.recordings import NOISE_FREE, TRIALS, of_records, of_rollouts, read_experiment
+from ssm_study.study.recordings import NOISE_FREE, TRIALS, closed_on, of_records, of_rollouts, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
@@ -157,11 +157,10 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         warnings.simplefilter("ignore")  # the warning is a column
         yield Derived(data_metrics.data_facts(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
-    recorded = [("validation.mcap", run.simulated.validation, records.validation)]
-    recorded += [("test.mcap", run.simulated.test, records.test)]
-    for file, kept, made in recorded:
+    for split in ("validation", "test"):
+        kept, made = getattr(run.simulated, split), getattr(records, split)
         pairs = {"start_up_samples": (kept.start_up_samples, records.start_up_samples)} | of_records(kept.records, made)
-        yield agreement(f"{file} records", pairs, ITERATED, "the configuration gives them")
+        yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
     if records.trials or run.trials:
         yield agreement(f"{TRIALS} records", of_records(run.trials, records.trials), ITERATED, "made again alike")
     if run.claims_certificate:
@@ -189,7 +188,7 @@ def model(run: RunFiles) -> Claims:
 
 
 def entries(run: RunFiles, file: str, read: Any) -> Checked:
-    """Whether the file says nothing but what is read from it."""
+    """Whether the file says only what its reader reads."""
     extra = unknown(run.stored(file), read.to_json())
     return Checked(claim=f"{file} entries", holds=not extra, found=f"unknown: {', '.join(extra)}" if extra else "known")
 
@@ -236,12 +235,13 @@ def information(part: Theorem | Infeasible) -> list[str]:
 def fits(run: RunFiles) -> Claims:
     """The stored model replays the stored simulations, and the errors are theirs."""
     again = []
-    for file, kept in (("validation.mcap", run.simulated.validation), ("test.mcap", run.simulated.test)):
+    for split in ("validation", "test"):
+        kept = getattr(run.simulated, split)
         made = Simulation.of(run.model, kept.records, kept.start_up_samples)
         pairs = {str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))}
-        yield agreement(f"{file} /simulated", pairs, ONE_FORMULA, "model.json replays it")
+        yield agreement(f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it")
         again.append(made)
-    yield Derived(fit_facts(again[0], again[1]))
+    yield Derived(fit_facts(*again))
 
 
 def loop(run: RunFiles) -> Claims:
@@ -254,7 +254,7 @@ def loop(run: RunFiles) -> Claims:
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    same = loop_on == ("device" if plant.real else "plant" if spec.plant else "identified model")
+    same = loop_on == closed_on(spec.plant)
     yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
     if plant.real:

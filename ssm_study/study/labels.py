@@ -7,7 +7,7 @@ import numpy as np
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
-from ssm_study.study.recordings import LOOPS, NOISE_FREE, TRIALS, read_cases
+from ssm_study.study.recordings import LOOPS, NOISE_FREE, TRIALS, closed_on, read_cases
 from ssm_study.study.run_files import RunFiles
 
 # Of the words of a recording those that are numbers: the signals are compared with them.
@@ -25,8 +25,7 @@ def recordings_of(run: RunFiles, data: DataSet) -> Iterator[tuple[str, Channels,
     if run.closes_loop:
         twin = IdentifiedPlant.of(run.model, data.inputs, data.outputs)
         on, spec = run.specification.plant or twin, run.specification
-        loop_on = "device" if on.real else "plant" if spec.plant else "identified model"
-        words = {"loop_on": loop_on, "loop_seed": str(spec.loop_seed), "plant": type(on).__name__}
+        words = {"loop_on": closed_on(spec.plant), "loop_seed": str(spec.loop_seed), "plant": type(on).__name__}
         loops = (("closed_loop.mcap", on), (NOISE_FREE, on), ("closed_loop_model.mcap", twin))
         expected += [(file, in_loop(plant), words) for file, plant in loops]
     yield from (one for one in expected if (run.path / one[0]).is_file())

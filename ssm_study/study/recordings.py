@@ -4,7 +4,7 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from ssm_study.synthesis.mismatch import Mismatch, View
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
 MISMATCH = "mismatch.safetensors"
+VIEW = tuple(field.name for field in fields(View))
 NO_BOUND = 1e300  # a recorded bound is finite
 NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
 
@@ -118,6 +119,11 @@ def read_rollouts(path: Path) -> tuple[Rollouts, list[Case], dict[str, str]]:
     return run, cases, about
 
 
+def closed_on(plant: Plant | None) -> str:
+    """The word of a recording for what its loop was closed on; without a plant on the identified model."""
+    return "identified model" if plant is None else "device" if plant.real else "plant"
+
+
 def write_experiment(folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]) -> None:
     """Every closed loop of a run into its file; `on` is the plant, `twin` the identified model."""
     about = about | {"plant": type(on).__name__}
@@ -145,39 +151,30 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
 
 
 def write_mismatch(folder: Path, shown: Mismatch) -> None:
-    """Every view bit for bit, as real numbers without gaps: SafeTensors knows no others."""
-    views = shown.everywhere
+    """Every view bit for bit; complex numbers as pairs of real ones, for SafeTensors knows no others."""
+    views = {name: np.stack([getattr(view, name) for view in shown.everywhere]) for name in VIEW}
     left_at_rest = np.nan if shown.left_at_rest is None else shown.left_at_rest
-    arrays = {
-        "sizes": np.array([[view.amplitude, view.gain, view.response] for view in views]),
-        "spectra": np.stack([[v.by_frequency, v.linear.real, v.linear.imag, v.rest] for v in views]),
-        "known": np.array([shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]),
-        "unexcited": np.array(shown.unexcited, dtype=float),
-        "stuck": np.array(shown.stuck, dtype=float),
-        "noise": np.array(shown.noise, dtype=float),
-    }
-    save_file(arrays, folder / MISMATCH)
+    known = [shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]
+    lists = {name: np.array(getattr(shown, name), dtype=float) for name in ("unexcited", "stuck", "noise")}
+    save_file(views | {"linear": views["linear"].view(float), "known": np.array(known)} | lists, folder / MISMATCH)
 
 
 def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
-    arrays, views = load_file(folder / MISMATCH), list[View]()
-    for sizes, (size, real, imaginary, rest) in zip(arrays["sizes"].tolist(), arrays["spectra"], strict=True):
-        linear = np.stack([real, imaginary], axis=-1).view(complex)[:, 0]  # `real + 1j * imaginary` spoils infinities
-        amplitude, gain, response = sizes
-        views.append(
-            View(amplitude=amplitude, gain=gain, by_frequency=size, linear=linear, rest=rest, response=response)
-        )
+    arrays = load_file(folder / MISMATCH)
+    arrays["linear"] = arrays["linear"].view(complex)
+    views = [
+        View(**{name: value if value.ndim else float(value) for name, value in zip(VIEW, row, strict=True)})
+        for row in zip(*(arrays[name] for name in VIEW), strict=True)
+    ]
     spread, left_at_rest, looped, farthest = arrays["known"].tolist()
     return Mismatch(
-        stuck=tuple(arrays["stuck"].tolist()),
-        noise=tuple(arrays["noise"].tolist()),
-        farthest=farthest,
         views=tuple(views[:-1] if looped else views),
         loop=views[-1] if looped else None,
         spread=spread,
         left_at_rest=None if np.isnan(left_at_rest) else left_at_rest,
-        unexcited=tuple(arrays["unexcited"].tolist()),
+        farthest=farthest,
+        **{name: tuple(arrays[name].tolist()) for name in ("unexcited", "stuck", "noise")},
     )
 
 
@@ -209,12 +206,9 @@ def stacked(cases: list[Case], name: str, path: Path) -> Float[np.ndarray, "N T 
 
 def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
     """The signals of two sets of records, and their sampling times, side by side."""
-    pairs: dict[str, tuple[Any, Any]] = {"records": (len(kept), len(made))}
-    for i, (one, other) in enumerate(zip(kept, made, strict=False)):
-        pairs |= {
-            f"{name} {i}": (getattr(one, name), getattr(other, name)) for name in ("u", "y", "step_s", "closed_loop")
-        }
-    return pairs
+    names, both = ("u", "y", "step_s", "closed_loop"), enumerate(zip(kept, made, strict=False))
+    pairs = {f"{name} {i}": (getattr(one, name), getattr(other, name)) for i, (one, other) in both for name in names}
+    return {"records": (len(kept), len(made))} | pairs
 
 
 def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:

@@ -14,7 +14,6 @@ from omegaconf import DictConfig
 from ssm_study.engine.records import FAILED, INFEASIBLE, OK, read_record
 from ssm_study.engine.runs import Outcome
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectories
 from ssm_study.study.line import STUDY
 from ssm_study.study.recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
@@ -30,7 +29,6 @@ class Step:
 
     said: str
     config: DictConfig | None = None
-    failed: bool = False
 
 
 def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[Step]:
@@ -50,17 +48,15 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         config = _next(files, log)
         outcome: Outcome = STUDY.job(config)
         child = RunFiles(path=outcome.folder, record=read_record(outcome.folder) or {})
-        ended = outcome.status == FAILED
-        yield Step(said=_told(child, proved, shown, outcome), config=config, failed=ended)
-        if ended:
+        yield Step(said=_told(child, proved, shown, outcome), config=config)
+        if outcome.status == FAILED:
             return
         before, after = files.design.gains, child.design.gains
         if before.keys() == after.keys() and all(np.array_equal(before[name], after[name]) for name in before):
             yield Step(said=f"Stopped: the choice no longer changes, although only {proved:.3g} is proved.")
             return
         files = child
-    tried = "Try the new design and refine with its log." if log else f"Stopped after {times} iterations."
-    yield Step(said=tried)
+    yield Step(said="Try the new design and refine with its log." if log else f"Stopped after {times} iterations.")
 
 
 def _tried(run: Path, log: Path | None) -> RunFiles:
@@ -84,7 +80,6 @@ def _tried(run: Path, log: Path | None) -> RunFiles:
 
 def _seen(files: RunFiles, log: Path | None) -> float:
     """The largest mismatch gain that the trial shows, beside the noise that the run's records measured."""
-    trial: Trajectories
     if log is None:
         trial = of_loops(read_experiment(files.path)[0].controlled)
     else:

@@ -41,23 +41,19 @@ def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str]
     whether all columns agree."""
     told = {name: declared(name) for name in (*then, *now)}
     names = ["status", *(name for name, column in told.items() if column in OF_THE_LINE and not name.endswith(TIMES))]
-    pairs = {name: (then.get(name), now.get(name)) for name in names}
-    by_how_much = {name: difference(*pair) for name, pair in pairs.items() if pair != (None, None)}
-    differing = [name for name, much in by_how_much.items() if much > TOLERANCE]
-    equal = sum(much == 0 for much in by_how_much.values())
+    sides = {name: (then.get(name), now.get(name)) for name in names}
+    pairs = {name: pair for name, pair in sides.items() if pair != (None, None)}
+    differing = [name for name, pair in pairs.items() if not _agree(*pair)]
+    equal = sum(one == other for one, other in pairs.values())
     around = sorted(name for name in told if name.startswith(AROUND) and then.get(name) != now.get(name))
     lines = [
-        f"{len(by_how_much)} columns compared: {equal} equal to the last bit, {len(differing)} differ",
+        f"{len(pairs)} columns compared: {equal} equal to the last bit, {len(differing)} differ",
         *(f"  {name}: {pairs[name][0]} then, {pairs[name][1]} now" for name in differing),
         *(f"  changed since: {name} {then.get(name)} -> {now.get(name)}" for name in around),
     ]
     return lines, not differing
 
 
-def difference(then: Any, now: Any) -> float:
-    """Relative difference of two numbers; 0 for equal values, infinite for unequal words or a missing side."""
-    if then == now:
-        return 0.0
-    if not all(isinstance(side, (int, float)) and not isinstance(side, bool) for side in (then, now)):
-        return math.inf
-    return float(abs(now - then) / max(abs(then), abs(now)))
+def _agree(then: Any, now: Any) -> bool:
+    numbers = {type(then), type(now)} <= {int, float}
+    return bool(then == now or (numbers and math.isclose(then, now, rel_tol=TOLERANCE)))

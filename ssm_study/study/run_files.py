@@ -31,7 +31,7 @@ CONFIGURATION, OVERRIDES = ".hydra/config.yaml", ".hydra/overrides.yaml"
 
 @dataclass(frozen=True, kw_only=True)
 class RunFiles:
-    """A run folder. What is damaged or absent raises when it is asked for, each reader what it raises."""
+    """A run folder. A damaged or absent file raises when it is first read, whatever its reader raises."""
 
     path: Path
     record: dict[str, Any]

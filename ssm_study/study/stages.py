@@ -1,11 +1,8 @@
 """The stages of a run: what each computes, keeps and measures.
 
-To add a stage: write `compute(folder, *values of earlier stages, **parts of the configuration)`, which leaves files in
-`folder`; `read(folder)`, which gives back the value they hold; `measure(value, *values of earlier stages)`, which gives
-its columns (declared in the `metrics` module of their room). Name the three in a `Stage`, and take it in `line.py` with
-the parts of the configuration that it depends on. Keys need no care: they follow from the parts, the earlier stages and
-the sources of the functions (`engine/code.py`); `measure` has a key of its own, so a new column computes nothing again.
-What only computing takes is imported inside the functions: a run that reuses a stage then never loads it.
+To add a stage: write its three functions as `engine.stages.Stage` says, name them in a `Stage` below, and take it in
+`line.py` with the parts of the configuration that it depends on. Its columns are declared in the `metrics` module of
+their room. What only computing takes is imported inside the functions: a run that reuses a stage then never loads it.
 """
 
 import json
@@ -232,7 +229,7 @@ def compute_loop(
     if not design.feasible or (plant is None and isinstance(model, StructuredSSM) and model.d.any()):
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
-    on, loop_on = (twin, "identified model") if plant is None else (plant, "device" if plant.real else "plant")
+    on, loop_on = plant or twin, recordings.closed_on(plant)
     fitted = (loop.within(data.applied) if plant is None or design.inverts else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})

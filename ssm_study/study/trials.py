@@ -93,13 +93,8 @@ def lineage(settings: Any) -> Facts:
     refine = settings.get("refine")
     if refine is None:
         return {}
-    count = len(refine) if isinstance(refine, list) else int(refine)
-    return {"refinements": count, "parent_run": named(settings, shortened(refine))}
-
-
-def shortened(refine: int | list[str]) -> int | list[str] | None:
-    """One iteration, or one log, less."""
-    return (refine[:-1] if isinstance(refine, list) else refine - 1) or None
+    count, before = (len(refine), refine[:-1]) if isinstance(refine, list) else (refine, refine - 1)
+    return {"refinements": count, "parent_run": named(settings, before or None)}
 
 
 def named(settings: Any, refine: int | list[str] | None) -> str:

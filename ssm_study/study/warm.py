@@ -14,11 +14,10 @@ import numpy as np
 from hydra.core.plugins import Plugins
 
 import ssm_study
-from ssm_study.engine.code import CODE, code_version
+from ssm_study.engine.code import CODE
 from ssm_study.plants.dc_motor import MotorConstants
 from ssm_study.plants.dc_motor_kernel import advance_batch
 from ssm_study.study.allow_list import ROOMS
-from ssm_study.study.stages import STAGES
 
 # By the stage that takes it: torch and Lightning, then CVXPY. Together 5 s of a processor, and three quarters of the
 # memory whose page table every fork copies.
@@ -39,7 +38,7 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 
 
 def warm(again: Set[str]) -> None:
-    """Everything that this module speaks of, in the process that jobs are forked from; `again` as in `Task.warm`."""
+    """Import for all jobs, in the process that they are forked from; `again` as in `Task.warm`."""
     for name in modules_for(again):
         with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
             importlib.import_module(name)
@@ -47,7 +46,4 @@ def warm(again: Set[str]) -> None:
     constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
     advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)
     Plugins.instance()  # Hydra looks for them once per process
-    for stage in STAGES:
-        for function in (stage.compute, stage.read, stage.measure):
-            code_version(function)
     CODE.remember()  # last: what is loaded by now is what counts

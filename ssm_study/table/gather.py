@@ -23,20 +23,22 @@ KINDS: dict[str, Kind] = {
 }  # fmt: skip
 INFINITE = {"inf": float("inf"), "-inf": float("-inf")}  # as records have them
 EXACT = {"string": str, "Int64": int, "Float64": float, "boolean": bool}  # no conversion is needed of these
+NO_RUNS = pd.DataFrame({"run": [], "status": []})
 FORMULA = r"^[=+\-@\t\r]"  # how a text begins that a spreadsheet would run instead of showing it
 
 
-def gather(study: Path) -> pd.DataFrame:
+def gather(study: Path, anew: bool = False) -> pd.DataFrame:
     """Bring `runs.parquet` and `runs.csv` of the study folder up to date with its runs; returns the table.
 
     The declared columns come first, typed; whatever else the records hold follows by name. Runs are sorted by name, so
-    that equal studies give equal tables. Only records that have changed since the last time are read again.
+    that equal studies give equal tables. Only records that have changed since the last time are read again; all of
+    them `anew`, whatever the last table says. Raises `BadRequest` for a folder without runs.
     """
     remedy = "give the folder that holds the run folders"
     require(study.is_dir(), "study", study, "no such study folder", remedy)
     marks = marks_of(study)
     require(bool(marks), "study", study, "there is no run in it", remedy)
-    last, known = _gathered(study)
+    last, known = (NO_RUNS, {}) if anew else _gathered(study)
     ended = last["run"][~last["status"].isin([RUNNING, LOST])]
     same = {name for name in ended if name in marks and marks[name] == known.get(name)}
     if len(same) == len(last) == len(marks):  # nothing new, nothing gone, nothing changed
@@ -72,7 +74,17 @@ def _gathered(study: Path) -> tuple[pd.DataFrame, dict[str, list[int]]]:
         index = unsealed(contents(study / MARKS))
         if index is not None and all(sha256_of_file(study / name) == index[name] for name in (PARQUET, CSV)):
             return pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable"), index["marks"]
-    return pd.DataFrame({"run": [], "status": []}), {}
+    return NO_RUNS, {}
+
+
+def contradicted(study: Path, rows: pd.DataFrame) -> bool:
+    """Whether a declared column of one of these rows is not what the record of its run says."""
+    for run, row in _records(rows).items():
+        record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
+        known = ((name, column) for name in row if (column := declared(name)) is not None)
+        if any(row[name] != _fitting(record.get(name), column.kind) for name, column in known):
+            return True
+    return False
 
 
 def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:

@@ -14,10 +14,11 @@ from ssm_study.engine.plan import duration
 from ssm_study.refusal import printable
 from ssm_study.table.columns import BY_NAME, RESULTS, SETTINGS, listed, requested
 from ssm_study.table.filters import where as filtered
-from ssm_study.table.gather import gather
+from ssm_study.table.gather import contradicted, gather
 from ssm_study.table.rank import ranked
 
 WIDTH = 80  # of a pipe, and the least of a terminal
+COMPARED = 40  # rows that are compared with their records: a screen of them; all of 20,000 would take seconds
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\w)")  # not the 2 of S_u2
 OUTCOMES = ("settled", "certified", *(column.name for column in RESULTS if column.shown))
 CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
@@ -31,30 +32,41 @@ REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
 
 def show(
     study: Path, by: str | None = None, where: str | None = None, cost: bool = False, columns: bool = False
-) -> None:
-    """Print the study's table, best first, after gathering it anew; `where` filters, `by` sorts.
+) -> pd.DataFrame:
+    """Print the study's table, best first, brought up to date; `where` filters, `by` sorts. Returns the whole table.
 
     With `cost`: instead of it what was computed and what reused, stage by stage. With `columns`: which columns hold
     values, what they are called, which way is better and whether `verify` checks them.
     """
-    table = gather(study)
-    chosen = filtered(table, where) if where else table
+    table, rows = gathered_rows(study, by, where)
     if columns or cost:
-        print("\n".join(column_lines(table) if columns else cost_lines(chosen)))
-        return
-    rows = ranked(chosen, by)
+        print("\n".join(column_lines(table) if columns else cost_lines(rows)))
+        return table
     console = Console(force_jupyter=False)
     lines = plain_table(rows, by, max(WIDTH, console.width) if console.is_terminal else WIDTH).splitlines()
     for line, status in zip(lines, ["", *rows["status"]], strict=True):
         console.print(Text(line, style=COLOURS.get(str(status), "")), soft_wrap=True)  # no colour in a pipe
     for line in summary(table, shown=len(rows)):
         print(textwrap.fill(line, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+    return table
 
 
-def column_lines(table: pd.DataFrame | None = None) -> list[str]:
-    """The declared columns as text, one a line: of the table those that hold values, else all."""
+def gathered_rows(
+    study: Path, by: str | None, where: str | None, anew: bool = False
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The study's table and its rows to show. A table whose first rows contradict the runs' records is made anew: its
+    seal vouches for its bytes, not for who wrote them."""
+    table = gather(study, anew)
+    rows = ranked(filtered(table, where) if where else table, by)
+    if not anew and contradicted(study, rows.head(COMPARED)):
+        return gathered_rows(study, by, where, anew=True)
+    return table, rows
+
+
+def column_lines(table: pd.DataFrame) -> list[str]:
+    """The columns of the table that hold values as text, one a line."""
     rows = [("column", "what it is (unit)", "better", "checked by verify unless said"), *listed(table)]
-    widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
     lines = ["".join(f"{row[i]:<{widths[i]}}  " for i in range(3)) + row[3] for row in rows]
     return [line.rstrip() for line in lines]
 
@@ -105,8 +117,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     varied, telling = _varied_settings(table)
     table = table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
     first, outcomes = ["run", "status", *([by] if by else [])], [n for n in OUTCOMES if table[n].notna().any()]
-    columns: dict[str, list[str]] = {}
-    taken = 0
+    columns, taken = dict[str, list[str]](), 0
     for name in dict.fromkeys([*first, *telling, *outcomes, *varied]):  # what the table is sorted by stands once
         head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
         cells = [head, *map(cell, table[name])]

@@ -426,7 +426,10 @@ def test_a_copy_of_a_run_in_its_study_is_named_and_one_saved_elsewhere_is_not(co
     assert failing(copy) == {"folder"}
 
 
-def test_the_command_gathers_anew_whatever_table_lies_there(copied_run: Path) -> None:
+@pytest.mark.parametrize("command", ["gather", "show"])
+def test_the_command_gathers_anew_whatever_table_lies_there(
+    copied_run: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A table with another number, sealed as a true one is."""
     study = copied_run.parent
     true = gather(study)
@@ -435,7 +438,8 @@ def test_the_command_gathers_anew_whatever_table_lies_there(copied_run: Path) ->
     sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
     write_json_atomically(study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums))
     assert gather(study)["fit_test_percent"].item() == 99.9
-    assert main(["gather", str(study)]) == 0
+    assert main([command, str(study)]) == 0
+    assert "99.9" not in capsys.readouterr().out
     pd.testing.assert_frame_equal(gather(study), true)
 
 
