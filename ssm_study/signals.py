@@ -21,8 +21,9 @@ class Channel:
 class Trajectory:
     """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
 
-    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the output. Raises
-    `BadRequest` for unequal lengths, values that are not finite, or a sampling time that is not positive.
+    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the output. A piece of
+    a longer log begins at sample `first` of it; logs count from 1, and 0 is none. Raises `BadRequest` for unequal
+    lengths, values that are not finite, or a sampling time that is not positive.
     """
 
     u: Float[np.ndarray, "T m"]
@@ -30,6 +31,8 @@ class Trajectory:
     step_s: float
     name: str = "trajectory"
     closed_loop: bool = False
+    log: int = 0
+    first: int = 0
 
     def __post_init__(self) -> None:
         positive("step_s", self.step_s, "give it in seconds")
@@ -45,7 +48,8 @@ class Trajectory:
         return len(self.u)
 
     def __getitem__(self, samples: slice) -> "Trajectory":
-        return replace(self, u=self.u[samples], y=self.y[samples])
+        first = self.first + samples.indices(len(self))[0]
+        return replace(self, u=self.u[samples], y=self.y[samples], first=first)
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:

@@ -139,6 +139,7 @@ class RecordedData(Columns, AroundRest):
 
     def build(self, seed: int) -> DataSet:
         logs, share = self._known_loop(self._logs("path", "output_path"), "path", "output_path")
+        logs = [replace(log, log=k) for k, log in enumerate(logs, start=1)]
         cuts, split = self._split(logs)
         training, validation, test = ([piece for pieces in cuts for piece in pieces[k]] for k in range(3))
         if self.test_path is not None:
