@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -176,16 +177,14 @@ class DataSet:
 
     def undelayed(self, samples: int) -> "DataSet":
         """Each output beside the input that many samples before it: the records of a fit without their dead time."""
-
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
-
-        def moved(records: Trajectories) -> Trajectories:
-            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
-
-        parts = {name: moved(getattr(self, name)) for name in ("training", "validation", "test")}
-        return replace(self, **parts)  # type: ignore[arg-type]  # records, as they were
+        parts: dict[str, Any] = {
+            name: tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in getattr(self, name))
+            for name in ("training", "validation", "test")
+        }
+        return replace(self, **parts)
 
 
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

@@ -85,7 +85,7 @@ SMALL_SOURCE = {  # pattern: what stands in its place
     "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
 }
 # Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
-AS_IT_IS = {"loop_margin.py", "plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
+AS_IT_IS = {"loop_margin.py", "plants_choice.py", "plants_scores.py", "synthesis_figures.py"}
 ELSEWHERE = {  # what a test cannot have, by name
     "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
     "ssm-study new": "made, run and judged in tests/laws/test_extensions.py",
