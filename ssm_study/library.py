@@ -37,7 +37,7 @@ from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, fit_percent
 from ssm_study.study import line
 from ssm_study.study.specification import Specification
@@ -82,10 +82,10 @@ class Model:
     @property
     def ssm(self) -> SSM | StructuredSSM:
         """The simulator, if it is a structured state-space model; refuses every other."""
+        if isinstance(self.simulator, SSM | StructuredSSM):
+            return self.simulator
         kind, problem = type(self.simulator).__name__, "a baseline is scored only, nothing is certified of it"
-        require(isinstance(self.simulator, SSM | StructuredSSM), "model", kind, problem, "fit model=structured or ssm")
-        assert isinstance(self.simulator, SSM | StructuredSSM)
-        return self.simulator
+        raise BadRequest("model", kind, problem, "fit model=structured or ssm")
 
     def to_control(self) -> "python_control.StateSpace":
         """The model linearised at its equilibrium, deviations in physical units: all of it where everything is linear.
@@ -133,11 +133,11 @@ class Design:
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
         """What is certified when the input is limited, in physical units; see `synthesis.deployed`."""
-        ends, model = (np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper)), self.model
+        if isinstance(self.model, SSM):
+            ends = (np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper))
+            return within_limits(self.model, self.certificate, *ends)
         problem = "nothing is proved within limits: the theorems on them know no neurons"
-        require(isinstance(model, SSM), "model", type(model).__name__, problem, "fit model=ssm")
-        assert isinstance(model, SSM)
-        return within_limits(model, self.certificate, *ends)
+        raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Header `path` and beside it the source and a replay, all named as the header, in "double" or "float".

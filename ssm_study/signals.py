@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,8 +22,9 @@ class Channel:
 class Trajectory:
     """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
 
-    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the output. Raises
-    `BadRequest` for unequal lengths, values that are not finite, or a sampling time that is not positive.
+    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the output. A piece of
+    a longer log begins at sample `first` of it; logs count from 1, and 0 is none. Raises `BadRequest` for unequal
+    lengths, values that are not finite, or a sampling time that is not positive.
     """
 
     u: Float[np.ndarray, "T m"]
@@ -30,6 +32,8 @@ class Trajectory:
     step_s: float
     name: str = "trajectory"
     closed_loop: bool = False
+    log: int = 0
+    first: int = 0
 
     def __post_init__(self) -> None:
         positive("step_s", self.step_s, "give it in seconds")
@@ -45,7 +49,8 @@ class Trajectory:
         return len(self.u)
 
     def __getitem__(self, samples: slice) -> "Trajectory":
-        return replace(self, u=self.u[samples], y=self.y[samples])
+        first = self.first + samples.indices(len(self))[0]
+        return replace(self, u=self.u[samples], y=self.y[samples], first=first)
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
@@ -172,16 +177,14 @@ class DataSet:
 
     def undelayed(self, samples: int) -> "DataSet":
         """Each output beside the input that many samples before it: the records of a fit without their dead time."""
-
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
-
-        def moved(records: Trajectories) -> Trajectories:
-            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
-
-        parts = {name: moved(getattr(self, name)) for name in ("training", "validation", "test")}
-        return replace(self, **parts)  # type: ignore[arg-type]  # records, as they were
+        parts: dict[str, Any] = {
+            name: tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in getattr(self, name))
+            for name in ("training", "validation", "test")
+        }
+        return replace(self, **parts)
 
 
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

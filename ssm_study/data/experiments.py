@@ -95,9 +95,9 @@ def file_in(folder: Path, name: str) -> Path:
     """The file of that name, or of its stem as CSV or MAT: records are distributed as both. Refuses without."""
     exact = folder / name
     twins = sorted(p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv"))
-    found, remedy = exact.is_file() or bool(twins), "point it at the benchmark's own folder"
-    require(found, "data.folder", folder, f"has no {name}", remedy)
-    return exact if exact.is_file() else twins[0]
+    found = [exact] if exact.is_file() else twins
+    require(found, "data.folder", folder, f"has no {name}", "point it at the benchmark's own folder")
+    return found[0]
 
 
 def _read(folder: Path, recordings: list[Recording]) -> list[Trajectory]:

@@ -217,9 +217,9 @@ def _records(path: Path) -> Iterator[records.McapRecord | Message]:
         for record in reader.records:
             if isinstance(record, records.Message):
                 yield record.channel_id, record.log_time, record.data
-            elif not isinstance(record, records.Chunk):
-                yield record
+                continue
             if not isinstance(record, records.Chunk):
+                yield record
                 continue
             packed = record.compression == "zstd"  # its frame says how much it unpacks to, whatever the chunk claims
             unpacked += max(record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0)
@@ -284,9 +284,7 @@ def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np
     return _columns([{name: reduce(getattr, name, one) for name in names} for one in map(decode, contents)])
 
 
-def _columns(
-    messages: list[dict[Names, Any]],
-) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
+def _columns(messages: list[dict[Names, Any]]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
     """Fields that are a number in the first message, and must be in all others."""
     names = [name for name, value in messages[0].items() if isinstance(value, Real) and not isinstance(value, bool)]
     for k, message in enumerate(messages):

@@ -138,12 +138,12 @@ class RecordedData(Columns, AroundRest):
         return paths
 
     def build(self, seed: int) -> DataSet:
-        logs, share = self._known_loop(self._logs("path", "output_path"), "path", "output_path")
+        logs, share = self._known_loop("path", "output_path")
+        logs = [replace(log, log=k) for k, log in enumerate(logs, start=1)]
         cuts, split = self._split(logs)
         training, validation, test = ([piece for pieces in cuts for piece in pieces[k]] for k in range(3))
         if self.test_path is not None:
-            tested = "test_path", "test_output_path"
-            test = self._known_loop(self._logs(*tested), *tested)[0]
+            test = self._known_loop("test_path", "test_output_path")[0]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         found = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
@@ -160,8 +160,9 @@ class RecordedData(Columns, AroundRest):
             logs = logs if alone or not has_columns(second, listed(self.output)) else [(first, second)]
         return [self.read_from(*log) for log in logs]
 
-    def _known_loop(self, logs: list[Trajectory], field: str, outputs: str) -> tuple[list[Trajectory], float | None]:
-        """The logs with the input that the set point makes, and its share, where set point or PI are known."""
+    def _known_loop(self, field: str, outputs: str) -> tuple[list[Trajectory], float | None]:
+        """The logs; with the input that the set point makes, and its share, where set point or PI are known."""
+        logs = self._logs(field, outputs)
         if self.controller is not None:
             gain, integral_s = self.controller
             return from_set_points(logs, [set_point_of_pi(log, gain, integral_s) for log in logs])

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 
 PARTS = ("training", "validation", "test", "trials")
+TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside its signals
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
@@ -18,7 +19,7 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
     about |= {name: [asdict(channel) for channel in getattr(data, name)] for name in ("inputs", "outputs")}
     for part in PARTS:
         records: tuple[Trajectory, ...] = getattr(data, part)
-        about[part] = [{k: getattr(record, k) for k in ("name", "step_s", "closed_loop")} for record in records]
+        about[part] = [{k: getattr(record, k) for k in TOLD} for record in records]
         for i, record in enumerate(records):
             arrays |= {f"{part}/{i}/u": record.u, f"{part}/{i}/y": record.y}
     return {name: np.ascontiguousarray(values) for name, values in arrays.items()}, about

@@ -1,5 +1,6 @@
 """What speaks against a judgement: one sentence with its number and what to do, at one of three levels."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -38,11 +39,13 @@ class Case:
         """Input and output about the equilibrium, in scales."""
         return self.data.scale.scaled_input(record.u), self.data.scale.scaled_output(record.y)
 
-    def residuals(self, part: Simulation) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
-        """Scaled inputs beside `y - y_model`, start-up samples left out."""
-        skip, scale = part.start_up_samples, self.data.scale
-        pairs = zip(part.records, part.simulated, strict=True)
-        return [(scale.scaled_input(r.u)[skip:], ((r.y - y) / scale.output_scale)[skip:]) for r, y in pairs]
+    def scored(self) -> Iterator[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]]:
+        """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test; start-up samples left out."""
+        for part in (self.validation, self.test):
+            for record, simulated in zip(part.records, part.simulated, strict=True):
+                sides = *self.scaled(record), (record.y - simulated) / self.data.scale.output_scale
+                u, y, e = (side[part.start_up_samples :] for side in sides)
+                yield u, y, e
 
 
 def note(sentence: str) -> Finding:

@@ -49,28 +49,22 @@ def linear_fit(case: Case) -> float:
 
 def pooled_fit(case: Case) -> float:
     """Fit in percent over validation and test as one, each record about its own mean: a short piece says little."""
-    y, y_hat = [], []
-    for part in (case.validation, case.test):
-        for (_, e), record in zip(case.residuals(part), part.records, strict=True):
-            measured = case.scaled(record)[1][part.start_up_samples :]
-            y.append(measured - measured.mean(axis=0))
-            y_hat.append(y[-1] - e)
-    moved = np.concatenate(y)
-    return fit_percent(moved, np.concatenate(y_hat)) if moved.any() else -np.inf
+    moved, missed = zip(*((y - y.mean(axis=0), e) for _, y, e in case.scored()), strict=True)
+    y = np.concatenate(moved)
+    return fit_percent(y, y - np.concatenate(missed)) if y.any() else -np.inf
 
 
 def owed_to_input(case: Case) -> float:
     """Share of the output's power by which a filter from u, fitted to one half of the residual, predicts the other."""
     gained, whole = 0.0, 0.0
-    for part in (case.validation, case.test):
-        for (u, e), record in zip(case.residuals(part), part.records, strict=True):
-            half = len(u) // 2
-            if half <= 4 * LAGS:
-                continue
-            weights = np.linalg.lstsq(lagged(u[:half], LAGS), e[LAGS:half], rcond=None)[0]
-            rest, y = e[half + LAGS :], case.scaled(record)[1][-len(e) :][half + LAGS :]
-            gained += float((rest**2).sum() - ((rest - lagged(u[half:], LAGS) @ weights) ** 2).sum())
-            whole += float(((y - y.mean(axis=0)) ** 2).sum())
+    for u, y, e in case.scored():
+        half = len(u) // 2
+        if half <= 4 * LAGS:
+            continue
+        weights = np.linalg.lstsq(lagged(u[:half], LAGS), e[LAGS:half], rcond=None)[0]
+        rest, y = e[half + LAGS :], y[half + LAGS :]
+        gained += float((rest**2).sum() - ((rest - lagged(u[half:], LAGS) @ weights) ** 2).sum())
+        whole += float(((y - y.mean(axis=0)) ** 2).sum())
     return max(gained, 0.0) / whole if whole else 0.0
 
 
@@ -79,7 +73,7 @@ def whiteness(case: Case) -> list[Finding]:
 
     Source: Ljung, System Identification, 2nd ed. (1999) section 16.6.
     """
-    _, e = case.residuals(case.validation)[0]
+    _, _, e = next(case.scored())
     e = e[:, 0] - e[:, 0].mean()
     power, bound = float(e @ e), 3.0 / np.sqrt(len(e))
     if power == 0:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ssm_study.evidence import feedback, fit, records, response
+from ssm_study.evidence import feedback, fit, own_motion, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model
@@ -41,7 +41,7 @@ def judge(data: DataSet, model: Model, validation: Simulation, test: Simulation,
     """Every finding about these records, this model and the mismatch that they show."""
     case = Case(data=data, model=model, validation=validation, test=test)
     found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *feedback.findings(case)]
-    found += fit.whiteness(case)
+    found += own_motion.findings(case) + fit.whiteness(case)
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
     return Judgement(findings=tuple(found))

@@ -83,9 +83,9 @@ def _length(case: Case) -> Iterator[str]:
 
 
 def _drift(case: Case) -> Iterator[str]:
-    pieces, shifts = [*case.residuals(case.validation), *case.residuals(case.test)], []
-    least = max(len(e) for _, e in pieces) // 4  # a short piece of a slow process is off as a whole
-    for e in (e for _, e in pieces if len(e) >= least):
+    errors, shifts = [e for _, _, e in case.scored()], []
+    least = max(map(len, errors)) // 4  # a short piece of a slow process is off as a whole
+    for e in (e for e in errors if len(e) >= least):
         quarter = max(len(e) // 4, 1)
         shifts.append(float(np.abs(e[-quarter:].mean(axis=0) - e[:quarter].mean(axis=0)).max()))
     if max(shifts) > DRIFT:

@@ -64,8 +64,8 @@ def game_of(problem: Problem) -> Game:
     parts = {"a": problem.a, "b": problem.b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
     parts |= {"state_weight": problem.state_weight}
     numbers = {"alpha": ball.alpha, "beta": ball.beta, "r": problem.contraction, "input_weight": problem.input_weight}
-    matrices: Any = {name: np.array(part, dtype=float, order="C") for name, part in parts.items()}
-    return Game(**matrices, **{name: float(number) for name, number in numbers.items()}, injects=neurons.injects)
+    told: dict[str, Any] = {name: np.array(part, dtype=float, order="C") for name, part in parts.items()}
+    return Game(**told | {name: float(number) for name, number in numbers.items()}, injects=neurons.injects)
 
 
 def searched(

@@ -56,8 +56,8 @@ LOGS = {
     "saturated": (U, np.clip(answer(U), -0.3, 0.3), "", "it saturates"),
     "60 samples": (U[:60], answer(U[:60]), "", "training samples"),
     "two levels": (np.sign(U), answer(np.sign(U)), "", "two levels"),
-    "unstable": (U[:1000], unstable(U[:1000]), "", ""),
-    "oscillating": (U, oscillating(U), "", ""),
+    "unstable": (U[:1000], unstable(U[:1000]), "cannot judge", "runs away by itself"),
+    "oscillating": (U, oscillating(U), "cannot judge", "moves by itself"),
     "ends before the slow mode": (U[:600], answer(U[:600], slow=0.9985), "", ""),
 }
 # The records decide the word, not how many designs are tried: a small grid gives the same words as the whole one.

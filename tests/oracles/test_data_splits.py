@@ -22,8 +22,9 @@ def record(samples: int) -> Trajectory:
 def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
     log = record(samples)
     for parts in (by_time(log, validation, test), in_blocks(log), *(by_fold(log, fold, 5) for fold in range(5))):
-        whole = np.sort(np.concatenate([piece.u[:, 0] for part in parts for piece in part]))
-        np.testing.assert_array_equal(whole, log.u[:, 0])
+        pieces = [piece for part in parts for piece in part]
+        np.testing.assert_array_equal(np.sort(np.concatenate([piece.u[:, 0] for piece in pieces])), log.u[:, 0])
+        assert [piece.first for piece in pieces] == [piece.u[0, 0] for piece in pieces]
 
 
 def test_named_intervals_are_cut_out_and_the_rest_trains():

@@ -40,7 +40,7 @@ class Reader(Family):
 
 
 def read_table(path: Path, wanted: dict[str, str]) -> Table:
-    """The wanted columns, finite and of one length; each with the unit it is believed to be in, or "".
+    """The wanted columns, finite and of one length; each with the unit it is declared in, or "".
 
     Raises `BadRequest` for a suffix that is not `.csv`, `.mat`, `.parquet` or `.mcap`, a missing or malformed file, a
     missing column, values that are no finite numbers, unequal lengths, or a unit that the file contradicts.

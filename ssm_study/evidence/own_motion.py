@@ -1,0 +1,52 @@
+"""Does the output follow from the input, or from where it is? A limit cycle's phase is in no input.
+
+A plant that comes to rest has forgotten where it started once its response is over; then the input alone is left to
+predict from. So a piece of a log is predicted as well by a free run from the beginning of the log as by one from the
+piece's own estimated state. Of a plant that moves by itself the piece's state tells what no input does.
+"""
+
+import numpy as np
+
+from ssm_study.evidence.finding import Case, Finding
+from ssm_study.models.metrics import free_run
+from ssm_study.signals import Trajectory
+
+BY_INPUT = 0.5  # share of the output's power that must follow from the input
+FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
+
+
+def findings(case: Case) -> list[Finding]:
+    """Nothing is judged of an output that the input moves less than it moves by itself."""
+    shares = shares_predicted(case)
+    if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
+        return []
+    own, carried = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
+    told = f"Of the output's power {own} follow from where each piece begins, {carried} from the input"
+    return [Finding(level="cannot judge", sentence=f"{told}: it moves by itself. Excite it more, if it can rest.")]
+
+
+def shares_predicted(case: Case) -> tuple[float, float] | None:
+    """`1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those that validate or test behind others.
+
+    The first is of free runs from the piece's own estimated state, the second of runs from the beginning of the log.
+    Means are taken off, for an integrator keeps an offset. None where no piece lies behind another of its log.
+    """
+    powers, skip, scale = [], case.data.start_up_samples, case.data.scale.output_scale
+    for part, scored in ((case.data.validation, case.validation), (case.data.test, case.test)):
+        for piece, own in zip(part, scored.simulated, strict=True):
+            if len(log := _up_to(case, piece)) > len(piece):
+                carried = free_run(case.model, log, skip)[-len(piece) :]
+                sides = piece.y, piece.y - own, piece.y - carried
+                powers.append([float((((y - y[skip:].mean(axis=0)) / scale)[skip:] ** 2).sum()) for y in sides])
+    moved, *missed = np.sum(powers, axis=0) if powers else (0.0,)
+    return (1 - missed[0] / moved, 1 - missed[1] / moved) if moved else None
+
+
+def _up_to(case: Case, piece: Trajectory) -> Trajectory:
+    """The log from its beginning to the end of the piece, as far back as it is known."""
+    known = [one for part in (case.data.training, case.data.validation, case.data.test) for one in part if one.log]
+    joined, by_end = [piece], {(one.log, one.first + len(one)): one for one in known}
+    while (before := by_end.get((piece.log, joined[0].first))) is not None:
+        joined.insert(0, before)
+    u, y = (np.concatenate([getattr(one, side) for one in joined]) for side in "uy")
+    return Trajectory(u=u, y=y, step_s=piece.step_s)

@@ -1,0 +1,99 @@
+"""An output that moves by itself against one that the input moves, each judged beside a model that fits its pieces."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_loop_prediction import linear_model
+
+from ssm_study.data.assembly import assemble
+from ssm_study.data.splits import by_time, in_blocks
+from ssm_study.evidence import feedback, own_motion
+from ssm_study.evidence.finding import Case
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import Channel, Trajectory
+from ssm_study.systems import StateSpace
+
+SAMPLES, SKIP, ANGLE = 1500, 20, 0.1
+RNG = np.random.default_rng(0)
+U = RNG.uniform(-1, 1, 300).repeat(5)
+
+
+def swinging(radius: float) -> StateSpace:
+    """A resonance at `ANGLE` a sample whose swing keeps `radius` of itself."""
+    turn = radius * np.array([[np.cos(ANGLE), -np.sin(ANGLE)], [np.sin(ANGLE), np.cos(ANGLE)]])
+    return StateSpace(a=turn, b=np.array([[0.0], [0.1]]), c=np.array([[1.0, 0.0]]), d=np.zeros((1, 1)))
+
+
+def integrating(pole: float) -> StateSpace:
+    one = np.ones((1, 1))
+    return StateSpace(a=pole * one, b=0.1 * one, c=one, d=0 * one)
+
+
+def case(y: np.ndarray, system: StateSpace, cut=by_time, log: int = 1) -> Case:
+    record = Trajectory(u=U[:, None], y=y[:, None], step_s=0.1, log=log)
+    parts = in_blocks(record) if cut is in_blocks else by_time(record, 0.2, 0.2)
+    channels = tuple((Channel(name=name, unit=""),) for name in "uy")
+    data = assemble(parts, (np.zeros(1), np.zeros(1)), channels, SKIP)
+    model = replace(linear_model(0), linear=system)
+    free = {name: Simulation.of(model, getattr(data, name), SKIP) for name in ("validation", "test")}
+    return Case(data=data, model=model, **free)
+
+
+def measured(system: StateSpace, noise: float, start: np.ndarray) -> np.ndarray:
+    y = system.simulate(U[:, None], start)[0][:, 0]
+    return y + noise * np.std(y) * RNG.standard_normal(SAMPLES)
+
+
+def drifting_phase(noise: float) -> np.ndarray:
+    """A swing of constant size whose phase walks: no input says where it is."""
+    phase = ANGLE * np.arange(SAMPLES) + np.cumsum(0.08 * RNG.standard_normal(SAMPLES))
+    return np.cos(phase) + noise * RNG.standard_normal(SAMPLES)
+
+
+@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
+    (found,) = own_motion.findings(case(drifting_phase(noise), swinging(0.9995), cut))
+    assert found.level == "cannot judge"
+    assert "it moves by itself" in found.sentence
+
+
+@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 1.5])
+@pytest.mark.parametrize("radius", [0.9, 0.99, 0.9995])
+def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
+    system = swinging(radius)
+    judged = case(measured(system, noise, np.array([3.0, 0.0])), system, cut)
+    assert own_motion.findings(judged) == []
+    assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
+
+
+@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("pole", [0.999, 1.0])
+def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
+    judged = case(measured(integrating(pole), 0.02, np.array([10.0])), integrating(0.9995), cut)
+    assert own_motion.findings(judged) == []
+    assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
+
+
+def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
+    refused = 0
+    for seed in range(100):
+        walk = np.cumsum(0.1 * U + np.random.default_rng(seed).standard_normal(SAMPLES))
+        found = feedback.runs_away(case(walk, integrating(0.999)).data, closed=False)
+        refused += len(list(found))
+    assert refused <= 3
+
+
+@pytest.mark.parametrize(("pole", "refused"), [(1.002, True), (1.004, True), (1.0005, False)])
+def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refused):
+    y = measured(integrating(pole), 0.01, np.zeros(1))
+    found = [one.sentence for one in feedback.findings(case(y, integrating(0.999), in_blocks))]
+    assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
+
+
+def test_pieces_of_no_common_log_say_nothing():
+    judged = case(drifting_phase(0.0), swinging(0.9995), log=0)
+    assert own_motion.shares_predicted(judged) is None
+    assert own_motion.findings(judged) == []
