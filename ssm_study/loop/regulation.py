@@ -157,7 +157,7 @@ class Loop:
         at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
         require(far > 1, "loop.bound_in_initial_ranges", far, "cases would start outside the bound", "use more than 1")
         (low, high), names = self.limits, "loop.input_lower, loop.input_upper"
-        shown = low.tolist(), high.tolist()
+        shown = np.asarray(low).tolist(), np.asarray(high).tolist()
         require(bool(np.all(low < high)), names, shown, "lower must be below upper", "swap them")
 
     @property

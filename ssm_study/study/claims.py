@@ -234,14 +234,14 @@ def information(part: Theorem | Infeasible) -> list[str]:
 
 def fits(run: RunFiles) -> Claims:
     """The stored model replays the stored simulations, and the errors are theirs."""
-    again = []
+    again = {}
     for split in ("validation", "test"):
         kept = getattr(run.simulated, split)
         made = Simulation.of(run.model, kept.records, kept.start_up_samples)
         pairs = {str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))}
         yield agreement(f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it")
-        again.append(made)
-    yield Derived(fit_facts(*again))
+        again[split] = made
+    yield Derived(fit_facts(**again))
 
 
 def loop(run: RunFiles) -> Claims:

@@ -119,7 +119,7 @@ class Specification:
         """Raise `BadRequest` for input limits that do not fit the plant's inputs, or that its rest lies beyond."""
         if self.plant is None:
             return
-        rest, ends = self.plant.equilibrium().u, self.loop.limits
+        rest, ends = self.plant.equilibrium().u, [np.asarray(end) for end in self.loop.limits]
         names, shown = "loop.input_lower, loop.input_upper", tuple(end.tolist() for end in ends)
         fits = all(end.shape in ((), rest.shape) for end in ends)
         require(fits, names, shown, f"the plant's inputs number {len(rest)}", "give one number, or one for each")

@@ -42,6 +42,7 @@ ATTEMPTS = 20  # how many candidates are verified exactly before the search give
 LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
 WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, where none are given
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
+Slopes = Float[np.ndarray, "q"]
 LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is what Welch's estimate alone scatters by
 
 
@@ -78,7 +79,8 @@ class Auto:
 
     def __post_init__(self) -> None:
         for name in ("rate", "rate_controller", "rate_observer"):
-            if (rate := getattr(self, name)) != "auto":
+            rate = getattr(self, name)
+            if rate != "auto":
                 contraction_rate(f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1')
         require(self.margin > 0, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
         for name in ("own_rate_shares", "stretch_shares", "observer_rates"):
@@ -95,6 +97,10 @@ class Auto:
     def modes(self) -> tuple[str, ...]:
         """The internal model's words."""
         return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
+
+    @property
+    def _weights(self) -> Sequence[float]:
+        return self.integral_weights or (WEIGHTS if self.internal_model else (0.0,))
 
     def design(
         self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
@@ -135,23 +141,22 @@ class Auto:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
-        rest = slopes(model.neurons, model.bias) if not isinstance(model, SSM) and model.neurons else None
-        feedback: list[Found] = []
-        weights: list[float] = []  # of the internal model, one for each of `feedback`
-        unsolved = 0
-        for weight in self.integral_weights or (WEIGHTS if self.internal_model else (0.0,)):
+        grids, rest = {}, None
+        if not isinstance(model, SSM) and model.neurons:
+            rest = slopes(model.neurons, model.bias)
+        for weight in self._weights:
             controlled = with_modes(model, self.modes, weight) if weight else model.system
-            solved, left_out = self._solved(controlled, balls.input, False, rest)
-            feedback, weights, unsolved = feedback + solved, weights + [weight] * len(solved), unsolved + left_out
-        observing, left_out = self._solved(model.system, balls.output, True, rest)
+            grids[weight] = self._solved(controlled, balls.input, False, rest)
+        feedback = [(made, weight, found) for weight, (solved, _) in grids.items() for made, found in solved]
+        observing, unsolved = self._solved(model.system, balls.output, True, rest)
         if not feedback or not observing:
             return None
         injected = [found.k_w for _, found in observing]
         return Candidates(
-            feedback=tuple(specification for specification, _ in feedback),
-            integral=tuple(weights),
-            ks=np.stack([found.k for _, found in feedback]),
-            unsolved=unsolved + left_out,
+            feedback=tuple(specification for specification, _, _ in feedback),
+            integral=tuple(weight for _, weight, _ in feedback),
+            ks=np.stack([found.k for _, _, found in feedback]),
+            unsolved=unsolved + sum(count for _, count in grids.values()),
             observing=tuple(specification for specification, _ in observing),
             ls=np.stack([found.k.T for _, found in observing]),
             l_zs=None if injected[0] is None else np.stack([k_w.T for k_w in injected if k_w is not None]),
@@ -160,26 +165,24 @@ class Auto:
         )
 
     def _solved(
-        self, system: System, ball: JacobianBall, observes: bool, rest: Float[np.ndarray, "q"] | None = None
+        self, system: System, ball: JacobianBall, observes: bool, rest: Slopes | None = None
     ) -> tuple[list[Found], int]:
         """What the grid of one side gives, and how many of its requests have no solution (or none that floats hold)."""
+        side, linear = "observer" if observes else "controller", isinstance(system, StateSpace)
+        # what the system does by itself; its radius proves nothing where there are neurons
+        own = max(1 - system.spectral_radius**2, 0.0) if isinstance(system, StateSpace) else 0.0
         fastest = None
-        if isinstance(system, StateSpace):
-            own = max(1 - system.spectral_radius**2, 0.0)  # what the system does by itself
+        if linear:
             limit = controller_frontier(dual(system) if observes else system, ball).rate_limit
-        else:  # the radius proves nothing of neurons, and the limit is the best that the inequality reaches
+        else:  # the best that the inequality reaches
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
-            own = 0.0
             limit, fastest = structured_lmi.fastest(self._specification().problem(system, ball, observes))
-        side, weight, weights = "controller", "input_weight", self.input_weights
-        if observes:
-            side, weight, weights = "observer", "output_noise", self.output_noises
-        rates = self._rates(observes, isinstance(system, StateSpace), own, limit)
-        down = sorted((rate for rate in rates if 0 < rate < limit), reverse=True)
+        weight, weights = ("output_noise", self.output_noises) if observes else ("input_weight", self.input_weights)
         found: list[Found] = []
         near: dict[float, Solution] = {}  # by weight, of a faster rate: it holds, so a search may start there
         unsolved = 0
+        down = sorted((rate for rate in self._rates(observes, linear, own, limit) if 0 < rate < limit), reverse=True)
         for rate, value in product(down, sorted(weights, reverse=True)):
             start = near.get(value, found[-1][1] if found else fastest)
             started = {} if start is None else {observes: start}
@@ -201,9 +204,7 @@ class Auto:
         rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
         return rates + ([] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares])
 
-    def _frozen(
-        self, system: Any, ball: JacobianBall, observes: bool, rest: Float[np.ndarray, "q"], rate: float
-    ) -> list[Found]:
+    def _frozen(self, system: Any, ball: JacobianBall, observes: bool, rest: Slopes, rate: float) -> list[Found]:
         """Gains as of one layer, the neurons' slopes frozen at rest or half way: those proved for every slope.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does not ask for it.
