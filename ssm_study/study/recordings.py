@@ -163,10 +163,10 @@ def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
     arrays = load_file(folder / MISMATCH)
     arrays["linear"] = arrays["linear"].view(complex)
-    rows: list[dict[str, Any]] = [
-        dict(zip(VIEW, row, strict=True)) for row in zip(*(arrays[n] for n in VIEW), strict=True)
-    ]
-    views = [View(**{name: value if value.ndim else float(value) for name, value in row.items()}) for row in rows]
+    views = []
+    for row in zip(*(arrays[name] for name in VIEW), strict=True):
+        told: dict[str, Any] = {name: one if one.ndim else float(one) for name, one in zip(VIEW, row, strict=True)}
+        views.append(View(**told))
     spread, left_at_rest, looped, farthest = arrays["known"].tolist()
     return Mismatch(
         views=tuple(views[:-1] if looped else views),
