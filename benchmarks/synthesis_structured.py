@@ -63,7 +63,7 @@ def timed(solve: Callable[[], Solution]) -> tuple[Solution | None, float]:
 def problem_of(system: StructuredSystem, observes: bool, ball: JacobianBall) -> Problem:
     """The state feedback of the system, or its observer, at any rate."""
     system = dual(system) if observes else system
-    weight, neurons = np.eye(system.order), Neurons.of(system, observes)
+    weight, neurons = np.eye(system.order), Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
     return Problem(a=system.a, b=system.b, ball=ball, rate=0.5, state_weight=weight, input_weight=0.1, neurons=neurons)
 
 

@@ -32,8 +32,8 @@ def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) 
     """The problem of a state feedback or an observer with unit weights and cheap inputs."""
     feeds, one = side == "state_feedback", np.eye(system.order)
     system = system if feeds else dual(system)
-    data = {"a": system.a, "b": system.b, "neurons": Neurons.of(system, observes=not feeds)}
-    return Problem(**data, ball=ball, rate=rate, state_weight=one, input_weight=0.1)
+    neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=not feeds)
+    return Problem(a=system.a, b=system.b, neurons=neurons, ball=ball, rate=rate, state_weight=one, input_weight=0.1)
 
 
 def slopes_of_all(system: StructuredSystem, seed: int, random: int) -> np.ndarray:

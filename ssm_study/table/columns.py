@@ -56,12 +56,12 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"did you mean {' or '.join(near)}?" if near else "`ssm-study show STUDY --columns` lists them"
 
 
-def listed(table: pd.DataFrame) -> Iterator[tuple[str, str, str, str]]:
-    """Name, printed word, better direction and what `verify` does with it, of every column that holds values."""
+def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
+    """Name, printed word, better direction and what `verify` does with it: of all columns, or of those with values."""
     for column in DECLARED:
-        if any(column.covers(str(name)) and table[name].notna().any() for name in table):
+        if table is None or any(column.covers(str(name)) and table[name].notna().any() for name in table):
             yield column.name, column.label, column.better, column.unchecked and f"not checked: {column.unchecked}"
-    undeclared = [str(name) for name in table if declared(str(name)) is None]
+    undeclared = [] if table is None else [str(name) for name in table if declared(str(name)) is None]
     yield from ((name, "declared nowhere", "", "") for name in sorted(undeclared))
 
 
