@@ -1,6 +1,6 @@
 """Which logs are refused because their output moves by itself, or runs away.
 
-    python -m benchmarks.own_motion --aside --to results/reference/evidence     (ten minutes on one core)
+    python -m benchmarks.own_motion --aside --to results/reference/evidence     (five minutes on one core)
     python -m benchmarks.own_motion --drawn --to results/reference/evidence     (a minute)
 
 `--aside`: 20 logs that had no part in setting the limits of `ssm_study/evidence/own_motion.py` and `feedback.py`, each
@@ -29,12 +29,10 @@ from ssm_study.evidence.own_motion import shares_predicted
 from ssm_study.models.metrics import Simulation
 from ssm_study.synthesis.mismatch import mismatch
 
-TESTS = Path(__file__).resolve().parents[1] / "tests"
-sys.path += [str(TESTS), str(TESTS / "laws")]
-from test_evidence_controls import multilevel  # noqa: E402
+sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/laws")]
+from test_evidence_controls import multilevel
 
-COUNT, STEP_S = 1500, 0.1
-U = multilevel(4000, 21)
+COUNT, STEP_S, U = 1500, 0.1, multilevel(4000, 21)
 MOVES, GROWS, LOOP, HONEST = "moves by itself", "grows", "held by a loop", "honest"
 PLANTS: dict[str, Callable] = {  # dx/dt of the state x under the input u
     "fitzhugh": lambda x, u: (x[0] - x[0] ** 3 / 3 - x[1] + 0.6 + 0.1 * u, 0.1 * (x[0] + 0.7 - 0.8 * x[1])),
@@ -42,29 +40,26 @@ PLANTS: dict[str, Callable] = {  # dx/dt of the state x under the input u
     "lorenz": lambda x, u: (10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1] + u, x[0] * x[1] - 8 / 3 * x[2]),
     "van_der_pol": lambda x, u: (x[1], 0.5 * (1 - x[0] ** 2) * x[1] - 2 * x[0] + 0.5 * u),
     "duffing": lambda x, u: (x[1], -0.2 * x[1] - x[0] - x[0] ** 3 + 2 * u),
-    "damped_0.02": lambda x, u: (x[1], -2 * 0.02 * 0.7 * x[1] - 0.7 * 0.7 * x[0] + 0.7 * 0.7 * u),
-    "damped_0.005": lambda x, u: (x[1], -2 * 0.005 * 1.3 * x[1] - 1.3 * 1.3 * x[0] + 1.3 * 1.3 * u),
+    "resonance 0.02": lambda x, u: (x[1], -2 * 0.02 * 0.7 * x[1] - 0.7 * 0.7 * x[0] + 0.7 * 0.7 * u),
+    "resonance 0.005": lambda x, u: (x[1], -2 * 0.005 * 1.3 * x[1] - 1.3 * 1.3 * x[0] + 1.3 * 1.3 * u),
 }
 Samples = np.ndarray
 
 
 def integrated(plant: str, samples: int, x: list[float], held_s: float = 0.1) -> Samples:
-    """The first state, twenty midpoint steps a sample."""
     f, state, y, d = PLANTS[plant], np.array(x, float), np.zeros(samples), held_s / 20
     for k, level in enumerate(U[:samples]):
         y[k] = state[0]
-        for _ in range(20):
+        for _ in range(20):  # midpoint steps
             state = state + d * np.array(f(state + d / 2 * np.array(f(state, level)), level))
     return y
 
 
 def noisy(y: Samples, share: float) -> Samples:
-    """With sensor noise of this share of the output's deviation."""
     return y + share * np.std(y) * np.random.default_rng(5).standard_normal(len(y))
 
 
 def lag(samples: int, pole: float, gain: float, x: float = 0.0) -> Samples:
-    """`x+ = pole x + gain u` from x."""
     return lfilter([0, gain], [1, -pole], U[:samples]) + x * pole ** np.arange(samples)
 
 
@@ -76,17 +71,11 @@ def relay(samples: int) -> Samples:
     return y
 
 
-def walked(rng: np.random.Generator, size: float) -> Samples:
-    """An integrator of the input and of noise."""
-    return np.cumsum(0.05 * U[:2000] + size * rng.standard_normal(2000))
-
-
-def pendulum(samples: int, seed: int, noise: float) -> tuple[Samples, Samples]:
-    """Input and output of an inverted pendulum that a PD holds."""
-    rng, r = np.random.default_rng(seed), 0.3 * multilevel(samples, seed + 3)
-    angle, rate, u, y = 0.05, 0.0, np.zeros(samples), np.zeros(samples)
-    for k in range(samples):
-        y[k] = angle + noise * rng.standard_normal()
+def pendulum() -> tuple[Samples, Samples]:
+    noise, r = 0.0005 * np.random.default_rng(11).standard_normal(1500), 0.3 * multilevel(1500, 14)
+    angle, rate, u, y = 0.05, 0.0, np.zeros(1500), np.zeros(1500)
+    for k in range(1500):
+        y[k] = angle + noise[k]
         u[k] = np.clip(25 * (r[k] - y[k]) - 4 * rate, -20, 20)
         for _ in range(10):
             angle, rate = angle + 0.005 * rate, rate + 0.005 * (9.81 * np.sin(angle) - 0.2 * rate + u[k])
@@ -95,41 +84,40 @@ def pendulum(samples: int, seed: int, noise: float) -> tuple[Samples, Samples]:
 
 def aside() -> list[tuple[str, str, Samples, Samples]]:
     """Name, what it is, input, output."""
-    slow = U
+    slow, moved = U, 0.05 * U[:2000]
     for pole in (0.95, 0.9, 0.8):
         slow = lfilter([0, 1 - pole], [1, -pole], slow)
-    swing = lfilter([0, 0.1], [1, -2 * 1.003 * np.cos(0.15), 1.003**2], U[:1000])
-    walk, steps = np.random.default_rng(9), np.random.default_rng(3).standard_normal(1500)
+    walk, steps = np.random.default_rng(9).standard_normal, np.random.default_rng(3).standard_normal(1500)
     made = [
         ("relay oscillator", MOVES, noisy(relay(1500), 0.01)),
         ("FitzHugh-Nagumo", MOVES, noisy(integrated("fitzhugh", 2000, [0, 0], 0.5), 0.02)),
         ("Lotka-Volterra", MOVES, noisy(integrated("lotka", 1500, [1.5, 1]), 0.02)),
         ("Lorenz", MOVES, noisy(integrated("lorenz", 2000, [1, 1, 20], 0.03), 0.01)),
-        ("growing swing", GROWS, noisy(swing, 0.01)),
+        ("growing swing", GROWS, noisy(lfilter([0, 0.1], [1, -2 * 1.003 * np.cos(0.15), 1.003**2], U[:1000]), 0.01)),
         *((f"runaway reactor, {n} samples", GROWS, noisy(lag(n, 1.0025, 0.02), 0.03)) for n in (1200, 500)),
         ("van der Pol, five times the input", MOVES, noisy(integrated("van_der_pol", 2000, [0.1, 0]), 0.05)),
         *((f"three lags, noise {share}", HONEST, noisy(slow[:1500], share)) for share in (0.2, 1.0, 1.5)),
-        ("resonance, damping 0.02", HONEST, noisy(integrated("damped_0.02", 2000, [1, 0]), 0.3)),
-        ("resonance, damping 0.005", HONEST, noisy(integrated("damped_0.005", 1000, [2, 0]), 0.1)),
-        *((f"integrator, noise {size}", HONEST, walked(walk, size)) for size in (0.01, 0.05)),
+        ("resonance, damping 0.02", HONEST, noisy(integrated("resonance 0.02", 2000, [1, 0]), 0.3)),
+        ("resonance, damping 0.005", HONEST, noisy(integrated("resonance 0.005", 1000, [2, 0]), 0.1)),
+        *((f"integrator, noise {size}", HONEST, np.cumsum(moved + size * walk(2000))) for size in (0.01, 0.05)),
         ("Wiener", HONEST, noisy(np.tanh(3 * slow[:1500]) + 0.3 * slow[:1500] ** 2, 0.05)),
         ("drift", HONEST, slow[:1500] + 0.5 * np.std(slow) * np.cumsum(steps) / 20),
         ("decay from afar", HONEST, noisy(lag(1500, 0.995, 0.05, 8.0), 0.03)),
         ("Duffing", HONEST, noisy(integrated("duffing", 2000, [0, 0]), 0.02)),
     ]
-    held = ("inverted pendulum under PD", LOOP, *pendulum(1500, 11, 0.0005))
+    held = ("inverted pendulum under PD", LOOP, *pendulum())
     return [*((name, kind, U[: len(y)], y) for name, kind, y in made), held]
 
 
 def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
     model = st.fit(u, y, STEP_S)
-    data, skip = model.data, model.data.start_up_samples
-    free = [Simulation.of(model.simulator, part, skip) for part in (data.validation, data.test)]
-    found = judge(data, model.simulator, *free, mismatch(model.simulator, data.validation, skip, data.trials))
-    shares = shares_predicted(Case(data=data, model=model.simulator, validation=free[0], test=free[1])) or (None, None)
+    data, fitted, skip = model.data, model.simulator, model.data.start_up_samples
+    validation, test = (Simulation.of(fitted, part, skip) for part in (data.validation, data.test))
+    found = judge(data, fitted, validation, test, mismatch(fitted, data.validation, skip, data.trials))
+    shares = shares_predicted(Case(data=data, model=fitted, validation=validation, test=test)) or (None, None)
     against = next((one.sentence for one in found.findings if one.level == CANNOT_JUDGE), None)
-    told = {"log": name, "kind": kind, "evidence": found.level, "cannot_judge": against}
-    return told | {"share_own": shares[0], "share_input": shares[1], "fit_test_percent": free[1].fit_percent}
+    told: dict[str, object] = {"log": name, "kind": kind, "evidence": found.level, "cannot_judge": against}
+    return told | {"share_own": shares[0], "share_input": shares[1], "fit_test_percent": test.fit_percent}
 
 
 def integrator(rng: np.random.Generator) -> tuple[Samples, Samples]:
@@ -141,25 +129,22 @@ def integrator(rng: np.random.Generator) -> tuple[Samples, Samples]:
     return u, np.append(0.0, np.cumsum(steps)[:-1]) + noise * drawn_noise[:, 0]
 
 
-def counted(name: str, log: Callable) -> dict[str, object]:
-    logs = (replace(data, validation=(), test=()) for data in drawn(log, COUNT))
-    return {"logs": name, "count": COUNT, "refused": sum(any(runs_away(data, closed=False)) for data in logs)}
+def refused(log: Callable) -> int:
+    once = (replace(data, validation=(), test=()) for data in drawn(log, COUNT))
+    return sum(any(runs_away(data, closed=False)) for data in once)
 
 
-def main() -> None:
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--aside", action="store_true", help="the logs that were kept aside")
-    parser.add_argument("--drawn", action="store_true", help="the drawn logs")
+    parser.add_argument("--aside", action="store_true")
+    parser.add_argument("--drawn", action="store_true")
     parser.add_argument("--to", type=Path, required=True)
     asked, rows = parser.parse_args(), []
     asked.to.mkdir(parents=True, exist_ok=True)
     if asked.drawn:
-        table = [counted("stable, open loop", opened), counted("integrators, open loop", integrator)]
-        pd.DataFrame(table).to_csv(asked.to / "own_motion_drawn.csv", index=False, lineterminator="\n")
-    for log in aside() if asked.aside else ():
-        rows.append(judged(*log))
+        counts = [("stable", COUNT, refused(opened)), ("integrators", COUNT, refused(integrator))]
+        table = pd.DataFrame(counts, columns=["logs", "count", "refused"])
+        table.to_csv(asked.to / "own_motion_drawn.csv", index=False, lineterminator="\n")
+    for entry in aside() if asked.aside else ():
+        rows.append(judged(*entry))
         pd.DataFrame(rows).to_csv(asked.to / "own_motion.csv", index=False, lineterminator="\n", float_format="%.4g")
-
-
-if __name__ == "__main__":
-    main()

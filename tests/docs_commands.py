@@ -96,6 +96,7 @@ ELSEWHERE = {  # what a test cannot have, by name
     "benchmarks/structured_plants.py": "minutes; its tables are committed",
     "synthesis_structured.py": "a second a model; its table is committed",
     "-m benchmarks.feedback_shares": "half a minute; its table is committed",
+    "-m benchmarks.own_motion": "minutes; its tables are committed",
     "-m benchmarks.excited_log": "ten seconds a line; its table is committed",
     "-m benchmarks.nonlinear_plants": "half a minute a line; its table is committed",
     "-m benchmarks.structured_loops": "half a minute a line; its table is committed",
