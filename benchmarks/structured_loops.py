@@ -6,9 +6,8 @@ Per row: plant, model, seed; noise-free fit of the test record; whether both sid
 the controller's may be at most; what is predicted, nothing where the records allow no judgement; how many of ten starts
 settle on the plant, their mean time, that of the plant alone, and the time over one layer's of the same seed; processor
 seconds of the choice. Each as configured, `ssm-study run model=... plant=...`, with neurons also by the settings given:
-nothing is chosen by the loop. The files: structured_loops.csv as configured; _starts.csv by `--set model.starts=12
-model.among_starts.within_percent=0.2`; _slopes.csv by these and model.slope_lower=0.3 for the Stribeck drive;
-_ridge.csv by `--set model.starts=12 model.ridge=1e-7`; _many.csv by `--set model.starts=24 model.ridge=1e-7`.
+nothing is chosen by the loop. The files: structured_loops.csv as configured; _many.csv by `--plants dc_motor --set
+model.starts=24 model.ridge=1e-7`.
 """
 
 import argparse
