@@ -87,6 +87,7 @@ SMALL_SOURCE = {  # pattern: what stands in its place
 # Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
 AS_IT_IS = {"loop_margin.py", "plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
 ELSEWHERE = {  # what a test cannot have, by name
+    "exchanger.csv": "a public record that is not part of the project: docs/data.md",
     "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
     "ssm-study new": "made, run and judged in tests/laws/test_extensions.py",
     "ssm-study excite": "run in tests/laws/test_data_own_plant.py",
