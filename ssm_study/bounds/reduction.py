@@ -14,6 +14,7 @@ class Reduction:
     `truncate_to` leaves that many states (None: all). `drop_below` drops, in any case, states whose Hankel singular
     value is below this share of the largest: modes that the controller could hardly move, in coordinates that floats do
     not hold. `absorb` first moves rotations and gains of multi-channel scaffoldings into B and C (`SSM.absorbed`).
+    `balanced=False` keeps the model's coordinates.
     """
 
     balanced: bool = True
