@@ -61,11 +61,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plants", nargs="*", default=PLANTS)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="of the seeds")
     parser.add_argument("--set", nargs="*", default=[], help="settings of the model with neurons")
     options = parser.parse_args()
     print(COLUMNS)
     for plant in options.plants:
-        for seed in range(options.seeds):
+        for seed in range(options.first, options.first + options.seeds):
             one = None
             for found in (row(plant, kind, seed, [] if kind == "ssm" else options.set) for kind in MODELS):
                 own = found.get("settle_s")

@@ -1,87 +1,120 @@
 """The gradient of a structured model's squared error by its adjoint, compiled: the second route to J'r.
 
-With `g = 2 weight r` and `l[T] = 0`, backwards over the samples, S = diag phi'(z):
+With `g = 2 weight^2 (ybar - y)` and `l[T] = 0`, backwards over the samples, S = diag phi'(z):
 
-    dz = S (E' l[k+1] + H' g),   l[k] = A' l[k+1] + F' dz + C' g
+    dw = E' l[k+1] + H' g,   dz = S dw,   l[k] = A' l[k+1] + F' dz + C' g
 
     dL/dA = sum l[k+1] x',  dL/dB = sum l[k+1] v',  dL/dE = sum l[k+1] w',  dL/dF = sum dz x',  dL/dG = sum dz v',
-    dL/dC = sum g x',  dL/dD = sum g v',  dL/dH = sum g w',  dL/dbias = sum (dz - phi'(bias) dw),  dw = E' l[k+1] + H' g
+    dL/dC = sum g x',  dL/dD = sum g v',  dL/dH = sum g w',  dL/dbias = sum (dz - phi'(bias) dw)
 
 Source: Bryson & Ho, Applied Optimal Control (1975), section 2.2.
 """
 
+from math import exp
 from typing import no_type_check
 
 import numpy as np
 from numba import njit
 
-from ssm_study.models.structured_kernel import _rows, bend
+from ssm_study.models.structured_kernel import bend
+
+AT_ONCE = 8  # records side by side, the innermost index: what the processor does in one instruction
+
+
+@njit(error_model="numpy", inline="always")
+@no_type_check
+def _add(matrix, vectors, out):  # out += matrix vectors, a column for each record
+    for i in range(out.shape[0]):
+        for j in range(vectors.shape[0]):
+            for r in range(AT_ONCE):
+                out[i, r] += matrix[i, j] * vectors[j, r]
+
+
+@njit(error_model="numpy", inline="always")
+@no_type_check
+def _add_outer(left, right, out):  # out[i, j] += left[i] right[j], record by record
+    for i in range(left.shape[0]):
+        for j in range(right.shape[0]):
+            for r in range(AT_ONCE):
+                out[i, j, r] += left[i, r] * right[j, r]
 
 
 @njit(error_model="numpy")
 @no_type_check
 def _derivatives(k, v, x0, y, weight):
-    """Of `sum (weight (ybar - y))^2`, forward with everything kept, then backward, record by record."""
+    """Of `sum (weight (ybar - y))^2`, `v (N, T, m, AT_ONCE)`: forward with everything kept, then backward."""
     n, q, m, p, samples = k.a.shape[0], k.e.shape[1], v.shape[2], k.c.shape[0], v.shape[1]
-    da, db, dc, dd = np.zeros((n, n)), np.zeros((n, m)), np.zeros((p, n)), np.zeros((p, m))
-    de, df, dg, dh, dbias = np.zeros((n, q)), np.zeros((q, n)), np.zeros((q, m)), np.zeros((p, q)), np.zeros(q)
+    at, et, ft, ct, ht = k.a.T.copy(), k.e.T.copy(), k.f.T.copy(), k.c.T.copy(), k.h.T.copy()
+    da, db, de = np.zeros((n, n, AT_ONCE)), np.zeros((n, m, AT_ONCE)), np.zeros((n, q, AT_ONCE))
+    df, dg, dbias = np.zeros((q, n, AT_ONCE)), np.zeros((q, m, AT_ONCE)), np.zeros((q, AT_ONCE))
+    dc, dd, dh = np.zeros((p, n, AT_ONCE)), np.zeros((p, m, AT_ONCE)), np.zeros((p, q, AT_ONCE))
+    x, g = np.empty((samples + 1, n, AT_ONCE)), np.empty((samples, p, AT_ONCE))
+    w, slope = np.empty((samples, q, AT_ONCE)), np.empty((samples, q, AT_ONCE))
+    z, dw, ahead, here = np.empty((q, AT_ONCE)), np.empty((q, AT_ONCE)), np.empty((n, AT_ONCE)), np.empty((n, AT_ONCE))
     still, rest = np.empty(q), np.empty(q)
-    x, w, slope, g = np.empty((samples + 1, n)), np.empty((samples, q)), np.empty((samples, q)), np.empty((samples, p))
-    ahead, here = np.empty(n), np.empty(n)
     for i in range(q):
         still[i], rest[i] = bend(k.kinds[i], k.bias[i])
-    for r in range(v.shape[0]):
-        x[0] = x0[r]
+    for block in range(v.shape[0]):
+        x[0] = x0[block]
         for t in range(samples):
             for i in range(q):
-                z = k.bias[i]
-                for j in range(n):
-                    z += k.f[i, j] * x[t, j]
-                for j in range(m):
-                    z += k.g[i, j] * v[r, t, j]
-                value, slope[t, i] = bend(k.kinds[i], z)
-                w[t, i] = value - still[i]
-            _rows(k.c, k.d, k.h, x[t], v[r, t], w[t], g[t])
-            _rows(k.a, k.b, k.e, x[t], v[r, t], w[t], x[t + 1])
+                z[i] = k.bias[i]
+            _add(k.f, x[t], z)
+            _add(k.g, v[block, t], z)
+            for i in range(q):
+                if k.kinds[i] == 0:  # tanh by one exponential: four times as fast, to 4e-16
+                    for r in range(AT_ONCE):
+                        value = 1.0 - 2.0 / (exp(2.0 * z[i, r]) + 1.0)
+                        w[t, i, r], slope[t, i, r] = value - still[i], 1.0 - value * value
+                    continue
+                for r in range(AT_ONCE):
+                    value, slope[t, i, r] = bend(k.kinds[i], z[i, r])
+                    w[t, i, r] = value - still[i]
+            x[t + 1] = 0.0
+            _add(k.a, x[t], x[t + 1])
+            _add(k.b, v[block, t], x[t + 1])
+            _add(k.e, w[t], x[t + 1])
+            g[t] = -y[block, t]
+            _add(k.c, x[t], g[t])
+            _add(k.d, v[block, t], g[t])
+            _add(k.h, w[t], g[t])
             for o in range(p):
-                g[t, o] = 2.0 * weight[r, t, 0] ** 2 * (g[t, o] - y[r, t, o])
+                for r in range(AT_ONCE):
+                    g[t, o, r] *= 2.0 * weight[block, t, 0, r] ** 2
         ahead[:] = 0.0
         for t in range(samples - 1, -1, -1):
+            dw[:] = 0.0
             here[:] = 0.0
+            _add(et, ahead, dw)
+            _add(ht, g[t], dw)
+            _add(at, ahead, here)
+            _add(ct, g[t], here)
+            _add_outer(ahead, x[t], da)
+            _add_outer(ahead, v[block, t], db)
+            _add_outer(ahead, w[t], de)
+            _add_outer(g[t], x[t], dc)
+            _add_outer(g[t], v[block, t], dd)
+            _add_outer(g[t], w[t], dh)
             for i in range(q):
-                dw = 0.0
-                for j in range(n):
-                    dw += k.e[j, i] * ahead[j]
-                    de[j, i] += ahead[j] * w[t, i]
-                for o in range(p):
-                    dw += k.h[o, i] * g[t, o]
-                    dh[o, i] += g[t, o] * w[t, i]
-                dz = slope[t, i] * dw
-                dbias[i] += dz - rest[i] * dw
-                for j in range(n):
-                    df[i, j] += dz * x[t, j]
-                    here[j] += k.f[i, j] * dz
-                for j in range(m):
-                    dg[i, j] += dz * v[r, t, j]
-            for i in range(n):
-                for j in range(n):
-                    da[i, j] += ahead[i] * x[t, j]
-                    here[j] += k.a[i, j] * ahead[i]
-                for j in range(m):
-                    db[i, j] += ahead[i] * v[r, t, j]
-            for o in range(p):
-                for j in range(n):
-                    dc[o, j] += g[t, o] * x[t, j]
-                    here[j] += k.c[o, j] * g[t, o]
-                for j in range(m):
-                    dd[o, j] += g[t, o] * v[r, t, j]
+                for r in range(AT_ONCE):
+                    z[i, r] = slope[t, i, r] * dw[i, r]  # dz
+                    dbias[i, r] += z[i, r] - rest[i] * dw[i, r]
+            _add(ft, z, here)
+            _add_outer(z, x[t], df)
+            _add_outer(z, v[block, t], dg)
             ahead, here = here, ahead
     return da, de, df, db, dg, dbias, dc, dd, dh
 
 
-@no_type_check
-def gradient(one, theta):
+def gradient(one, theta):  # type: ignore[no-untyped-def]
     """`dL/dtheta` of `L = |r|^2` by block, r as `Residuals.residual` has it; linear S_u and S_y, no integrator."""
-    u, y, weight = (np.ascontiguousarray(side) for side in one.records)
-    parts = _derivatives(one.matrices(theta), u, one.starts(theta)[0], y, weight)
-    return dict(zip(("a", "e", "f", "b", "g", "bias", "c", "d", "h"), parts, strict=True))
+
+    def blocks(side):  # type: ignore[no-untyped-def]
+        empty = np.zeros((-len(side) % AT_ONCE, *side.shape[1:]))  # records of no weight
+        side = np.concatenate([side, empty])
+        return np.ascontiguousarray(np.moveaxis(side.reshape(-1, AT_ONCE, *side.shape[1:]), 1, -1))
+
+    u, y, weight = map(blocks, one.records)
+    parts = _derivatives(one.matrices(theta), u, blocks(one.starts(theta)[0]), y, weight)
+    names = ("a", "e", "f", "b", "g", "bias", "c", "d", "h")
+    return {name: part.sum(axis=-1) for name, part in zip(names, parts, strict=True)}

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.refusal import at_least
+from ssm_study.refusal import at_least, require
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, StateSpace, System
@@ -22,16 +24,21 @@ class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
     A model without neurons counts within `one_layer_within_percent`: where neurons gain less, a faster rate is
-    worth more. Source of the rate: docs/theory.md, "The frontier".
+    worth more. Where some may be controlled at `rate_enough` or faster, the best fit of those is taken instead.
+    Source of the rate: docs/theory.md, "The frontier".
     """
 
     within_percent: float = 0.3
     one_layer_within_percent: float = 1.0
+    rate_enough: float | None = None
 
     def __post_init__(self) -> None:
         remedy = "use 0.3 and 1, or model.among_starts=null for the best fit"
-        for name, value in vars(self).items():
-            at_least(0, f"model.among_starts.{name}", value, remedy)
+        for name in ("within_percent", "one_layer_within_percent"):
+            at_least(0, f"model.among_starts.{name}", getattr(self, name), remedy)
+        if (rate := self.rate_enough) is not None:
+            between = "must lie between 0 and 1", "use 0.135 for a factor of 0.93, or null for the largest rate"
+            require(0 < rate < 1, "model.among_starts.rate_enough", rate, *between)
 
     def __call__(self, found: "Sequence[Identification]") -> "Identification":
         """One of `found`."""
@@ -40,10 +47,9 @@ class FastestCertified:
         if len(near) == 1:
             return near[0]
 
-        def rate(one: Any) -> float:
-            return fastest(one.model.system, certified_balls(one.model).input)
-
-        return max(near, key=rate)
+        rates = [fastest(one.model.system, certified_balls(one.model).input) for one in near]
+        enough = [one for one, rate in zip(near, rates, strict=True) if rate >= (self.rate_enough or 1.0)]
+        return max(enough, key=lambda one: one.fit_validation_percent) if enough else near[int(np.argmax(rates))]
 
     def _within(self, model: Any) -> float:
         return self.one_layer_within_percent if isinstance(model.system, StateSpace) else self.within_percent

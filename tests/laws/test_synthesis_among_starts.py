@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
@@ -62,6 +63,18 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     assert fastest(idle, BALL) <= exact
 
 
-def test_a_negative_share_is_refused() -> None:
-    with pytest.raises(BadRequest, match="within_percent"):
-        FastestCertified(within_percent=-1.0)
+def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
+    fast, slow = model(), slower(model())
+    best, first, second = trained(slow, 98.0), trained(fast, 97.8), trained(fast, 97.9)
+    limits = [fastest(one.system, certified_balls(one).input) for one in (slow, fast)]
+    assert limits[0] < limits[1]
+    found = [best, first, second]
+    assert FastestCertified(rate_enough=0.5 * sum(limits))(found) is second
+    assert FastestCertified(rate_enough=0.9 * limits[0])(found) is best
+    assert FastestCertified(rate_enough=0.5 * (1 + limits[1]))(found) is first  # none is: the fastest
+
+
+@pytest.mark.parametrize(("name", "value"), [("within_percent", -1.0), ("rate_enough", 1.5), ("rate_enough", 0.0)])
+def test_a_share_or_rate_out_of_range_is_refused(name: str, value: float) -> None:
+    with pytest.raises(BadRequest, match=name):
+        FastestCertified(**{name: value})
