@@ -10,9 +10,9 @@ from blocks of the record: the mismatch is not a number but a sample, and the fa
 that any optimism of g lets through. Nothing of the closed-loop test enters. Source: docs/theory.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import chain, islice, product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -118,7 +118,7 @@ class Auto:
         shown = shown or mismatch(model, validation)
         weights, ks, ls = shown.at(GRID_ANGLES), candidates.ks, candidates.ls
         peaks = peaks_on_grid(model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs, candidates.internal)
-        for pair in self._in_order(model, candidates, balls, peaks, validation, shown):
+        for pair in islice(self._in_order(model, candidates, balls, peaks, validation, shown), ATTEMPTS):
             design = candidates.specification(pair).design(model, balls)
             if design.certified and predict(model, design.pair, balls, shown).keeps_the_plant(self.margin):
                 return self._reported(design, f"best expected response of those predicted to be stable{left_out}")
@@ -238,16 +238,17 @@ class Auto:
         peaks: Float[np.ndarray, "C O"],
         validation: Trajectories,
         shown: Mismatch,
-    ) -> list[Int[np.ndarray, "2"]]:
+    ) -> Iterator[Int[np.ndarray, "2"]]:
         """Pairs that pass, the best expected response first.
 
-        An expected area is never below the area, so the search ends where the areas exceed the expected ones found.
+        An expected area is never below the area, so the search ends where the areas exceed the expected ones found,
+        and goes on only where none of those is taken (the gains of a verified design may differ from its candidate's).
         """
         pairs = np.argwhere(self.margin * peaks < 1)
         gains = candidates.gains(pairs)
         pairs = pairs[controller_radius(model.system, gains, balls) < 1]
         if not len(pairs) or not shown.rests:
-            return []
+            return
         areas = relative_areas(model, candidates.gains(pairs), validation, self.limits)
         coarse, fine = Responses(angles=FINE_ANGLES[::2]), Responses(angles=FINE_ANGLES)
         scored: list[tuple[float, int]] = []
@@ -257,15 +258,16 @@ class Auto:
             return expected_area(float(areas[index]), number, shown.spread), number
 
         order = np.argsort(areas, kind="stable")
-        thinned = order[LOOKED_AT :: max(len(order) // LOOKED_AT, 1)]
-        for index in [*order[:LOOKED_AT].tolist(), *thinned.tolist()]:
-            if scored and areas[index] >= min(scored)[0]:
-                break
-            score, number = expected(index, coarse)
-            if self.margin * number < 1 and noise_peak(model, candidates.gains(pairs[index]), balls, shown) < 1:
-                scored.append((score, index))
-        # between two frequencies of the coarser grid a loop may come nearer to its limit
-        return [pairs[i] for _, i in sorted((expected(i, fine)[0], i) for _, i in sorted(scored)[:ATTEMPTS])]
+        left = [*order[:LOOKED_AT].tolist(), *order[LOOKED_AT :: max(len(order) // LOOKED_AT, 1)].tolist()]
+        while left or scored:
+            while left and not (scored and areas[left[0]] >= min(scored)[0]):
+                score, number = expected(index := left.pop(0), coarse)
+                if self.margin * number < 1 and noise_peak(model, candidates.gains(pairs[index]), balls, shown) < 1:
+                    scored.append((score, index))
+            # between two frequencies of the coarser grid a loop may come nearer to its limit
+            scored.sort()
+            yield from (pairs[i] for _, i in sorted((expected(i, fine)[0], i) for _, i in scored[:ATTEMPTS]))
+            del scored[:ATTEMPTS]
 
     def _slowest(self, model: Model, balls: Balls) -> Design:
         """What the Riccati route says at the least demanding request, as the reason to report."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,6 +135,21 @@ def test_without_any_margin_the_largest_is_taken_and_said():
     assert design.certified
     assert not predicted(design, useless).keeps_the_plant()
     assert "largest margin" in design.state_feedback.solver_status
+
+
+def test_the_search_goes_on_where_the_first_found_are_refused_as_designs(monkeypatch):
+    """Not the largest margin, and with it hardly any control, while slower candidates pass."""
+    refused, judged = 12, []
+
+    def hard_to_please(*asked: Any) -> Prediction:
+        judged.append(found := predict(*asked))
+        return found if len(judged) > refused else replace(found, resolved_margin=0.999)
+
+    monkeypatch.setattr("ssm_study.synthesis.auto.predict", hard_to_please)
+    design = SMALL.design(motor_model(), BALLS, (motor_record(),))
+    assert len(judged) == refused + 1
+    assert "best expected response" in design.state_feedback.solver_status
+    assert predicted(design, motor_record()).keeps_the_plant()
 
 
 def test_a_given_rate_is_kept():
