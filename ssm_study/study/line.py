@@ -56,6 +56,7 @@ class Study(Task["Specification"]):
         specification = Specification.from_config(settings)
         if not isinstance(specification.data, SimulatedData):
             found = specification.data.build(specification.seed)  # wrong columns are known only by reading
+            specification.refuse_limits(found.scale.input_equilibrium)
             if isinstance(specification.refine, list):
                 from ssm_study.study.trials import read_logs
 

@@ -139,6 +139,24 @@ def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFi
     assert ";" in said
 
 
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (["loop.input_lower=3"], "loop.input_lower, loop.input_upper = (3.0, inf): the log rests at the input 0.5;"),
+        (["loop.input_lower=[-9.0,-9.0]", "loop.input_upper=[9.0,9.0]"], "the log's inputs number 1"),
+        (["loop.input_lower=3", "reference@loop.reference=step", "loop.reference.at_s=1"], "choose limits around it"),
+    ],
+)
+def test_limits_beyond_the_rest_of_a_log(
+    limits: list[str], words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = log(tmp_path / "log.csv", {"time": TIME, "u": EXCITED, "y": ANSWER})
+    known = [*RECORDED, "data.time=time", f"data.path={path}", "+data.input_equilibrium=[0.5]"]
+    assert words in refused([*known, *limits], tmp_path / "results", capfd)
+    from_a_set_point = [*known, "loop.input_lower=3", "reference@loop.reference=step", "dry_run=true"]
+    assert main(["run", f"results_dir={tmp_path / 'results'}", *from_a_set_point]) == 0
+
+
 def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time,u,y\n" + "".join(f"{t},{t % 3},{t}\n" for t in range(50)) + "50,1\n")
