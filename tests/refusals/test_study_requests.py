@@ -72,6 +72,8 @@ WRONG = {
     "excitation.path": ["excitation=file"],
     "synthesis.rate_controller = nan: is not a finite number": ["synthesis=riccati", "synthesis.rate_controller=nan"],
     "excitation.amplitude = -inf: is not a finite number": ["excitation.amplitude=-inf"],
+    "synthesis.rate = nan: is not a finite number; leave": ["-m", "synthesis.rate=0.1,nan"],
+    "loop.input_lower.1 = inf: is not a finite number": ["-m", "loop.input_lower=[-1,inf],[-1,-1]"],
     "training.optimiser = sgd: is not a part of the configuration": ["training.optimiser=sgd"],
     "seed=0,,1 cannot be read": ["-m", "seed=0,,1"],
     "model.order cannot be read": ["model.order"],
