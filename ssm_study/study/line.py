@@ -4,6 +4,7 @@ Each stage is a pure function of its part of the configuration and of the stages
 of the store, so that what is computed and what is reused are the same bits.
 """
 
+import warnings
 from collections.abc import Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,7 +51,7 @@ class Study(Task["Specification"]):
 
     def check(self, settings: Settings) -> "Specification":
         """Raises `BadRequest` for whatever can be known beforehand; recorded data are read for it."""
-        from ssm_study.data.simulated import SimulatedData
+        from ssm_study.data.simulated import SimulatedData, TrainingAlone
         from ssm_study.study.specification import Specification  # what finds itself finished needs no parts
 
         specification = Specification.from_config(settings)
@@ -61,6 +62,9 @@ class Study(Task["Specification"]):
                 from ssm_study.study.trials import read_logs
 
                 read_logs(specification.refine, specification.data, found.step_s)
+        elif specification.plant and specification.excitation.amplitude is not None:
+            others = "validation, test and trials are at the plant's own amplitude"
+            warnings.warn(f"excitation.amplitude moves the training records alone; {others}.", TrainingAlone, 2)
         if self.trains_here(specification, settings):
             from ssm_study.training.saving import trainer_of
 
