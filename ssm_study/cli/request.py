@@ -1,6 +1,5 @@
 """A request, checked before Hydra acts on it: our three options, and every configuration of a sweep."""
 
-import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,8 +10,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.engine.compose import Command, Composer, combinations
 from ssm_study.engine.jobs import Job, jobs_of
+from ssm_study.engine.settings import refuse_unbounded
 from ssm_study.engine.task import Task
-from ssm_study.refusal import require
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 OPTIONS = {
@@ -52,16 +51,6 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     refuse_foreign_targets(request.config)
     refuse_unbounded(OmegaConf.to_container(request.config, resolve=False))
     return request
-
-
-def refuse_unbounded(node: Any, path: str = "") -> None:
-    """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by them."""
-    if isinstance(node, float):
-        remedy = "leave the field out, or give a finite value"
-        require(math.isfinite(node), path, node, "is not a finite number", remedy)
-    pairs = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, value in pairs:
-        refuse_unbounded(value, f"{path}.{key}" if path else str(key))
 
 
 def check_sweep(config: DictConfig, task: Task[Any]) -> list[Job]:

@@ -26,6 +26,10 @@ DECAYS = (-1.0, -0.5, 0.5, 1.0)  # where the free decays start, as shares of the
 RETURNS = (-0.5, -0.25, 0.35, 0.7)  # input levels, as SHARES, from which a straight line leads back to rest
 
 
+class TrainingAlone(UserWarning):
+    """An amplitude of the excitation's own moves the training records, and no others."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SimulatedData:
     """`y = h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test record is noise-free.

@@ -29,7 +29,7 @@ from hydra.core.utils import configure_log
 from hydra.types import RunMode, TaskFunction
 from omegaconf import AnyNode, DictConfig, OmegaConf, open_dict
 
-from ssm_study.engine.settings import Settings, plain, run_name, settled
+from ssm_study.engine.settings import Settings, plain, refuse_unbounded, run_name, settled
 
 GRIDS = ("hydra_plugins.ssm_study_launcher.GridSweeper", "hydra._internal.core_plugins.basic_sweeper.BasicSweeper")
 NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
@@ -221,6 +221,7 @@ class Composer:
     def _parse(self, word: str) -> tuple[Override, bool]:
         if word not in self.parsed:
             override = self.parser.parse_override(word)
+            refuse_unbounded(override.value(), str(override.key_or_group))
             self.parsed[word] = override, is_plain_value(override, self.loader.repository)
         return self.parsed[word]
 

@@ -70,6 +70,16 @@ def resolved(node: Any) -> Any:
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
+def refuse_unbounded(node: Any, path: str = "") -> None:
+    """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by them."""
+    if isinstance(node, float):
+        remedy = "leave the field out, or give a finite value"
+        require(math.isfinite(node), path, node, "is not a finite number", remedy)
+    pairs = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, value in pairs:
+        refuse_unbounded(value, f"{path}.{key}" if path else str(key))
+
+
 def canonical_json(value: Any) -> str:
     """One text of plain containers for one meaning: sorted keys, no spaces, `1.0` and `1` alike.
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, get_args
 
 from ssm_study.evidence import feedback, fit, own_motion, records, response
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, note
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model
+from ssm_study.refusal import one_of, require
 from ssm_study.signals import DataSet
 from ssm_study.synthesis.mismatch import Mismatch
 
@@ -34,6 +35,11 @@ class Judgement:
 
     @classmethod
     def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
+        """Raises `BadRequest` for what is no list of findings."""
+        for k, entry in enumerate(content if isinstance(content, list) else [content]):
+            sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
+            require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
+            one_of(get_args(Level), f"evidence.json [{k}].level", entry["level"])
         return cls(findings=tuple(Finding(**entry) for entry in content))
 
 

@@ -38,7 +38,7 @@ from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.synthesis.commanded import measured
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.theorem import Theorem, condition, margin
+from ssm_study.synthesis.theorem import UNFIT, Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME
@@ -200,6 +200,9 @@ def certificate(run: RunFiles) -> Claims:
     controlled = controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
     broken = broken_claims(run.certificate, system, balls, controlled)
     yield entries(run, "certificate.json", design)
+    if unfit := [sentence for sentence in broken if sentence.endswith(UNFIT)]:
+        yield Checked(claim="certificate.json", holds=False, found="; ".join(unfit))
+        return
     for label, part in design.content.items():
         wrong = [sentence for sentence in broken if re.match(rf"{label}\b", sentence)] + information(part)
         if label in SIDES and part.method != run.record.get("synthesis_method"):

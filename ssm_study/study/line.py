@@ -4,17 +4,20 @@ Each stage is a pure function of its part of the configuration and of the stages
 of the store, so that what is computed and what is reused are the same bits.
 """
 
+import warnings
 from collections.abc import Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from ssm_study.engine.plan import PlannedStages
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.runs import Run
 from ssm_study.engine.settings import Settings, entry
 from ssm_study.engine.stages import Facts, Kept, Stages
-from ssm_study.engine.task import Task, folder_of
+from ssm_study.engine.task import Task, folder_of, store_of
 from ssm_study.refusal import require
 from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
 
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
     from ssm_study.study.specification import Specification
     from ssm_study.study.stages import Simulated, Trained
     from ssm_study.synthesis.certificate import Design
+
+LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jobs on this machine
 
 
 class Study(Task["Specification"]):
@@ -46,17 +51,33 @@ class Study(Task["Specification"]):
 
     def check(self, settings: Settings) -> "Specification":
         """Raises `BadRequest` for whatever can be known beforehand; recorded data are read for it."""
-        from ssm_study.data.simulated import SimulatedData
+        from ssm_study.data.simulated import SimulatedData, TrainingAlone
         from ssm_study.study.specification import Specification  # what finds itself finished needs no parts
 
         specification = Specification.from_config(settings)
         if not isinstance(specification.data, SimulatedData):
             found = specification.data.build(specification.seed)  # wrong columns are known only by reading
+            specification.refuse_limits(found.scale.input_equilibrium)
             if isinstance(specification.refine, list):
                 from ssm_study.study.trials import read_logs
 
                 read_logs(specification.refine, specification.data, found.step_s)
+        elif specification.plant and specification.excitation.amplitude is not None:
+            others = "validation, test and trials are at the plant's own amplitude"
+            warnings.warn(f"excitation.amplitude moves the training records alone; {others}.", TrainingAlone, 2)
+        if self.trains_here(specification, settings):
+            from ssm_study.training.saving import trainer_of
+
+            trainer_of(specification.training, [], Path())
         return specification
+
+    def trains_here(self, request: "Specification", settings: Settings) -> bool:
+        """False for a plan, for jobs that a cluster gets, and where the model is in the store."""
+        launcher = str(HydraConfig.get().launcher._target_) if HydraConfig.initialized() else LOCAL[0]
+        if request.training.accelerator == "cpu" or settings.get("dry_run") or not launcher.endswith(LOCAL):
+            return False
+        self.stages(request, planned := PlannedStages(store_of(settings)))
+        return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
     def stages(self, request: "Specification", stages: Stages) -> None:
         """A baseline is scored, and there it ends. With `refine` the design is tried before it is chosen again."""

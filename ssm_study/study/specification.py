@@ -12,6 +12,7 @@ import hydra
 import numpy as np
 from beartype import BeartypeConf
 from beartype.door import is_bearable
+from jaxtyping import Float
 from omegaconf import DictConfig
 
 from ssm_study.data.simulated import SimulatedData
@@ -77,7 +78,8 @@ class Specification:
             configuration=settings,
         )
         found.refuse_sizes()
-        found.refuse_limits()
+        if found.plant is not None:
+            found.refuse_limits(found.plant.equilibrium().u)
         found.refuse_feedthrough()
         found.refuse_fast_modes()
         return found
@@ -115,17 +117,19 @@ class Specification:
         for field, count in (counts | {"loop.initial_conditions * horizon_s / step_s": samples}).items():
             require(count <= MOST, field, count, f"more than {MOST} samples", "use fewer")
 
-    def refuse_limits(self) -> None:
-        """Raise `BadRequest` for input limits that do not fit the plant's inputs, or that its rest lies beyond."""
-        if self.plant is None:
-            return
-        rest, ends = self.plant.equilibrium().u, [np.asarray(end) for end in self.loop.limits]
+    def refuse_limits(self, rest: Float[np.ndarray, "m"]) -> None:
+        """Raise `BadRequest` for limits that do not fit the inputs, or that this rest of plant or log lies beyond.
+
+        The loop of a log whose reference begins elsewhere need not hold its rest.
+        """
+        ends = [np.asarray(end) for end in self.loop.limits]
         names, shown = "loop.input_lower, loop.input_upper", tuple(end.tolist() for end in ends)
-        fits = all(end.shape in ((), rest.shape) for end in ends)
-        require(fits, names, shown, f"the plant's inputs number {len(rest)}", "give one number, or one for each")
+        fits, whose = all(end.shape in ((), rest.shape) for end in ends), "plant" if self.plant else "log"
+        require(fits, names, shown, f"the {whose}'s inputs number {len(rest)}", "give one number, or one for each")
         inside = bool(np.all((ends[0] <= rest) & (rest <= ends[1])))
-        problem = f"the plant rests at the input {', '.join(f'{u:g}' for u in rest)}"
-        require(inside, names, shown, problem, "choose limits around it")
+        elsewhere = self.plant is None and bool(self.loop.reference.signal(np.zeros(1)).any())
+        problem = f"the {whose} rests at the input {', '.join(f'{u:g}' for u in rest)}"
+        require(inside or elsewhere, names, shown, problem, "choose limits around it")
 
     def select(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """What a stage depends on: the settings of these parts, and the parts themselves."""

@@ -270,6 +270,7 @@ def digest(content: dict[str, Any]) -> str:
 
 def _read(label: str, content: dict[str, Any]) -> Any:
     """A part by its own theorem; one that names none is of the theorem that bears the part's name."""
+    require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
     values = {name: value for name, value in content.items() if name not in ("digest", "certified_rate")}
     part = BESIDE.get(label, label)
     theorem = theorem_named(str(values.setdefault("theorem", part)))
@@ -282,4 +283,12 @@ def _read(label: str, content: dict[str, Any]) -> Any:
     for name in types.keys() ^ values.keys():
         problem = "is missing" if name in types else "is not part of a certificate"
         require(False, f"certificate.{label}.{name}", values.get(name), problem, AGAIN)
-    return kind(**{types[n].name: value_of(f"certificate.{label}.{n}", types[n].type, v) for n, v in values.items()})
+    read = {n: value_of(f"certificate.{label}.{n}", types[n].type, values[n]) for n in types}
+    sizes: dict[str, tuple[int, str]] = {}  # of each letter of a shape, and the field that has it first
+    for name, matrix in read.items():
+        letters, shape = getattr(types[name].type, "dim_str", "").split(), np.shape(matrix)
+        for letter, size in zip(letters, shape, strict=True):
+            known, first = sizes.setdefault(letter, (size, name))
+            problem = f"is to be {' by '.join(letters)}, and {letter} is {known} in {first}"
+            require(size == known, f"certificate.{label}.{name} (shape)", shape, problem, AGAIN)
+    return kind(**{types[n].name: value for n, value in read.items()})

@@ -24,6 +24,7 @@ from ssm_study.systems import Balls, JacobianBall
 
 FOLDER = "ssm_study.synthesis.theorems"
 AGAIN = "synthesise again"
+UNFIT = "the matrices do not fit the model"
 
 # Fields that stand beside the proof: no condition may use them.
 INFORMATION = ("certified", "margin", "condition", "rate_limit", "method", "solver_status", "seconds")
@@ -207,7 +208,7 @@ class Theorem(ABC):
         except ValueError:
             fits = False
         if not fits:
-            return [": the matrices do not fit the model"]
+            return [f": {UNFIT}"]
         derived = given | self._rounded_products(stored)
         wrong = [name for name, value in derived.items() if not np.array_equal(stored[name], value)]
         broken = [f".{name}: differs from what the model and the other matrices give" for name in wrong]

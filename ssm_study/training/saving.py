@@ -115,8 +115,8 @@ def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> p
     told["logger"] = settings.logger.build(folder) or False  # its own refusals pass
     try:
         return pl.Trainer(accelerator=settings.accelerator, **told)
-    except (MisconfigurationException, RuntimeError, ValueError) as error:
-        problem, remedy = "not available on this machine", "use accelerator=cpu"
+    except (ImportError, MisconfigurationException, RuntimeError, ValueError) as error:
+        problem, remedy = "not available on this machine", "use training.accelerator=cpu"
         raise BadRequest("training.accelerator", settings.accelerator, problem, remedy) from error
 
 

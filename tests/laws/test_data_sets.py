@@ -1,14 +1,18 @@
 """Simulated data sets: what is noisy, what is not, what repeats; and the way into the store and back."""
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from plants_cases import choices, from_yaml
 
+from ssm_study.data.simulated import TrainingAlone
 from ssm_study.data.tensors import dataset_from_tensors, dataset_to_tensors
+from ssm_study.library import composed
 from ssm_study.signals import DataSet
+from ssm_study.study.line import STUDY
 
 SMALL = ("trajectories=3", "samples=200", "validation_samples=150", "test_samples=100")
 
@@ -47,6 +51,20 @@ def test_scales_are_pure_gains_about_the_equilibrium() -> None:
     scaled = data.scale.scaled_input(u)
     assert np.mean(scaled**2) == pytest.approx(1.0)
     assert ((data.scale.input_equilibrium - data.scale.input_equilibrium) / data.scale.input_scale == 0).all()
+
+
+def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_says_so() -> None:
+    small, plant = from_yaml("excitation", "aprbs", "amplitude=1.0"), from_yaml("plant", "dc_motor")
+    data, usual = from_yaml("data", "simulated", *SMALL).build(plant, small, 0), built()
+    assert max(np.abs(one.u).max() for one in data.training) <= 1.0
+    for one, other in zip(*([*made.validation, *made.test, *made.trials] for made in (data, usual)), strict=True):
+        np.testing.assert_array_equal(one.u, other.u)
+    asked = composed(["experiment=smoke", "excitation.amplitude=1.0"])
+    with pytest.warns(TrainingAlone, match="validation, test and trials are at the plant's own amplitude"):
+        STUDY.check(STUDY.settings(asked))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", TrainingAlone)
+        STUDY.check(STUDY.settings(composed(["experiment=smoke"])))
 
 
 @pytest.mark.parametrize("plant", choices("plant"))

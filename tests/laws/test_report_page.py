@@ -10,7 +10,9 @@ import report_tables
 from report_browser import axe_script, chromium, wait_for
 from report_runs import random_run, write_recordings
 
+from ssm_study.report.page.data import page_data
 from ssm_study.report.page.writing import write_page
+from ssm_study.report.study_folder import StudyFolder
 from ssm_study.table.rank import best_first
 
 RUNS = 150
@@ -359,3 +361,14 @@ def test_two_studies_stand_on_one_page(browser: Any, tmp_path: Path) -> None:
     assert browser.execute_script("return state.group.by") == ["study"], "studies against each other first"
     names = browser.execute_script("return COLUMNS.run")
     assert sum(name.startswith("../second/") for name in names) == 3
+
+
+def test_the_provenance_says_in_words_whether_the_code_was_as_committed(tmp_path: Path) -> None:
+    for dirty, told in (
+        ([False], "clean"),
+        ([True], "with uncommitted changes"),
+        ([False, True, None], "clean or with"),
+    ):
+        table = report_tables.table(6).assign(git_dirty=pd.array((dirty * 6)[:6], dtype="boolean"))
+        study = StudyFolder(folder=report_tables.write_study(tmp_path / str(len(told)), table))
+        assert dict(page_data(study)["provenance"])["working tree"].startswith(told)

@@ -8,13 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf
 
 from ssm_study.cli.explained import meant
 from ssm_study.cli.main import main
 from ssm_study.cli.run import _warned, configuration_folder
 from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
+from ssm_study.library import composed
 from ssm_study.refusal import BadRequest
+from ssm_study.study.line import STUDY
 from ssm_study.table.folders import run_folder, study_folder
 
 RECORDED = ("experiment=paper", "data=recorded", "data.input=u", "data.output=y")
@@ -68,6 +72,8 @@ WRONG = {
     "excitation.path": ["excitation=file"],
     "synthesis.rate_controller = nan: is not a finite number": ["synthesis=riccati", "synthesis.rate_controller=nan"],
     "excitation.amplitude = -inf: is not a finite number": ["excitation.amplitude=-inf"],
+    "synthesis.rate = nan: is not a finite number; leave": ["-m", "synthesis.rate=0.1,nan"],
+    "loop.input_lower.1 = inf: is not a finite number": ["-m", "loop.input_lower=[-1,inf],[-1,-1]"],
     "training.optimiser = sgd: is not a part of the configuration": ["training.optimiser=sgd"],
     "seed=0,,1 cannot be read": ["-m", "seed=0,,1"],
     "model.order cannot be read": ["model.order"],
@@ -77,6 +83,7 @@ WRONG = {
     "loop.input_lower, loop.input_upper = (3.0, -3.0)": ["loop.input_lower=3", "loop.input_upper=-3"],
     "the plant rests at the input 0; choose limits around it": ["loop.input_lower=1", "loop.input_upper=3"],
     "the plant's inputs number 1": ["loop.input_lower=[-1.0,-2.0]", "loop.input_upper=[1.0,2.0]"],
+    "training.accelerator = none: not available on this machine": ["training.accelerator=none"],
     "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
 }
 
@@ -132,6 +139,24 @@ def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFi
     said = refused([*RECORDED, f"data.path={path}"], tmp_path / "results", capfd)
     assert len(said.splitlines()) == 1
     assert ";" in said
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (["loop.input_lower=3"], "loop.input_lower, loop.input_upper = (3.0, inf): the log rests at the input 0.5;"),
+        (["loop.input_lower=[-9.0,-9.0]", "loop.input_upper=[9.0,9.0]"], "the log's inputs number 1"),
+        (["loop.input_lower=3", "reference@loop.reference=step", "loop.reference.at_s=1"], "choose limits around it"),
+    ],
+)
+def test_limits_beyond_the_rest_of_a_log(
+    limits: list[str], words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = log(tmp_path / "log.csv", {"time": TIME, "u": EXCITED, "y": ANSWER})
+    known = [*RECORDED, "data.time=time", f"data.path={path}", "+data.input_equilibrium=[0.5]"]
+    assert words in refused([*known, *limits], tmp_path / "results", capfd)
+    from_a_set_point = [*known, "loop.input_lower=3", "reference@loop.reference=step", "dry_run=true"]
+    assert main(["run", f"results_dir={tmp_path / 'results'}", *from_a_set_point]) == 0
 
 
 def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -262,10 +287,19 @@ def test_what_was_silently_accepted(
 
 
 def test_a_single_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "experiment=smoke", f"results_dir={tmp_path / 'r'}", "dry_run=true"]) == 0
+    words = ["experiment=smoke", f"results_dir={tmp_path / 'r'}", "dry_run=true", "training.accelerator=none"]
+    assert main(["run", *words]) == 0
     said = capsys.readouterr().out
     assert "1 runs: 0 finished, 1 to do" in said
     assert not list(tmp_path.rglob("*.json"))
+
+
+@pytest.mark.parametrize("launcher", ["ssm_study_slurm.SlurmLauncher", "hydra_ray_launcher.ray_launcher.RayLauncher"])
+def test_a_cluster_may_have_what_this_machine_lacks(launcher: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = OmegaConf.create({"hydra": {"launcher": {"_target_": f"hydra_plugins.{launcher}"}}})
+    config = composed(["experiment=smoke", "training.accelerator=none"])
+    monkeypatch.setattr(HydraConfig.instance(), "cfg", there)
+    assert STUDY.check(STUDY.settings(config)).training.accelerator == "none"
 
 
 def test_a_finished_run_says_that_its_data_have_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,7 @@ MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 k
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
 PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores", "version_python",
               "version_ssm_study", "version_torch", "version_cvxpy", "version_clarabel")  # fmt: skip
+TREE = {"False": "clean", "True": "with uncommitted changes"}  # git_dirty; what git does not track is left out
 ALSO_FIRST = ("controller_certified_rate", "controller_gain_norm", "input_peak_v", "evidence")  # in the table
 COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin", "stable_fraction",
             "stable_count", "initial_conditions", "settling_time_mean_s", "settling_time_worst_s",
@@ -26,7 +27,7 @@ COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin",
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Everything the page's script needs, as plain JSON values."""
     table, best = best_ordered(study.table), study.best
-    named = [(name, sorted(set(text(table, name)) - {""})) for name in PROVENANCE if name in table]
+    named = [(name, sorted({TREE.get(v, v) for v in text(table, name)} - {""})) for name in PROVENANCE if name in table]
     config = best.path / ".hydra" / "config.yaml" if best else None
     on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
     subject = "".join(f"{word}: {', '.join(names)}. " for word, said in on.items() if (names := sorted({*said} - {""})))
@@ -48,7 +49,9 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         "choices": CHOICES,
         "configuration": config.read_text() if config and config.is_file() else "",
         # Several values where the runs disagree, which a reader should know.
-        "provenance": [(name.replace("_", " "), ", ".join(values)) for name, values in named if values],
+        "provenance": [
+            (name.replace("git_dirty", "working tree").replace("_", " "), " or ".join(v)) for name, v in named if v
+        ],
     }
 
 
