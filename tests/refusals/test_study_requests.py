@@ -124,19 +124,20 @@ TIME = np.arange(400) * 0.01
 EXCITED = np.sign(np.sin(37.0 * TIME)) * (1 + np.cos(5 * TIME))
 ANSWER = np.cumsum(EXCITED) * 0.01
 MALFORMED = {
-    "wrong columns": {"time": TIME, "voltage": EXCITED, "speed": ANSWER},
-    "NaN": {"time": TIME, "u": EXCITED, "y": np.where(TIME[77] == TIME, np.nan, ANSWER)},
-    "non-uniform sampling": {"time": TIME + (TIME > 2) * 0.007, "u": EXCITED, "y": ANSWER},
-    "constant input": {"time": TIME, "u": np.ones(400), "y": ANSWER},
-    "huge": {"time": TIME, "u": 1e300 * EXCITED, "y": ANSWER},
-    "tiny": {"time": TIME, "u": EXCITED, "y": 1e-300 * ANSWER},
+    "log.csv (column) = u": {"time": TIME, "voltage": EXCITED, "speed": ANSWER},
+    "column y, line 79 = nan": {"time": TIME, "u": EXCITED, "y": np.where(TIME[77] == TIME, np.nan, ANSWER)},
+    "(time) = 2.0: sample 200": {"time": TIME + (TIME > 2) * 0.007, "u": EXCITED, "y": ANSWER},
+    "u = 1.0: constant": {"time": TIME, "u": np.ones(400), "y": ANSWER},
+    "column u (largest) = 1.99": {"time": TIME, "u": 1e300 * EXCITED, "y": ANSWER},
+    "column y (largest) = 3.77": {"time": TIME, "u": EXCITED, "y": 1e-300 * ANSWER},
 }
 
 
 @pytest.mark.parametrize("what", MALFORMED)
 def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = log(tmp_path / "log.csv", MALFORMED[what])
-    said = refused([*RECORDED, f"data.path={path}"], tmp_path / "results", capfd)
+    said = refused([*RECORDED, f"data.path={path}", "data.time=time"], tmp_path / "results", capfd)
+    assert what in said
     assert len(said.splitlines()) == 1
     assert ";" in said
 
@@ -162,8 +163,8 @@ def test_limits_beyond_the_rest_of_a_log(
 def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time,u,y\n" + "".join(f"{t},{t % 3},{t}\n" for t in range(50)) + "50,1\n")
-    said = refused([*RECORDED, f"data.path={path}"], tmp_path / "results", capfd)
-    assert "log.csv" in said
+    said = refused([*RECORDED, f"data.path={path}", "data.time=time"], tmp_path / "results", capfd)
+    assert "Row #52: Expected 3 columns, got 2" in said
 
 
 @pytest.mark.parametrize("asked", ["4096", "0", "many"])
