@@ -79,7 +79,9 @@ GROUPS = {
         tests=f"{ATTEMPTS} {REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
-    "bounds": Group(modules=("bounds",), tests=f"{BOUNDS} {CONTRACTS}", planted=30),
+    "bounds": Group(
+        modules=("bounds",), tests=f"{BOUNDS} {CONTRACTS} tests/oracles/test_loop_commanded.py", planted=30
+    ),
     "choice": Group(
         modules=_synthesis("auto", "area", "mismatch", "theorems/integral_action", "sensitivity"),
         tests=f"{CHOSEN} {INTEGRAL}",
@@ -161,9 +163,9 @@ def plant(name: str, group: Group, folder: Path, tool: Path, minutes: float, see
     """Go on with the group's session for so many minutes."""
     session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
     fresh_copy(tree)
-    (folder / "shared").mkdir(exist_ok=True)
+    (folder / "temporary").mkdir(exist_ok=True)  # shared/data is where the records are looked for
     server, socket = Path(__file__).with_name("mutation_server.py"), folder / "server"
-    options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/shared/{name} -q -x"
+    options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/temporary/{name} -q -x"
     command = json.dumps(f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}")
     modules = json.dumps([f"ssm_study/{module}" for module in group.modules])
     config.write_text(

@@ -47,7 +47,8 @@ class FastestCertified:
         if len(near) == 1:
             return near[0]
 
-        rates = [fastest(one.model.system, certified_balls(one.model).input) for one in near]
+        models: list[Any] = [one.model for one in near]
+        rates = [fastest(model.system, certified_balls(model).input) for model in models]
         enough = [one for one, rate in zip(near, rates, strict=True) if rate >= (self.rate_enough or 1.0)]
         return max(enough, key=lambda one: one.fit_validation_percent) if enough else near[int(np.argmax(rates))]
 

@@ -111,6 +111,8 @@ def test_what_differs_between_runs_is_named_with_its_values() -> None:
     table = pd.DataFrame([row(order=4, seed=0), row(order=8, seed=0)])
     assert swept(table) == ["order"]
     assert parameters_line(table) == "Swept: model order (4, 8)."
+    many = pd.DataFrame([row(seed=k) for k in range(3, 12)])
+    assert parameters_line(many) == "Swept: seed (9 values, 3 to 11)."
 
 
 def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() -> None:

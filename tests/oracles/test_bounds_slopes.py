@@ -122,6 +122,17 @@ def test_interval_arithmetic_goes_through_every_layer(widths: tuple[int, ...]) -
     assert interval.lower <= exact.lower <= exact.upper <= interval.upper
 
 
+def test_the_interval_of_one_neuron_behind_two_inputs_by_hand() -> None:
+    """`J = s e1 [1 1]`, s in [0.1, 1]: centre at s = 0.55, and a radius whose 2-norm its largest column is not."""
+    one, slope = (np.zeros(1),), np.array([[1.0, 1.0], [0.0, 0.0]])
+    weights = (np.array([[1.0, 1.0]]), np.array([[1.0], [0.0]]))
+    net = Network(weights=weights, biases=one, negative_slopes=(np.full(1, 0.1),), positive_slopes=(np.ones(1),))
+    ball = interval_bound(net).ball
+    assert ball.alpha == pytest.approx(0.275)
+    distance = np.linalg.norm(0.55 * slope - 0.275 * np.eye(2), 2)
+    assert ball.beta == pytest.approx(distance + 0.45 * np.sqrt(2))
+
+
 def test_a_solver_that_fails_leaves_the_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     scaffold = MlpScaffold(network=network(0, 2, (4,)))
     monkeypatch.setattr(lipsdp, "ENLARGED", (-1.0,))  # no multipliers prove nothing

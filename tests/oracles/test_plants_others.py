@@ -103,6 +103,10 @@ def test_the_drive_sticks_up_to_the_static_torque_and_not_beyond(drive: Stribeck
     assert drive.simulate(np.full((1, 100, 1), 1.1 * hold_a))[1][0, -1, 0] > 0.1  # and then runs away from rest
 
 
+def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
+    assert drive.initial_range == (-drive.initial_speed_rad_per_s, drive.initial_speed_rad_per_s)
+
+
 def test_the_drive_saturates(drive: StribeckDrive) -> None:
     limit = drive.current_limit_a
     np.testing.assert_array_equal(
