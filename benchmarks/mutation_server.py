@@ -9,6 +9,7 @@ import os
 import resource
 import socket
 import sys
+import time
 from pathlib import Path
 
 
@@ -54,6 +55,10 @@ def _test(cpu_s: int, tree: str, arguments: list[str]) -> None:
 
 
 def ask(path: str, cpu_s: int, tree: str, arguments: list[str]) -> int:
+    for _ in range(120):  # the server binds when its libraries are imported
+        if Path(path).exists():
+            break
+        time.sleep(1)
     with socket.socket(socket.AF_UNIX) as connection:
         connection.connect(path)
         connection.sendall(json.dumps([cpu_s, tree, arguments]).encode() + b"\n")

@@ -179,19 +179,25 @@ def benchmark_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def smoke_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One folder for all workers of this test run; what is made there once is made under a lock."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session")
+def smoke_study(shared_folder: Path) -> Path:
     """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers: read only."""
     from filelock import FileLock
 
     from ssm_study.cli.main import main
 
-    shared = tmp_path_factory.getbasetemp()
-    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
-    with FileLock(shared / "smoke.lock"):
-        if not (shared / "results" / "smoke" / "runs.parquet").exists():
+    results = shared_folder / "results"
+    with FileLock(shared_folder / "smoke.lock"):
+        if not (results / "smoke" / "runs.parquet").exists():
             with shapes_unchecked():
-                assert main(["run", "experiment=smoke", f"results_dir={shared / 'results'}", "progress=false"]) == 0
-    return shared / "results" / "smoke"
+                assert main(["run", "experiment=smoke", f"results_dir={results}", "progress=false"]) == 0
+    return results / "smoke"
 
 
 @pytest.fixture(scope="session")

@@ -47,10 +47,9 @@ ROOMS = {
 
 
 @pytest.fixture(scope="session")
-def clone(tmp_path_factory: pytest.TempPathFactory, smoke_study: Path) -> Path:
+def clone(shared_folder: Path, smoke_study: Path) -> Path:
     """One place with one store for all commands and workers: what two of them share is computed once."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "clone"
+    folder = shared_folder / "clone"
     with FileLock(f"{folder}.lock"):
         if not (folder / "log.csv").exists():
             shutil.rmtree(folder, ignore_errors=True)
