@@ -217,7 +217,8 @@ def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
 def planted_faults(session: Path) -> list[tuple[dict[str, object], str]]:
     query = (
         "select module_path, start_pos_row, operator_name, occurrence, test_outcome, diff from mutation_specs"
-        " join work_results using (job_id) where diff is not null order by module_path, start_pos_row, operator_name, occurrence"
+        " join work_results using (job_id) where diff is not null"
+        " order by module_path, start_pos_row, operator_name, occurrence"
     )
     with sqlite3.connect(session) as base:
         found = list(base.execute(query))

@@ -1,7 +1,6 @@
 """Every command that README and docs show is executed, made short by the one rule in `docs_commands.py`."""
 
 import json
-import os
 import runpy
 import shlex
 import shutil
