@@ -87,6 +87,14 @@ def test_a_monotone_scaffold_is_the_integral_of_its_slopes(seed: int, channels: 
         np.testing.assert_allclose(np.diff(values), scaffold.slopes[c] * np.diff(knots), atol=1e-12)
 
 
+@pytest.mark.parametrize("gain", [0.5, 3.0, -0.5, -3.0])
+def test_gains_around_a_monotone_scaffold_become_part_of_it(gain: float) -> None:
+    scaffold, v = random_scaffold("monotone", 0, 1), np.linspace(-3, 3, 41)[:, None]
+    m = np.array([[gain]])
+    np.testing.assert_allclose(scaffold.before(m)(v), scaffold(gain * v), atol=1e-12)
+    np.testing.assert_allclose(scaffold.after(m)(v), gain * scaffold(v), atol=1e-12)
+
+
 def random_model(seed: int, kind_in: str = "mlp", kind_out: str = "linear") -> SSM:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(4, 4))

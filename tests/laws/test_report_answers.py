@@ -104,6 +104,10 @@ def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:
     text = said(pd.DataFrame([row(), lost, broken]), "What failed")
     assert "1 of 3 runs ended with an error, 1 of them with: model.order = 0" in text
     assert "1 certified run does not settle: both certificates hold" in text
+    more = [row(status="failed", error_message="the disk is full")] * 2
+    assert "3 of 3 runs ended with an error, 2 of them with: the disk is full" in said(
+        pd.DataFrame([broken, *more]), "What failed"
+    )
     assert said(pd.DataFrame([row()]), "What failed") == "No run ended with an error."
 
 

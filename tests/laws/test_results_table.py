@@ -244,6 +244,14 @@ def test_what_was_swept_stands_before_what_came_of_it() -> None:
     assert first.split() == ["0000000000", "ok", "0", "0", "9/10"]
 
 
+def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
+    rows = [
+        {"run": f"r-{i}", "status": "ok", "controller_certified": controller, "observer_certified": observer}
+        for i, (controller, observer) in enumerate([(True, True), (True, None), (None, True), (None, None)])
+    ]
+    assert [line.split()[2] for line in plain_table(table_of(rows)).splitlines()[1:]] == ["both", "ctl", "obs", "-"]
+
+
 def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None:
     """Two model classes differ in five settings: one says which is which, and the reader wants the fit."""
     rows = [

@@ -231,6 +231,11 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(si
     assert found.keeps_the_plant() == passes
     assert np.isinf(found.resolved_margin)
     assert noise_peak(model, pair, ONES, replace(shown, farthest=1.2)) < 1
+    # twice the slope of S_u behind half of B and D is the same loop
+    halved = replace(model.linear, b=model.linear.b / 2, d=model.linear.d / 2)
+    same = replace(model, linear=halved, scaffold_in=LinearScaffold(gain=2 * np.eye(1)))
+    steeper = replace(ONES, input=JacobianBall(alpha=2.0, beta=0.0))
+    assert noise_peak(same, pair, steeper, shown) == pytest.approx(found.noise_peak)
 
 
 def drive() -> StribeckDrive:
