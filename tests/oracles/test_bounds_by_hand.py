@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import worst_case
 
-from ssm_study.bounds.gramians import balance, hankel_singular_values
-from ssm_study.bounds.network import Network, slope_values
+from ssm_study.bounds.gramians import balance, hankel_singular_values, local_property
+from ssm_study.bounds.inverse import inverse_of
+from ssm_study.bounds.network import Network, PortableMap, slope_values
 from ssm_study.bounds.slopes import spectral_norm_bound
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
-from ssm_study.systems import StateSpace
+from ssm_study.systems import JacobianBall, StateSpace
 
 
 def test_a_bias_of_minus_one_is_negative() -> None:
@@ -69,3 +71,29 @@ def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slo
         positive_slopes=(np.array([1.0, 0.9]),),
     )
     assert spectral_norm_bound(net) == pytest.approx((0.1, 12.0))
+
+
+def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
+    """One state, one step: the Gramian of the linear part is `b^2 = 4`, of the loop between `0.2^2` and `0.5^2` of it."""
+    local = local_property(np.array([[0.5]]), np.array([[2.0]]), JacobianBall.from_slopes(0.2, 0.5))
+    assert local.holds
+    assert (local.lower, local.upper) == pytest.approx((0.16, 1.0))
+
+
+def test_a_falling_map_has_an_inverse() -> None:
+    """`-v` between -1 and 1, twice as steep below and half as steep above."""
+    falling = MonotoneScaffold(breakpoints=np.array([[-1.0, 1.0]]), slopes=np.array([[-2.0, -1.0, -0.5]]))
+    inverse = inverse_of(falling.portable())
+    assert inverse is not None
+    np.testing.assert_allclose(inverse(np.array([[5.0], [0.5], [-2.0]])), [[-3.0], [-0.5], [3.0]], atol=1e-12)
+
+
+def test_a_map_that_couples_its_channels_has_no_inverse_by_channel() -> None:
+    """Its one neuron sees the first channel and moves the second."""
+    net = Network(
+        weights=(np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]])),
+        biases=(np.array([0.5]),),
+        negative_slopes=(np.array([0.1]),),
+        positive_slopes=(np.ones(1),),
+    )
+    assert inverse_of(PortableMap(linear=np.eye(2), network=net)) is None
