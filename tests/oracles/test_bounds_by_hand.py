@@ -74,7 +74,7 @@ def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slo
 
 
 def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
-    """One state, one step: the Gramian of the linear part is `b^2 = 4`, of the loop between `0.2^2` and `0.5^2` of it."""
+    """One state, one step: the linear part's Gramian is `b^2 = 4`, the model's `0.2^2` to `0.5^2` of it."""
     local = local_property(np.array([[0.5]]), np.array([[2.0]]), JacobianBall.from_slopes(0.2, 0.5))
     assert local.holds
     assert (local.lower, local.upper) == pytest.approx((0.16, 1.0))
