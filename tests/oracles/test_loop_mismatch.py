@@ -174,6 +174,7 @@ def test_where_the_input_hardly_moves_nothing_stands_in_for_what_is_measured(per
     assert (shown.by_frequency[8:] > 10 * shown.gain).all()
     assert shown.by_frequency[1] < shown.gain  # where it is excited, the noise is small beside it
     assert shown.unexcited[0] < BANDS[8] < shown.unexcited[-1]
+    assert not any(np.any(view.linear[8:]) for view in shown.views)  # nor is a phase known there
 
 
 def test_samples_that_start_the_state_do_not_count():
