@@ -160,6 +160,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
     records = trials(motor(), 3, np.array([0.1]))
     assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
+    assert max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]  # none goes beyond it
     for record, share in zip(records, SHARES, strict=False):
         assert repetition(record.u) == (LEAD_IN, PERIOD)
         assert np.abs(record.u).max() <= share * motor().input_amplitude[0]
