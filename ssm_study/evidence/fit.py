@@ -78,6 +78,7 @@ def whiteness(case: Case) -> list[Finding]:
     power, bound = float(e @ e), 3.0 / np.sqrt(len(e))
     if power == 0:
         return []
-    outside = sum(abs(float(e[lag:] @ e[:-lag])) / power > bound for lag in range(1, min(26, len(e) // 4)))
-    sentence = f"The model's error is correlated in time ({outside} of 25 lags), as in most free runs."
+    lags = range(1, min(26, len(e) // 4))
+    outside = sum(abs(float(e[lag:] @ e[:-lag])) / power > bound for lag in lags)
+    sentence = f"The model's error is correlated in time ({outside} of {len(lags)} lags), as in most free runs."
     return [note(sentence)] if outside > 3 else []
