@@ -37,14 +37,9 @@ def linear_fit(case: Case) -> float:
 
     Minus infinity where no record is long enough for one.
     """
-    parts = [
-        [(lagged(u, LAGS), y[LAGS:]) for u, y in map(case.scaled, records) if len(u) > 2 * LAGS]
-        for records in (case.data.training, case.data.test)
-    ]
-    if not all(parts):
-        return -np.inf
-    (x, y), (tested, true) = (tuple(np.concatenate(side) for side in zip(*part, strict=True)) for part in parts)
-    return fit_percent(true, tested @ np.linalg.lstsq(x, y, rcond=None)[0])
+    x, y = case.regression(case.data.training, LAGS)
+    tested, true = case.regression(case.data.test, LAGS)
+    return fit_percent(true, tested @ np.linalg.lstsq(x, y, rcond=None)[0]) if len(x) and len(true) else -np.inf
 
 
 def pooled_fit(case: Case) -> float:

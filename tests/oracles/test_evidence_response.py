@@ -94,6 +94,17 @@ def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain(
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
 
 
+def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
+    """`0.1 / (z - 0.9) - 0.1 / (z - 0.5)`: the states cancel with their phases."""
+    noisy = case(WHITE, answer(WHITE, noise=3.0))
+    two = StateSpace(a=np.diag([0.9, 0.5]), b=np.full((2, 1), 0.1), c=np.array([[1.0, -1.0]]), d=np.zeros((1, 1)))
+    told = findings(replace(noisy, model=replace(noisy.model, linear=two)))
+    angles, gain = scipy.signal.freqz([0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:])
+    ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
+    (said,) = (found.sentence for found in told if "band" in found.sentence)
+    assert f"of the band up to {ends_hz:.3g} Hz that" in said
+
+
 def test_pieces_shorter_than_the_model_s_response_say_nothing():
     """What outlasts a piece counts as noise in it: pieces of 250 samples, a response of 460."""
     hidden = case(WHITE, answer(WHITE, noise=1.0))
