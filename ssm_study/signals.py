@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -184,11 +183,11 @@ class DataSet:
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
-        parts: dict[str, Any] = {
-            name: tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in getattr(self, name))
-            for name in ("training", "validation", "test")
-        }
-        return replace(self, **parts)
+
+        def early(records: Trajectories) -> Trajectories:
+            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
+
+        return replace(self, training=early(self.training), validation=early(self.validation), test=early(self.test))
 
 
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

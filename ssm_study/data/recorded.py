@@ -54,11 +54,10 @@ class AroundRest(RecordedSource):
         """The data set of these parts; refuses what `assemble` refuses."""
         require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less")
         rest = []
-        for side, given in (("u", self.input_equilibrium), ("y", self.output_equilibrium)):
+        for name, side, given in (("input", "u", self.input_equilibrium), ("output", "y", self.output_equilibrium)):
             mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
-            field = "data.input_equilibrium" if side == "u" else "data.output_equilibrium"
             fits, problem = given is None or len(given) == len(mean), f"there are {len(mean)} channels"
-            require(fits, field, given, problem, "give one number per channel")
+            require(fits, f"data.{name}_equilibrium", given, problem, "give one number per channel")
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
             rest.append(ruled if given is None else np.array(given, dtype=np.float64))
         about = {"source": "recorded", **about}
