@@ -112,7 +112,8 @@ class RecordedData(Columns, AroundRest):
         problem, remedy = "one is enough", "name the set point alone"
         known = self.reference is not None and self.controller is not None
         require(not known, "data.reference, data.controller", (self.reference, self.controller), problem, remedy)
-        pi = self.controller is None or (len(self.controller) == 2 and self.controller[0] != 0 < self.controller[1])
+        gain, integral_s = self.controller if self.controller is not None and len(self.controller) == 2 else (0.0, 0.0)
+        pi = self.controller is None or (0 < abs(gain) < np.inf and integral_s > 0)
         require(pi, "data.controller", self.controller, "is no PI", "give [gain, integral time in seconds]")
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
         self.files_of("path", "output_path")

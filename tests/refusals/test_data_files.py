@@ -177,6 +177,7 @@ def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
         ({"test_fraction": 0.0}, r"not inside"),
         ({"equilibrium": "median"}, r"use zero or mean"),
         ({"decimate": 0}, r"at least 1"),
+        ({"controller": [np.nan, 1.0]}, r"data.controller = \[nan, 1.0\]: is no PI"),
         ({"fold": 5}, r"data.fold = 5: there are 5 folds; count them from 0"),
         ({"folds": 1}, r"data.folds = 1: must be at least 2"),
         ({"fold": 0, "split": "blocks"}, r"data.fold = 0: the parts are named too; leave out data.split"),
