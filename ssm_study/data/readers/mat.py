@@ -9,7 +9,6 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +38,7 @@ class MatReader(Reader, names=(".mat",)):
 
     def read(self, path: Path, names: list[str]) -> Table:
         try:
-            contents = parse(path.read_bytes())
+            contents = parse(path)
         except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
             said = repr(error) if isinstance(error, LookupError) else error
             problem = f"not a complete MAT file: {said}"
@@ -56,12 +55,13 @@ class MatReader(Reader, names=(".mat",)):
         return Table(columns=columns)
 
 
-def parse(content: bytes) -> dict[str, Value]:
+def parse(path: Path) -> dict[str, Value]:
     """The variables of a file; raises, of whatever type, what is wrong with its bytes."""
+    content = path.read_bytes()
     newer = content.startswith((b"MATLAB 7.3", b"\x89HDF"))
     _must(not newer, "it is of version 7.3 (HDF5); save it with -v7")
     _must(len(content) >= 20, "it is too short")
-    return dict(_version_4(content) if 0 in content[:4] else _version_5(content))
+    return dict(_version_4(path) if 0 in content[:4] else _version_5(content))
 
 
 def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
@@ -114,11 +114,11 @@ def _matrix(data: bytes, order: str) -> tuple[str, Value]:
     return name, numbers.reshape(shape, order="F")
 
 
-def _version_4(content: bytes) -> Iterator[tuple[str, Value]]:
+def _version_4(path: Path) -> Iterator[tuple[str, Value]]:
     """By scipy, whose reader of this format is plain Python."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # sizes that overflow: what they lead to is an error
         warnings.simplefilter("error", UserWarning)  # a byte order that is not known
-        found = scipy.io.loadmat(BytesIO(content))
+        found = scipy.io.loadmat(path, appendmat=False)
     for name, value in found.items():
         yield name, V4_KINDS.get(value.dtype.kind, value) if isinstance(value, np.ndarray) else CLASSES[5]
