@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -90,7 +89,8 @@ class Scale:
     """`u = u_eq + s_u v,  y = y_eq + s_y w`: physical outside, scaled inside, by pure gains around the equilibrium.
 
     So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes: `input_* (m,)`,
-    `output_* (p,)`. Raises `BadRequest` for gains that are not positive, or ends of different lengths.
+    `output_* (p,)`. Raises `BadRequest` for gains that are not positive, another number of equilibria than of gains,
+    or entries that are not finite.
     """
 
     input_scale: Float[np.ndarray, "m"]
@@ -99,8 +99,11 @@ class Scale:
     output_equilibrium: Float[np.ndarray, "p"]
 
     def __post_init__(self) -> None:
-        gains = bool((self.input_scale > 0).all() and (self.output_scale > 0).all())
-        require(gains, "input_scale, output_scale", "not positive", "a scale is a positive gain", "scale again")
+        for side in ("input", "output"):
+            gains, rest = getattr(self, f"{side}_scale"), getattr(self, f"{side}_equilibrium")
+            sound = len(gains) == len(rest) and (gains > 0).all() and np.isfinite([gains, rest]).all()
+            problem = "needs positive gains about as many finite numbers"
+            require(sound, f"{side}_scale, {side}_equilibrium", (gains, rest), problem, "scale again")
 
     @classmethod
     def unit(cls, inputs: int, outputs: int) -> "Scale":
@@ -180,11 +183,11 @@ class DataSet:
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
-        parts: dict[str, Any] = {
-            name: tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in getattr(self, name))
-            for name in ("training", "validation", "test")
-        }
-        return replace(self, **parts)
+
+        def early(records: Trajectories) -> Trajectories:
+            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
+
+        return replace(self, training=early(self.training), validation=early(self.validation), test=early(self.test))
 
 
 def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:

@@ -63,9 +63,11 @@ class StateSpace(_Recurrence):
     def response_samples(self, most: int = 4000, remainder: float = 0.1) -> int:
         """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the system answers.
 
-        By default the bulk of it, not the tail of a mode that no record filled.
+        By default the bulk of it, not the tail of a mode that no record filled. One run for each input, since the
+        answers to several at once may cancel.
         """
-        size = np.abs(self.simulate(np.eye(most, 1) * np.ones((1, self.b.shape[1])))[0]).sum(axis=1)
+        impulses = np.eye(most, 1) * np.eye(self.b.shape[1])[:, None, :]
+        size = np.abs(self.simulate(impulses)[0]).sum(axis=(0, 2))
         left = 1 - np.cumsum(size) / max(float(size.sum()), np.finfo(float).tiny)
         return int(np.argmax(left <= remainder)) + 1
 

@@ -41,9 +41,9 @@ def bound_facts(model: Any) -> dict[str, Any]:
     bounds = {"input": jacobian_ball(model.scaffold_in), "output": jacobian_ball(model.scaffold_out)}
     for side, bound in bounds.items():
         facts |= {f"{side}_slope_lower": bound.lower, f"{side}_slope_upper": bound.upper}
-    norms = bounds["input"].lower, bounds["input"].upper
-    norms = spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else norms
-    facts |= {"input_slope_lower_spectral": norms[0], "input_slope_upper_spectral": norms[1]}
+    sound = bounds["input"].lower, bounds["input"].upper
+    lower, upper = spectral_norm_bound(model.scaffold_in.network) if model.scaffold_in.kind == "mlp" else sound
+    facts |= {"input_slope_lower_spectral": lower, "input_slope_upper_spectral": upper}
     facts |= {"bound_method": bounds["input"].method, "states": model.linear.order}
     facts |= {"spectral_radius": model.linear.spectral_radius}
     if model.linear.spectral_radius < 1:

@@ -11,7 +11,7 @@ from ssm_study.bounds.network import Network, slope_interval
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Balls, JacobianBall
 
-# Interval bounds are computed in floats and widened by this share: a thousand additions err by less than 1e-12.
+# What is computed in floats is widened by this share: a thousand additions err by less than 1e-12, a norm by less.
 ROUNDING_SHARE = 1e-12
 
 
@@ -59,7 +59,7 @@ def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> Jac
     """
     alpha = float(np.trace(centre)) / len(centre)
     distance = float(np.linalg.norm(centre - alpha * np.eye(len(centre)), 2)) if len(centre) > 1 else 0.0
-    return JacobianBall(alpha=alpha, beta=distance + radius)
+    return JacobianBall(alpha=alpha, beta=distance * (1 + ROUNDING_SHARE) + radius)
 
 
 def network_bound(network: Network) -> SlopeBound:

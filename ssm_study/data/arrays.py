@@ -23,8 +23,9 @@ def logged(u: Any, y: Any, folder: Path) -> tuple[list[str], list[str], list[str
         (inputs, applied), (outputs, measured) = signal(one_u, "u"), signal(one_y, "y")
         lengths = (len(applied), len(measured))
         require(lengths[0] == lengths[1], "u, y", lengths, "differ in length", "cut both to the same samples")
-        require(not set(inputs) & set(outputs), "y", outputs, "an input has the same name", "rename the columns")
-        table = pd.DataFrame(np.hstack([applied, measured]), columns=[*inputs, *outputs])
+        columns = [*inputs, *outputs]
+        require(len(set(columns)) == len(columns), "u, y", columns, "two signals have one name", "rename the columns")
+        table = pd.DataFrame(np.hstack([applied, measured]), columns=columns)
         digest = hashlib.sha256(repr(list(table)).encode() + table.to_numpy().tobytes()).hexdigest()
         path = folder / "logs" / f"{digest[:16]}.parquet"
         table.to_parquet(path)
@@ -39,7 +40,7 @@ def signal(values: Any, name: str) -> tuple[list[str], Float[np.ndarray, "T c"]]
         table = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
-    require(1 <= table.ndim <= 2, name, f"shape {table.shape}", "not a signal", remedy)
+    require(table.ndim in (1, 2) and table.size, name, f"shape {table.shape}", "not a signal", remedy)
     table = table.reshape(len(table), -1)
     if isinstance(values, pd.Series) and values.name is not None:
         return [str(values.name)], table

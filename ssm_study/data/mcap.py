@@ -11,7 +11,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from io import BytesIO
 from numbers import Real
 from pathlib import Path
@@ -26,10 +26,8 @@ from google.protobuf.internal.encoder import TagBytes, _VarintBytes
 from google.protobuf.message import DecodeError
 from jaxtyping import Float, Int, UInt8
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_protobuf.decoder import DecoderFactory
 
 from ssm_study.refusal import BadRequest, require
@@ -39,9 +37,7 @@ CHUNK_BYTES = 65536  # limits what a crash loses
 METADATA_NAME = "ssm-study"
 NANOSECONDS = 1_000_000_000
 LARGEST = 2**28  # bytes of a recording, unpacked: what a reader may ask of the memory
-RECORD, MESSAGE = struct.Struct("<BQ"), struct.Struct("<BQHIQQ")  # heads: kind and size; channel, number, two times
 Names = tuple[str, ...]  # of a field: its own, after that of the message it is in
-Message = tuple[int, int, bytes]  # channel, log time in ns, content
 DOUBLE, WITHIN = 1, 2  # the wire types of eight bytes and of a message within
 # What the MCAP, compression and protobuf libraries were seen to raise on damaged files.
 DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error, ValueError, EOFError, RuntimeError,
@@ -154,7 +150,7 @@ def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], In
         for tag in tags:
             at += range(len(message) + len(tag), len(message) + len(tag) + 8)
             message += tag + bytes(8)
-    return np.frombuffer(message, np.uint8), np.array(at)
+    return np.frombuffer(message, np.uint8), np.array(at, dtype=np.int64)
 
 
 def _encoded(parts: list[SignalGroup]) -> list[bytes]:
@@ -187,13 +183,13 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     for record in _records(path):
         found[type(record)].append(record)
     schemas = {schema.id: schema for schema in found[records.Schema]}
-    topics: dict[int, tuple[records.Channel, list[Message]]] = {one.id: (one, []) for one in found[records.Channel]}
-    for message in found[tuple]:
-        topics[message[0]][1].append(message)
+    topics: dict[int, tuple[records.Channel, list[records.Message]]] = {c.id: (c, []) for c in found[records.Channel]}
+    for message in found[records.Message]:
+        topics[message.channel_id][1].append(message)
     own = [record.metadata for record in found[records.Metadata] if record.name == METADATA_NAME]
     metadata = {key: value for one in own for key, value in one.items()}
     require(found[records.DataEnd], "path", path, "the data section has no end", "record it again")
-    counted, promised = len(found[tuple]), {one.message_count for one in found[records.Statistics]}
+    counted, promised = len(found[records.Message]), {one.message_count for one in found[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     require(promised <= {counted}, "path", path, problem, "record it again")
     read = (_groups(*topic, schemas.get(topic[0].schema_id)) for topic in topics.values() if topic[1])
@@ -202,22 +198,12 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     return numeric, metadata
 
 
-class _Sequential(StreamReader):
-    """Passes over the index of messages, which only a player needs."""
-
-    def _read_record(self, opcode: int, length: int) -> records.McapRecord | None:
-        return None if opcode == Opcode.MESSAGE_INDEX else super()._read_record(opcode, length)
-
-
-def _records(path: Path) -> Iterator[records.McapRecord | Message]:
-    """Of the file and of its chunks, messages as tuples; `BadRequest` before more than `LARGEST` bytes are unpacked."""
+def _records(path: Path) -> Iterator[records.McapRecord]:
+    """Of the file and of its chunks; `BadRequest` before more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
-        reader = _Sequential(stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
+        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
         for record in reader.records:
-            if isinstance(record, records.Message):
-                yield record.channel_id, record.log_time, record.data
-                continue
             if not isinstance(record, records.Chunk):
                 yield record
                 continue
@@ -225,27 +211,14 @@ def _records(path: Path) -> Iterator[records.McapRecord | Message]:
             unpacked += max(record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0)
             remedy = "split the recording"
             require(unpacked <= LARGEST, "path", path, f"unpacks to more than {LARGEST >> 20} MiB", remedy)
-            yield from _unpacked(record)
+            yield from breakup_chunk(record, validate_crc=True)
 
 
-def _unpacked(chunk: records.Chunk) -> Iterator[records.McapRecord | Message]:
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    data, start = stream.read(length), 0
-    while start < length:  # the library takes each message field by field, which is six times slower
-        if data[start] == Opcode.MESSAGE:
-            _, size, channel, _, logged, _ = MESSAGE.unpack_from(data, start)
-            yield channel, logged, data[start + MESSAGE.size : start + RECORD.size + size]
-        else:
-            opcode, size = RECORD.unpack_from(data, start)
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                kind = records.Schema if opcode == Opcode.SCHEMA else records.Channel
-                yield kind.read(ReadDataStream(BytesIO(data[start + RECORD.size : start + RECORD.size + size])))
-        start += RECORD.size + size
-
-
-def _groups(channel: records.Channel, messages: list[Message], schema: records.Schema | None) -> Iterator[SignalGroup]:
+def _groups(
+    channel: records.Channel, messages: list[records.Message], schema: records.Schema | None
+) -> Iterator[SignalGroup]:
     """The number fields of one topic, those of each message within its messages as a topic below it."""
-    _, times_ns, contents = (list(column) for column in zip(*messages, strict=True))
+    contents = [message.data for message in messages]
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
     names: list[Names] = []
     if decode is not None:
@@ -257,7 +230,7 @@ def _groups(channel: records.Channel, messages: list[Message], schema: records.S
         units = [channel.metadata.get(f"unit.{'.'.join(names[k])}", "") for k in at]
         yield SignalGroup(
             topic="/".join((channel.topic, *part)),
-            time_s=np.array(times_ns, dtype=np.int64) / NANOSECONDS,
+            time_s=np.array([message.log_time for message in messages], dtype=np.int64) / NANOSECONDS,
             channels=tuple(Channel(name=names[k][-1], unit=unit) for k, unit in zip(at, units, strict=True)),
             values=values[:, at],
         )
@@ -276,12 +249,14 @@ def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np
     prefixes: list[Names] = [(one.name,) for one in fields] if nested else [()]
     names = [(*prefix, one.name) for prefix, part in zip(prefixes, parts, strict=True) for one in part]
     message, at = _layout([len(part) for part in parts], nested)
-    doubles = all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
+    doubles = names and all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
     if doubles and {len(content) for content in contents} == {len(message)}:
         rows = np.frombuffer(b"".join(contents), np.uint8).reshape(len(contents), -1)
         if (np.delete(rows, at, axis=1) == np.delete(message, at)).all():
             return names, np.ascontiguousarray(rows[:, at]).view("<f8").astype(np.float64)
-    return _columns([{name: reduce(getattr, name, one) for name in names} for one in map(decode, contents)])
+    # A field that repeats, such as a list of points, has none of the fields of its messages: no number.
+    value = partial(reduce, lambda whole, field: getattr(whole, field, None))
+    return _columns([{name: value(name, one) for name in names} for one in map(decode, contents)])
 
 
 def _columns(messages: list[dict[Names, Any]]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:

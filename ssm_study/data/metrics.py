@@ -92,14 +92,14 @@ def warn_if_two_level(data: DataSet) -> str | None:
     return None
 
 
-def persistency_order(u: Float[np.ndarray, "T m"], highest: int = HIGHEST_ORDER) -> int:
-    """The largest L <= `highest` for which the block Hankel matrix of L rows of u has full row rank `m L`.
+def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
+    """The largest L <= `HIGHEST_ORDER` for which the block Hankel matrix of L rows of u has full row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et al. 2005). Judged on
     the first 2000 samples.
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
-    order, too_deep = 0, min(highest, (len(u) + 1) // (u.shape[1] + 1)) + 1
+    order, too_deep = 0, min(HIGHEST_ORDER, (len(u) + 1) // (u.shape[1] + 1)) + 1
     while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
         middle = (order + too_deep) // 2
         columns = len(u) - middle + 1

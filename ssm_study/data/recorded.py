@@ -54,11 +54,10 @@ class AroundRest(RecordedSource):
         """The data set of these parts; refuses what `assemble` refuses."""
         require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less")
         rest = []
-        for side, given in (("u", self.input_equilibrium), ("y", self.output_equilibrium)):
+        for name, side, given in (("input", "u", self.input_equilibrium), ("output", "y", self.output_equilibrium)):
             mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
-            field = "data.input_equilibrium" if side == "u" else "data.output_equilibrium"
             fits, problem = given is None or len(given) == len(mean), f"there are {len(mean)} channels"
-            require(fits, field, given, problem, "give one number per channel")
+            require(fits, f"data.{name}_equilibrium", given, problem, "give one number per channel")
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
             rest.append(ruled if given is None else np.array(given, dtype=np.float64))
         about = {"source": "recorded", **about}
@@ -113,7 +112,8 @@ class RecordedData(Columns, AroundRest):
         problem, remedy = "one is enough", "name the set point alone"
         known = self.reference is not None and self.controller is not None
         require(not known, "data.reference, data.controller", (self.reference, self.controller), problem, remedy)
-        pi = self.controller is None or (len(self.controller) == 2 and self.controller[0] != 0 < self.controller[1])
+        gain, integral_s = self.controller if self.controller is not None and len(self.controller) == 2 else (0.0, 0.0)
+        pi = self.controller is None or (0 < abs(gain) < np.inf and integral_s > 0)
         require(pi, "data.controller", self.controller, "is no PI", "give [gain, integral time in seconds]")
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
         self.files_of("path", "output_path")

@@ -125,9 +125,8 @@ class Columns:
                 problem, remedy = "the sampling time is unknown", "give it, or name the column data.time"
                 raise BadRequest("data.step_s", None, problem, remedy)
             return values, self.step_s
-        mean_s = mean_period_s(time_s, where)
+        mean_s = mean_period_s(time_s, np.inf if self.resample else self.jitter_tolerance, where)
         if not self.resample:
-            check_uniform(time_s, mean_s, self.jitter_tolerance, where)
             agrees = self.step_s is None or abs(self.step_s - mean_s) <= AGREEMENT * mean_s
             remedy = "correct one of them (units?), or leave step_s null"
             require(agrees, "data.step_s", self.step_s, f"the times of {where} show {mean_s:.6g} s", remedy)
@@ -155,22 +154,19 @@ class Recording(Columns):
         return self.read_from(Path(self.path), first=self.first, last=self.last)
 
 
-def mean_period_s(time_s: Float[np.ndarray, "T"], where: str) -> float:
-    """The mean period of times that increase; refuses others."""
+def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
+    """Of times that increase and lie within `tolerance` periods of where their mean clock puts them; refuses others."""
     at_least(2, f"{where} (time)", len(time_s), "use a longer record")
     k = int(np.argmax(np.diff(time_s) <= 0)) + 1
     problem = f"sample {k} is not later than the one before"
     require(time_s[k] > time_s[k - 1], f"{where} (time)", time_s[k], problem, "sort the record")
-    return float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
-
-
-def check_uniform(time_s: Float[np.ndarray, "T"], mean_s: float, tolerance: float, where: str) -> None:
-    """Refuse an instant further than `tolerance` periods from where the clock puts it."""
+    mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
     late = np.abs(time_s - time_s[0] - mean_s * np.arange(len(time_s))) / mean_s
     worst = int(np.argmax(late))
     problem = f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, and {tolerance:g} is tolerated"
     remedy = "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance"
     require(late[worst] <= tolerance, f"{where} (time)", time_s[worst], problem, remedy)
+    return mean_s
 
 
 def decimated(

@@ -38,10 +38,11 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
     part = np.zeros(len(record), dtype=int)
     for number, name in enumerate(("validation", "test"), start=1):
         for interval in named.get(name, ()):
-            start, end = (round(float(second) / record.step_s) for second in interval)
-            inside = 0 <= start < end <= len(record)
+            ends = np.rint(np.array(interval, dtype=float) / record.step_s)
+            inside = len(ends) == 2 and 0 <= ends[0] < ends[1] <= len(record)
             length = f"the log lasts {len(record) * record.step_s:g} s"
             require(inside, f"data.{name}", list(interval), length, "give [from, to] in seconds, within it")
+            start, end = ends.astype(int)
             free = not part[start:end].any()
             require(free, f"data.{name}", list(interval), "overlaps another interval", "give each sample to one part")
             part[start:end] = number

@@ -29,10 +29,8 @@ def dataset_from_tensors(arrays: dict[str, Float[np.ndarray, "..."]], about: dic
     """The inverse of `dataset_to_tensors`."""
     parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
     for part in PARTS:
-        signals: list[dict[str, Any]] = [
-            {side: arrays[f"{part}/{i}/{side}"] for side in ("u", "y")} for i in range(len(about[part]))
-        ]
-        parts[part] = tuple(Trajectory(**both, **entry) for both, entry in zip(signals, about[part], strict=True))
+        told = enumerate(about[part])
+        parts[part] = tuple(Trajectory(u=arrays[f"{part}/{i}/u"], y=arrays[f"{part}/{i}/y"], **one) for i, one in told)
     for name in ("inputs", "outputs"):
         parts[name] = tuple(Channel(**channel) for channel in about[name])
     return DataSet(**parts, scale=Scale(**{name: values for name, values in arrays.items() if "/" not in name}))

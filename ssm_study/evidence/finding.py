@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import DataSet, Trajectories, Trajectory, lagged
 
 Level = Literal["note", "doubt", "cannot judge"]
 SOUND, DOUBT, CANNOT_JUDGE = "sound", "doubt", "cannot judge"
@@ -38,6 +38,12 @@ class Case:
     def scaled(self, record: Trajectory) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
         """Input and output about the equilibrium, in scales."""
         return self.data.scale.scaled_input(record.u), self.data.scale.scaled_output(record.y)
+
+    def regression(self, records: Trajectories, lags: int) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
+        """Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than twice the lags."""
+        none = np.empty((lags, self.data.scale.inputs)), np.empty((lags, self.data.scale.outputs))  # has no such row
+        used = [none, *(self.scaled(record) for record in records if len(record) > 2 * lags)]
+        return np.concatenate([lagged(u, lags) for u, _ in used]), np.concatenate([y[lags:] for _, y in used])
 
     def scored(self) -> Iterator[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]]:
         """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test; start-up samples left out."""

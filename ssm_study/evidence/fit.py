@@ -37,14 +37,9 @@ def linear_fit(case: Case) -> float:
 
     Minus infinity where no record is long enough for one.
     """
-    parts = [
-        [(lagged(u, LAGS), y[LAGS:]) for u, y in map(case.scaled, records) if len(u) > 2 * LAGS]
-        for records in (case.data.training, case.data.test)
-    ]
-    if not all(parts):
-        return -np.inf
-    (x, y), (tested, true) = (tuple(np.concatenate(side) for side in zip(*part, strict=True)) for part in parts)
-    return fit_percent(true, tested @ np.linalg.lstsq(x, y, rcond=None)[0])
+    x, y = case.regression(case.data.training, LAGS)
+    tested, true = case.regression(case.data.test, LAGS)
+    return fit_percent(true, tested @ np.linalg.lstsq(x, y, rcond=None)[0]) if len(x) and len(true) else -np.inf
 
 
 def pooled_fit(case: Case) -> float:
@@ -78,6 +73,7 @@ def whiteness(case: Case) -> list[Finding]:
     power, bound = float(e @ e), 3.0 / np.sqrt(len(e))
     if power == 0:
         return []
-    outside = sum(abs(float(e[lag:] @ e[:-lag])) / power > bound for lag in range(1, min(26, len(e) // 4)))
-    sentence = f"The model's error is correlated in time ({outside} of 25 lags), as in most free runs."
+    lags = range(1, min(26, len(e) // 4))
+    outside = sum(abs(float(e[lag:] @ e[:-lag])) / power > bound for lag in lags)
+    sentence = f"The model's error is correlated in time ({outside} of {len(lags)} lags), as in most free runs."
     return [note(sentence)] if outside > 3 else []

@@ -13,7 +13,8 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.rest import AT_REST, FAINT, RESPONSES, ends_apart, is_return, stuck
 
-BEYOND = 0.05  # share of samples that may lie beyond the range of training
+BEYOND, ROOM = 0.05, 0.05  # share of samples that may lie beyond the range of training, by more than this share of it
+PART = 0.05  # share of the test record that may be part of the training records
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
 ONE_SIDED = 0.02  # least share of the samples on either side of the equilibrium
@@ -38,7 +39,7 @@ def _range(case: Case) -> Iterator[str]:
     trained = _joined(case, case.data.training)
     for name, index in (("input", 0), ("output", 1)):
         low, high = trained[index].min(axis=0), trained[index].max(axis=0)
-        tested, room = _joined(case, case.data.test)[index], 0.05 * (high - low)
+        tested, room = _joined(case, case.data.test)[index], ROOM * (high - low)
         share = float(((tested < low - room) | (tested > high + room)).any(axis=1).mean())
         if share > BEYOND:
             yield f"{100 * share:.0f} % of the test record's {name} is beyond the training records: train there too."
@@ -101,7 +102,7 @@ def _same(case: Case) -> Iterator[str]:
     trained = set().union(*(windows(record) for record in case.data.training))
     tested = [windows(record) for record in case.data.test]
     share = sum(len(one & trained) for one in tested) / max(sum(len(one) for one in tested), 1)
-    if share > BEYOND:
+    if share > PART:
         yield f"{100 * share:.0f} % of the test record is part of the training records: its fit says nothing new."
 
 

@@ -13,8 +13,8 @@ from jaxtyping import Complex, Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS
-from ssm_study.signals import lagged
 from ssm_study.synthesis.rest import RESPONSES
+from ssm_study.synthesis.sensitivity import gains
 
 AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
 USED = 0.1  # the controller's band: where the model answers with this share of its largest gain
@@ -45,8 +45,7 @@ def _coherence(case: Case) -> Iterator[Finding]:
     if not parts or segment < RESPONSES * linear.response_samples():  # what outlasts a piece counts as noise
         return
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
-    sizes = np.abs(np.linalg.solve(np.exp(1j * angles)[:, None, None] * np.eye(len(linear.a)) - linear.a, linear.b))
-    sizes = np.linalg.norm(linear.c @ sizes, axis=(1, 2))
+    sizes = gains(linear, angles)
     used = sizes >= USED * sizes.max()
     shown = coherence(parts, segment)[1:][used]
     share, hertz = float((shown < COHERENT).mean()), angles[used].max() / (2 * np.pi * case.data.step_s)
@@ -97,10 +96,9 @@ def _dead_time(case: Case) -> Iterator[Finding]:
 
 def dead_time(case: Case) -> int:
     """Samples beyond the first by which every input is clearly not seen in any output; 0 where that is not clear."""
-    parts = [(lagged(u, LAGS), y[LAGS:]) for u, y in map(case.scaled, case.data.training) if len(u) > 2 * LAGS]
-    if not parts or sum(len(x) for x, _ in parts) < 2 * parts[0][0].shape[1]:
+    x, y = case.regression(case.data.training, LAGS)
+    if len(x) < 2 * x.shape[1]:
         return 0
-    x, y = (np.concatenate(side) for side in zip(*parts, strict=True))
     weights, _, rank, _ = np.linalg.lstsq(x, y, rcond=SMOOTH)
     if rank < x.shape[1]:
         return 0

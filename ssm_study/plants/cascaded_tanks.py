@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
+from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -57,22 +57,18 @@ class CascadedTanks(Plant):
         lower = upper * (self.inflow_lower / self.outflow_lower) ** 2  # Torricelli at both outlets
         return Equilibrium(u=np.array([self.rest_pump_v]), x=np.array([upper, lower]), y=np.array([lower]))
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
+    def states_at(self, y0: Outputs) -> States:
         """The lower level as asked, the upper one at rest."""
         return np.concatenate([np.full_like(y0, self.equilibrium().x[0]), y0], axis=1)
 
-    def advance(
-        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
-    ) -> Float[np.ndarray, "N 2"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)  # a pump does not suck
         for _ in range(self.substeps):  # the brim is enforced after each substep
             x = runge_kutta(lambda z: self._rate(z, pumped, d[:, 0]), x, self.step_s / self.substeps, 1)
             x = np.clip(x, 0.0, self.brim_v)
         return x
 
-    def _rate(
-        self, x: Float[np.ndarray, "N 2"], pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]
-    ) -> Float[np.ndarray, "N 2"]:
+    def _rate(self, x: States, pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]) -> States:
         root = np.sqrt(np.clip(x, 0.0, self.brim_v))
         surplus = pumped - self.outflow_upper * root[:, 0]
         full = x[:, 0] >= self.brim_v  # the upper tank spills
@@ -81,5 +77,5 @@ class CascadedTanks(Plant):
         lower = self.inflow_lower * root[:, 0] - self.outflow_lower * root[:, 1] + self.spill_share * spill + d
         return np.stack([upper, lower], axis=1)
 
-    def output(self, x: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 1"]:
+    def output(self, x: States) -> Outputs:
         return x[:, 1:2]

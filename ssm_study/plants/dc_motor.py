@@ -6,9 +6,8 @@ from functools import cached_property
 from math import ceil
 
 import numpy as np
-from jaxtyping import Float
 
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
+from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -85,14 +84,12 @@ class DCMotor(Plant):
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(4), y=np.zeros(1))
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 4"]:
+    def states_at(self, y0: Outputs) -> States:
         """Both shafts turning at `y0`, no current, no twist."""
         still = np.zeros_like(y0)
         return np.concatenate([still, y0, y0, still], axis=1)
 
-    def advance(
-        self, x: Float[np.ndarray, "N 4"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
-    ) -> Float[np.ndarray, "N 4"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         from ssm_study.plants.dc_motor_kernel import advance_batch  # numba: describing a motor does without
 
         substeps = ceil(self.step_s / self.solver_step_s - 1e-9)
@@ -100,5 +97,5 @@ class DCMotor(Plant):
         arrays = map(np.ascontiguousarray, (x, u, d))
         return advance_batch(self.constants, *arrays, self.step_s / substeps, substeps)
 
-    def output(self, x: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 1"]:
+    def output(self, x: States) -> Outputs:
         return x[:, 2:3]

@@ -35,6 +35,10 @@ class StepDisturbance(Disturbance):
     at_s: float
     until_s: float | None = None
 
+    def __post_init__(self) -> None:
+        ordered = self.until_s is None or self.at_s < self.until_s
+        require(ordered, "at_s, until_s", (self.at_s, self.until_s), "not in order", "give at_s < until_s")
+
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         end = np.inf if self.until_s is None else self.until_s
         return np.where((time_s >= self.at_s - 1e-9) & (time_s < end - 1e-9), float(self.size), 0.0)

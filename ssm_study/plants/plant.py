@@ -10,6 +10,12 @@ from jaxtyping import Float
 from ssm_study import refusal
 from ssm_study.signals import Channel
 
+# Of all cases at once, a row each; a plant's own documentation says what the columns are.
+States = Float[np.ndarray, "N n"]
+Inputs = Float[np.ndarray, "N m"]
+Disturbances = Float[np.ndarray, "N q"]
+Outputs = Float[np.ndarray, "N p"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Equilibrium:
@@ -80,23 +86,21 @@ class Plant(ABC):
     def equilibrium(self) -> Equilibrium: ...
 
     @abstractmethod
-    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
+    def states_at(self, y0: Outputs) -> States:
         """States that read `y0`, all else at rest."""
 
     @abstractmethod
-    def advance(
-        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
-    ) -> Float[np.ndarray, "N n"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         """The states one sampling period later, `u` and `d` held meanwhile."""
 
     @abstractmethod
-    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+    def output(self, x: States) -> Outputs:
         """What the sensor reads, before the input of the same sample acts."""
 
     def simulate(
         self,
         u: Float[np.ndarray, "N T m"],
-        x0: Float[np.ndarray, "N n"] | None = None,
+        x0: States | None = None,
         d: Float[np.ndarray, "N T q"] | None = None,
     ) -> tuple[Float[np.ndarray, "N T n"], Float[np.ndarray, "N T p"]]:
         """States and outputs at the sampling instants; `x0` None starts at the equilibrium, `d` None is undisturbed."""

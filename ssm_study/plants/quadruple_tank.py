@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
+from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -62,28 +61,26 @@ class QuadrupleTank(Plant):
         x = (flow / np.array(self.outlet_cm2)) ** 2 / (2 * GRAVITY_CM_PER_S2)
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
-    def states_at(self, y0: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 4"]:
+    def states_at(self, y0: Outputs) -> States:
         """The lower levels as asked, the upper ones at rest."""
         upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))
         return np.concatenate([y0 / self.sensor_v_per_cm, upper], axis=1)
 
-    def advance(
-        self, x: Float[np.ndarray, "N 4"], u: Float[np.ndarray, "N 2"], d: Float[np.ndarray, "N 2"]
-    ) -> Float[np.ndarray, "N 4"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         into = self._pumped(u)
         into[:, :2] += d
         return np.maximum(runge_kutta(lambda h: self._rate(h, into), x, self.step_s, self.substeps), 0.0)
 
-    def _rate(self, h: Float[np.ndarray, "N 4"], into: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 4"]:
+    def _rate(self, h: States, into: States) -> States:
         out = np.array(self.outlet_cm2) * np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))  # Torricelli
         fallen = np.concatenate([out[:, 2:], np.zeros_like(out[:, 2:])], axis=1)
         return (into + fallen - out) / np.array(self.area_cm2)
 
-    def _pumped(self, u: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 4"]:
+    def _pumped(self, u: Inputs) -> States:
         """What the pumps put into each tank, cm^3/s; a negative voltage pumps nothing."""
         flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
         below = np.array(self.share_below)
         return np.concatenate([below * flow, ((1 - below) * flow)[:, ::-1]], axis=1)
 
-    def output(self, x: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 2"]:
+    def output(self, x: States) -> Outputs:
         return self.sensor_v_per_cm * x[:, :2]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
+from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -55,12 +55,10 @@ class StribeckDrive(Plant):
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(2), y=np.zeros(1))
 
-    def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
+    def states_at(self, y0: Outputs) -> States:
         return np.concatenate([np.zeros_like(y0), y0], axis=1)
 
-    def advance(
-        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
-    ) -> Float[np.ndarray, "N 2"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         h = self.step_s / self.substeps
         keep, drive = np.exp(-h / self.current_lag_s), np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a)
         i, w = x[:, 0], x[:, 1]
@@ -76,5 +74,5 @@ class StribeckDrive(Plant):
         extra = self.static_torque_nm - self.coulomb_torque_nm
         return self.coulomb_torque_nm + extra * np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
 
-    def output(self, x: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 1"]:
+    def output(self, x: States) -> Outputs:
         return x[:, 1:2]

@@ -1,20 +1,19 @@
-"""A plant around a plant: limits and dead time at its input, noise and rounding at its output, disturbances."""
+"""A plant around a plant: limits and dead time at its input, rounding at its output, disturbances."""
 
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float, UInt64
-from scipy.special import ndtri
+from jaxtyping import Float
 
 from ssm_study.plants.disturbance import Disturbance
-from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States
 from ssm_study.refusal import at_least, positive, require
 from ssm_study.signals import Channel
 
-STREAM_BITS = 52  # whole numbers below 2^52 are exact in a float64 state
 Limit = float | tuple[float, ...] | list[float]
+Memory = Float[np.ndarray, "N r"]  # the appended states of each case
 
 
 def _inner(name: str) -> Any:  # A property that answers as the inner plant does
@@ -37,37 +36,35 @@ class Wrapper(Plant):
     def states(self) -> tuple[Channel, ...]:
         return (*self.plant.states, *self.memory)
 
-    def fresh_memory(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N q"]:
-        """What the appended states are when the plant starts from outputs `y0`."""
-        return np.zeros((len(y0), len(self.memory)))
+    def fresh_memory(self) -> Float[np.ndarray, "r"]:
+        """What the appended states of a case are when it starts."""
+        return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:
         rest = self.plant.equilibrium()
-        return Equilibrium(u=rest.u, x=np.append(rest.x, self.fresh_memory(rest.y[None])[0]), y=rest.y)
+        return Equilibrium(u=rest.u, x=np.append(rest.x, self.fresh_memory()), y=rest.y)
 
-    def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        return np.concatenate([self.plant.states_at(y0), self.fresh_memory(y0)], axis=1)
+    def states_at(self, y0: Outputs) -> States:
+        return np.hstack([self.plant.states_at(y0), np.tile(self.fresh_memory(), (len(y0), 1))])
 
-    def split(self, x: Float[np.ndarray, "N n"]) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N q"]]:
+    def split(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
         """The inner plant's states and the appended ones."""
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 
-    def advance(
-        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
-    ) -> Float[np.ndarray, "N n"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         inner, memory = self.split(x)
         return np.concatenate([self.plant.advance(inner, self.applied(memory, u), d), self.renewed(memory, u)], axis=1)
 
-    def applied(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N m"]:  # noqa: ARG002
+    def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
         """The input that reaches the inner plant."""
         return u
 
-    def renewed(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N r"]:  # noqa: ARG002
+    def renewed(self, memory: Memory, u: Inputs) -> Memory:  # noqa: ARG002
         """The appended states one sample later."""
         return memory
 
-    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+    def output(self, x: States) -> Outputs:
         return self.plant.output(self.split(x)[0])
 
 
@@ -85,7 +82,7 @@ class SaturatedInput(Wrapper):
         inside = np.all(np.asarray(self.lower) <= rest) and np.all(rest <= np.asarray(self.upper))
         require(inside, "lower, upper", limits, f"do not enclose rest at {rest}", "widen them")
 
-    def applied(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N m"]:  # noqa: ARG002
+    def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
         return np.clip(u, self.lower, self.upper)
 
 
@@ -103,13 +100,13 @@ class DelayedInput(Wrapper):
         ages = range(self.samples)
         return tuple(Channel(name=f"{c.name}_due_in_{age}", unit=c.unit) for age in ages for c in self.inputs)
 
-    def fresh_memory(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N q"]:
-        return np.tile(self.plant.equilibrium().u, (len(y0), self.samples))
+    def fresh_memory(self) -> Float[np.ndarray, "r"]:
+        return np.tile(self.plant.equilibrium().u, self.samples)
 
-    def applied(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N m"]:
+    def applied(self, memory: Memory, u: Inputs) -> Inputs:
         return memory[:, : u.shape[1]]
 
-    def renewed(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N r"]:
+    def renewed(self, memory: Memory, u: Inputs) -> Memory:
         return np.concatenate([memory[:, u.shape[1] :], u], axis=1)
 
 
@@ -122,59 +119,8 @@ class QuantisedOutput(Wrapper):
     def __post_init__(self) -> None:
         positive("resolution", self.resolution, "give the output's unit")
 
-    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+    def output(self, x: States) -> Outputs:
         return self.resolution * np.round(self.plant.output(x) / self.resolution)
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoisyOutput(Wrapper):
-    """`y = h(x) + e`, `e ~ N(0, variance)`, independent from sample to sample and between trajectories.
-
-    A plant is a function of its state, so the randomness is one too: an appended state is a stream of whole numbers,
-    scrambled at each step together with the input that acted, and read through the normal quantile function. The same
-    seed, start and inputs give the same noise. `variance` None takes the plant's own, per output.
-    """
-
-    seed: int
-    variance: float | None = None
-    memory = (Channel(name="noise_stream", unit="1"),)
-
-    def __post_init__(self) -> None:
-        at_least(0, "variance", self.variance, "use 0 for no noise, or null")
-        at_least(0, "seed", self.seed, "use 0")
-
-    @property
-    def noise_variance(self) -> tuple[float, ...]:
-        own: tuple[float, ...] = self.plant.noise_variance
-        return own if self.variance is None else (self.variance,) * len(own)
-
-    def fresh_memory(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N 1"]:
-        return _stream(np.full((len(y0), 1), float(self.seed)), y0)
-
-    def renewed(self, memory: Float[np.ndarray, "N r"], u: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N r"]:
-        return _stream(memory, u)
-
-    def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
-        inner, stream = self.split(x)
-        y = self.plant.output(inner)
-        draws = [(_stream(stream + 1.0 + j, stream) + 0.5) / 2.0**STREAM_BITS for j in range(y.shape[1])]
-        return y + np.sqrt(np.array(self.noise_variance)) * ndtri(np.concatenate(draws, axis=1))
-
-
-def _stream(stream: Float[np.ndarray, "N 1"], signal: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "N 1"]:
-    """The next whole number of each stream, depending on every bit of the signal."""
-    mixed = _scrambled(stream.astype(np.uint64))
-    for column in np.ascontiguousarray(signal.T):  # one round per channel, by its bits
-        mixed = _scrambled(mixed ^ column.copy().view(np.uint64)[:, None])
-    return (mixed >> np.uint64(64 - STREAM_BITS)).astype(np.float64)
-
-
-def _scrambled(z: UInt64[np.ndarray, "N 1"]) -> UInt64[np.ndarray, "N 1"]:
-    """SplitMix64 (Steele, Lea, Flood 2014); multiplication wraps, as it must."""
-    z = z + np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,9 +135,7 @@ class Disturbed(Wrapper):
         count = len(self.plant.disturbances)
         require(0 <= self.channel < count, "channel", self.channel, f"the plant has {count} disturbances", "use 0")
 
-    def advance(
-        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
-    ) -> Float[np.ndarray, "N n"]:
+    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         inner, elapsed = self.split(x)
         d = d.copy()
         d[:, self.channel] += self.disturbance.signal(elapsed[:, 0])

@@ -1,5 +1,6 @@
 """`ssm-study excite`: what it promises of the input holds of the file, for any limits."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,6 +107,8 @@ def test_without_a_log_each_number_is_asked_for(tmp_path: Path, capsys: pytest.C
     ("changed", "said"),
     [
         ({"rest": 5.0}, "rest must lie strictly between"),
+        ({"upper": math.inf}, "rest must lie strictly between"),
+        ({"settle_s": math.inf}, "settle_s = inf: must be positive and finite"),
         ({"step_s": 0.0}, "must be positive"),
         ({"settle_s": 1.9}, "fewer than twenty samples, too few to see how; sample faster"),
     ],

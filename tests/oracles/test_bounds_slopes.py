@@ -149,6 +149,22 @@ def test_the_enclosing_ball_holds_both_ends_exactly(lower: float, width: float) 
     assert Fraction(upper) <= Fraction(ball.alpha) + Fraction(ball.beta)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_the_ball_of_a_matrix_holds_it_in_exact_arithmetic(seed: int) -> None:
+    """`beta^2 I - (G - alpha I)^T (G - alpha I)` has a trace and a determinant that are not negative."""
+    gain = np.random.default_rng(seed).standard_normal((2, 2))
+    ball = jacobian_ball(LinearScaffold(gain=gain)).ball
+    a, b, c, d = (Fraction(float(entry)) - Fraction(ball.alpha) * (k in (0, 3)) for k, entry in enumerate(gain.flat))
+    left, across, right = (
+        Fraction(ball.beta) ** 2 - a * a - c * c,
+        a * b + c * d,
+        Fraction(ball.beta) ** 2 - b * b - d * d,
+    )
+    assert left + right >= 0
+    assert left * right - across**2 >= 0
+    assert ball.beta == pytest.approx(np.linalg.norm(gain - ball.alpha * np.eye(2), 2), rel=1e-11)
+
+
 def test_a_decreasing_map_keeps_its_sign() -> None:
     falling = MonotoneScaffold(breakpoints=np.array([[0.0]]), slopes=np.array([[-1.0, -0.25]]))
     bound = jacobian_ball(falling)

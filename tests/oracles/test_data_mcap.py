@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from google.protobuf import descriptor_pb2
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -174,3 +175,33 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
         with pytest.raises(BadRequest, match="unpacks to more than 256 MiB; split the recording"):
             read_mcap(path)
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**17  # kilobytes
+
+
+def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[bytes]) -> None:
+    """A topic of another program's: messages of one field or none, or of other messages with a double each."""
+    file = descriptor_pb2.FileDescriptorProto(name=f"{topic}.proto", package="theirs", syntax="proto3")
+    file.message_type.add(name="Point").field.add(name="x", number=1, type=1, label=1)
+    whole = file.message_type.add(name=topic)
+    if field:
+        whole.field.add(number=1, **field)
+    data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+    channel = writer.register_channel(
+        f"/{topic}", "protobuf", writer.register_schema(f"theirs.{topic}", "protobuf", data)
+    )
+    for k, content in enumerate(contents):
+        writer.add_message(channel, k, content, k)
+
+
+def test_topics_of_others_without_numbers_are_passed_over(tmp_path: Path) -> None:
+    """A message without fields, and a list of messages, of which no sample has a number."""
+    number, point = (b"\x09" + np.float64(x).tobytes() for x in (2.5, 7.0))
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        logged(writer, "Speed", {"name": "speed", "type": 1, "label": 1}, [number] * 3)
+        logged(writer, "Ping", {}, [b""] * 3)
+        listed = {"name": "points", "type": 11, "label": 3, "type_name": ".theirs.Point"}
+        logged(writer, "Path", listed, [(b"\x0a\x09" + point) * k for k in (1, 2, 0)])
+        writer.finish()
+    (found,), _ = read_mcap(tmp_path / "a.mcap")
+    assert (found.topic, found.values.tolist()) == ("/Speed", [[2.5]] * 3)

@@ -50,7 +50,9 @@ def test_the_last_of_five_folds_is_the_cut_in_time():
         np.testing.assert_array_equal(fold[0].u, time[0].u)
 
 
-@pytest.mark.parametrize("wrong", [[[3.0, 2.0]], [[9.0, 10.5]], [[0.0, 1.0], [0.5, 2.0]]])
+@pytest.mark.parametrize(
+    "wrong", [[[3.0, 2.0]], [[9.0, 10.5]], [[0.0, 1.0], [0.5, 2.0]], [[3.0]], [[0.0, 1.0, 2.0]], [[0.0, np.inf]]]
+)
 def test_intervals_that_cannot_be_are_refused(wrong):
     with pytest.raises(BadRequest, match=r"data\.test"):
         by_intervals(record(100), {"validation": [[5.0, 6.0]], "test": wrong})

@@ -11,7 +11,7 @@ from test_loop_prediction import linear_model
 from ssm_study.data.assembly import assemble
 from ssm_study.evidence import feedback
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
-from ssm_study.evidence.fit import LAGS, owed_to_input
+from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
 from ssm_study.evidence.judgement import judge
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
@@ -91,6 +91,17 @@ def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain(
     angles, gain = scipy.signal.freqz([0.1], [1, -0.9], np.linspace(0, np.pi, 126)[1:])
     ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
     (said,) = (found.sentence for found in findings(case(WHITE, answer(WHITE, noise=3.0))) if "band" in found.sentence)
+    assert f"of the band up to {ends_hz:.3g} Hz that" in said
+
+
+def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
+    """`0.1 / (z - 0.9) - 0.1 / (z - 0.5)`: the states cancel with their phases."""
+    noisy = case(WHITE, answer(WHITE, noise=3.0))
+    two = StateSpace(a=np.diag([0.9, 0.5]), b=np.full((2, 1), 0.1), c=np.array([[1.0, -1.0]]), d=np.zeros((1, 1)))
+    told = findings(replace(noisy, model=replace(noisy.model, linear=two)))
+    angles, gain = scipy.signal.freqz([0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:])
+    ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
+    (said,) = (found.sentence for found in told if "band" in found.sentence)
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
 
 
@@ -184,3 +195,20 @@ def test_a_model_with_neurons_is_judged():
     data, other = case(LEVELS, answer(LEVELS)).data, model()
     validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
     assert judge(data, other, validation, test, mismatch(other, data.validation)).level == CANNOT_JUDGE
+
+
+def test_inputs_that_oppose_each_other_have_their_own_response():
+    """Of `x+ = 0.9 x + u_1 - u_2` as of either input alone: 90 % of the sum of `0.9^k` are over after 22 samples."""
+    a, c = np.array([[0.9]]), np.ones((1, 1))
+    for b in ([[1.0]], [[1.0, -1.0]]):
+        linear = StateSpace(a=a, b=np.array(b), c=c, d=np.zeros((1, len(b[0]))))
+        assert linear.response_samples() == 23  # the first answers at sample 1
+
+
+def test_a_short_record_is_said_to_have_the_lags_it_has():
+    late = case(LEVELS, answer(LEVELS))
+    record = late.validation.records[0][:60]
+    drifted = record.y + np.linspace(-1, 1, 60)[:, None]
+    part = replace(late.validation, records=(record,), simulated=(drifted,))
+    (found,) = whiteness(replace(late, validation=part))
+    assert "of 14 lags" in found.sentence

@@ -6,14 +6,7 @@ from plants_cases import choices, from_yaml
 
 from ssm_study.plants.disturbance import Disturbance, PeriodicDisturbance, RandomDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
-from ssm_study.plants.wrapper import (
-    DelayedInput,
-    Disturbed,
-    NoisyOutput,
-    QuantisedOutput,
-    SaturatedInput,
-    _scrambled,
-)
+from ssm_study.plants.wrapper import DelayedInput, Disturbed, QuantisedOutput, SaturatedInput
 from ssm_study.refusal import BadRequest
 
 PLAIN = ["dc_motor", "cascaded_tanks", "stribeck_drive", "quadruple_tank"]
@@ -57,48 +50,6 @@ def test_quantisation_rounds(plant: Plant) -> None:
     np.testing.assert_allclose(coarse / resolution, np.round(coarse / resolution), atol=1e-9)
 
 
-def test_noise_is_white_normal_and_independent() -> None:
-    motor = from_yaml("plant", "dc_motor")
-    noisy = NoisyOutput(plant=motor, seed=3)
-    u = np.random.default_rng(1).uniform(-3, 3, (40, 500, 1))
-    e = (noisy.simulate(u)[1] - motor.simulate(u)[1])[..., 0]
-    later = e[:, 1:]  # the first sample has seen no input yet
-    assert later.mean() == pytest.approx(0.0, abs=6 * np.sqrt(0.02 / later.size))
-    assert later.var() == pytest.approx(0.02, rel=6 * np.sqrt(2 / later.size))
-    kurtosis = np.mean(later**4) / later.var() ** 2
-    assert kurtosis == pytest.approx(3.0, abs=6 * np.sqrt(24 / later.size))
-    between_samples = np.mean(later[:, 1:] * later[:, :-1]) / later.var()
-    between_cases = np.mean(later[1:] * later[:-1]) / later.var()
-    assert abs(between_samples) < 6 / np.sqrt(later.size)
-    assert abs(between_cases) < 6 / np.sqrt(later.size)
-
-
-def test_noise_repeats_with_its_seed_even_while_the_motor_rests() -> None:
-    motor, still = from_yaml("plant", "dc_motor"), np.zeros((1, 100, 1))
-    first, again, other = (NoisyOutput(plant=motor, seed=s, variance=0.02).simulate(still)[1] for s in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)
-    assert len(np.unique(first)) == 100
-
-
-def test_the_generator_is_the_published_one() -> None:
-    """The first three numbers of Vigna's splitmix64.c from the seed 0."""
-    seeds = (np.arange(3, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15))[:, None]
-    assert [hex(z) for z in _scrambled(seeds)[:, 0]] == [
-        "0xe220a8397b1dcdaf",
-        "0x6e789e6aa1b965f4",
-        "0x6c45d188009454f",
-    ]
-
-
-def test_two_outputs_get_noise_of_their_own() -> None:
-    tank = from_yaml("plant", "quadruple_tank")
-    y = NoisyOutput(plant=tank, seed=0).simulate(np.tile(tank.equilibrium().u, (1, 300, 1)))[1][0]
-    e = y - tank.equilibrium().y
-    np.testing.assert_allclose(e.var(axis=0), tank.noise_variance, rtol=6 * np.sqrt(2 / 300))
-    assert abs(np.corrcoef(e.T)[0, 1]) < 6 / np.sqrt(300)
-
-
 @pytest.mark.parametrize(
     "disturbance",
     [
@@ -127,15 +78,14 @@ def test_a_random_disturbance_holds_and_repeats() -> None:
 
 def test_wrappers_stack(plant: Plant) -> None:
     rest, reach = plant.equilibrium().u, 2 * np.array(plant.input_amplitude)
-    stack = NoisyOutput(
+    stack = Disturbed(
         plant=QuantisedOutput(
             plant=DelayedInput(
                 plant=SaturatedInput(plant=plant, lower=list(rest - reach), upper=list(rest + reach)), samples=2
             ),
             resolution=1e-6,
         ),
-        seed=0,
-        variance=0.0,
+        disturbance=StepDisturbance(size=0.0, at_s=0.0),
     )
     x, y = stack.simulate(inputs(plant))
     assert x.shape[2] == len(stack.states) == len(plant.states) + 2 * len(plant.inputs) + 1
@@ -149,7 +99,6 @@ def test_wrappers_stack(plant: Plant) -> None:
         (lambda p: SaturatedInput(plant=p, lower=[-1.0, -1.0], upper=1.0), "there are 1 inputs"),
         (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
         (lambda p: QuantisedOutput(plant=p, resolution=0.0), "resolution = 0.0"),
-        (lambda p: NoisyOutput(plant=p, seed=0, variance=-1.0), "must not be negative"),
         (
             lambda p: Disturbed(plant=p, disturbance=StepDisturbance(size=1.0, at_s=0.0), channel=1),
             "has 1 disturbances",

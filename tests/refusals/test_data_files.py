@@ -11,11 +11,12 @@ from plants_cases import from_yaml
 from pyarrow import parquet
 from scipy.io import savemat
 
+from ssm_study.data.arrays import logged
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.readers.reader import read_table
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import Channel
+from ssm_study.signals import Channel, Scale
 
 T = 200
 RNG = np.random.default_rng(0)
@@ -176,6 +177,7 @@ def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
         ({"test_fraction": 0.0}, r"not inside"),
         ({"equilibrium": "median"}, r"use zero or mean"),
         ({"decimate": 0}, r"at least 1"),
+        ({"controller": [np.nan, 1.0]}, r"data.controller = \[nan, 1.0\]: is no PI"),
         ({"fold": 5}, r"data.fold = 5: there are 5 folds; count them from 0"),
         ({"folds": 1}, r"data.folds = 1: must be at least 2"),
         ({"fold": 0, "split": "blocks"}, r"data.fold = 0: the parts are named too; leave out data.split"),
@@ -271,3 +273,25 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
         with pytest.raises(BadRequest, match=words):
             read_table(tmp_path / name, {"u": "", "y": ""})
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 350_000  # kilobytes
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "says"),
+    [
+        (pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]), np.ones(9), r"u, y = \['a', 'a', 'y'\]: .*one name"),
+        (pd.Series(np.ones(9), name="a"), pd.Series(np.ones(9), name="a"), r"u, y = \['a', 'a'\]: .*one name"),
+        ([], [], r"u = shape \(0,\): not a signal; give an array \(T, channels\)"),
+        ("speed", np.ones(9), r"u = str: not a table of numbers"),
+    ],
+)
+def test_arrays_that_are_no_log(tmp_path: Path, u: object, y: object, says: str) -> None:
+    with pytest.raises(BadRequest, match=says):
+        logged(u, y, tmp_path)
+
+
+@pytest.mark.parametrize("change", [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}])
+def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
+    sides = {"input_scale": [1.0, 1.0], "output_scale": [1.0], "input_equilibrium": [0.0, 0.0]}
+    numbers = sides | {"output_equilibrium": [0.0]} | change
+    with pytest.raises(BadRequest, match="needs positive gains about as many finite numbers"):
+        Scale(**{name: np.array(values) for name, values in numbers.items()})

@@ -26,8 +26,8 @@ def whole(suffix: str, folder: Path) -> bytes:
         pd.DataFrame(COLUMNS).to_csv(path, index=False)
     elif suffix == ".parquet":
         pd.DataFrame(COLUMNS).to_parquet(path)
-    elif suffix == ".mat":
-        savemat(path, COLUMNS)
+    elif suffix.endswith(".mat"):
+        savemat(path, COLUMNS, format="4" if suffix == ".4.mat" else "5")
     else:
         channels = tuple(Channel(name=name, unit="V") for name in COLUMNS)
         values = np.stack(list(COLUMNS.values()), axis=1)
@@ -79,14 +79,14 @@ def edited(content: bytes, changes: list[tuple[str, float, bytes]]) -> bytes:
     return content
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".4.mat", ".parquet", ".mcap"])
 def test_the_sound_file_is_read(sound, suffix: str) -> None:  # type: ignore[no-untyped-def]
     content, path = sound(suffix)
     path.write_bytes(content)
     np.testing.assert_array_equal(read_table(path, WANTED).columns["y"], COLUMNS["y"])
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".4.mat", ".parquet", ".mcap"])
 @given(changes=edits)
 @example(changes=[("flip", 0.8269672421898115, b"\x01")])  # a schema whose refusal by protobuf has two lines
 def test_damaged_files(sound, suffix: str, changes: list[tuple[str, float, bytes]]) -> None:  # type: ignore[no-untyped-def]
@@ -95,7 +95,7 @@ def test_damaged_files(sound, suffix: str, changes: list[tuple[str, float, bytes
     read_or_refuse(path)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".4.mat", ".parquet", ".mcap"])
 @given(content=st.binary(max_size=400))
 def test_arbitrary_bytes(sound, suffix: str, content: bytes) -> None:  # type: ignore[no-untyped-def]
     _, path = sound(suffix)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from plants_cases import from_yaml
 
+from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.refusal import BadRequest
 
 
@@ -24,3 +25,8 @@ from ssm_study.refusal import BadRequest
 def test_refused(field: str, value: float) -> None:
     with pytest.raises(BadRequest, match=rf"^{field} = .*\.$"):
         replace(from_yaml("plant", "dc_motor"), **{field: value})
+
+
+def test_a_step_that_ends_before_it_begins() -> None:
+    with pytest.raises(BadRequest, match=r"at_s, until_s = \(2.0, 1.0\): not in order; give at_s < until_s"):
+        StepDisturbance(size=1.0, at_s=2.0, until_s=1.0)

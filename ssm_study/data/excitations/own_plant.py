@@ -35,8 +35,10 @@ class OwnPlantRecord:
     def __post_init__(self) -> None:
         limits = (self.lower, self.rest, self.upper)
         problem, remedy = "rest must lie strictly between the limits", "give --lower < --rest < --upper"
-        require(self.lower < self.rest < self.upper, "lower, rest, upper", limits, problem, remedy)
+        between = -np.inf < self.lower < self.rest < self.upper < np.inf
+        require(between, "lower, rest, upper", limits, problem, remedy)
         positive("step_s", self.step_s, "give it in seconds")
+        positive("settle_s", self.settle_s, "give it in seconds")
         enough = self.settle_s >= 2 * HOLDS_PER_SETTLING * self.step_s
         problem = "the plant comes to rest in fewer than twenty samples, too few to see how"
         require(enough, "settle_s", self.settle_s, problem, "sample faster: a smaller --step-s")
