@@ -40,9 +40,10 @@ class StructuredFit(pl.LightningModule):
         told: dict[str, Any] = {name: getattr(spec, name) for name in ("rate", "integrated", "ridge")}
         self.problem = Residuals(records=Batch.padded(scaled(data)), neurons=spec.each, lift=lift, read=read, **told)
         self.estimates = data.start_up_samples > 0
-        buffers = {"damping": np.zeros(()), "loss": np.full((), np.nan)}
-        for name, value in (buffers | {name: np.zeros(shape) for name, shape in self._shapes().items()}).items():
-            self.register_buffer(name, torch.from_numpy(value))
+        self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
+        for name, shape in self._shapes().items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         n, q, (u, y, _) = int(self.spec.order), self.spec.neurons, self.problem.records
