@@ -12,6 +12,7 @@ from torch.func import functional_call
 
 from ssm_study.models.identified import Simulator
 from ssm_study.models.metrics import initial_state
+from ssm_study.models.spec import Pairs
 from ssm_study.models.torch_recurrence import forward_derivatives, hankel_singular_values
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
@@ -22,7 +23,6 @@ from ssm_study.training.windows import Cut
 
 POLISH_STEPS = 20  # they undo the rounding, not the optimum
 UNMOVED = 1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
-Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]
 
 
 def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
@@ -66,8 +66,7 @@ class Records(nn.Module):
         for name, values in {"u": u, "y": y, "weight": scored / spread, "scored": scored}.items():
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
         summed = (self.scored * self.y).cumsum(1) * self.scored  # of y as of its error, see `objective`
-        sum_spread = summed.square().sum() if share else torch.ones((), dtype=torch.float64)
-        self.register_buffer("sum_spread", sum_spread, persistent=False)
+        self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
         self.lift = Lift(self.u, sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:

@@ -8,10 +8,11 @@ from jaxtyping import Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ssm_study.models.contracting import Free, derivative, explicit
+from ssm_study.models.spec import Pairs
 from ssm_study.models.structured import codes
 from ssm_study.models.structured_kernel import Matrices, free_run, sensitivities, split
 from ssm_study.models.structured_spec import Pieces
-from ssm_study.training.fit import Pairs, padded
+from ssm_study.training.fit import padded
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, damped
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out, x0.

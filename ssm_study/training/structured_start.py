@@ -68,16 +68,14 @@ def screened_poles(problem: Residuals, begun: Theta, estimates: bool, rng: np.ra
 
 def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
     """Time constants of 1 to `LONGEST` samples, evenly in their logarithm; one in two begins a pair."""
-    a, i = np.zeros((order, order)), 0
-    while i < order:
-        radius = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST))))
-        angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2 if i + 1 < order and rng.uniform() < 0.5 else None
-        if angle is None:
-            a[i, i], i = radius, i + 1
-            continue
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        a[i : i + 2, i : i + 2], i = radius * turn, i + 2
-    return a
+    blocks: list[np.ndarray] = []
+    while (left := order - sum(map(len, blocks))) > 0:
+        radius, turn = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST)))), np.eye(1)
+        if left > 1 and rng.uniform() < 0.5:
+            angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        blocks.append(radius * turn)
+    return linalg.block_diag(*blocks)
 
 
 def _residues(
