@@ -185,7 +185,8 @@ class StructuredSSM(Wired):
             return super().from_json(data)
         plain = vars(SSM.from_json(data))
         parts = vars(plain.pop("linear"))
-        none: Any = {name: np.zeros(shape) for name, shape in shapes(*parts["b"].shape, len(parts["c"]), 0).items()}
+        (n, m), p = parts["b"].shape, len(parts["c"])
+        none: Any = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}
         return cls(**none | parts, **plain, neurons=())
 
 

@@ -152,7 +152,8 @@ def sensitivities(
     Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per unit; `x0` is the own
     record's.
     """
-    sizes = shapes(*k.b.shape, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": x0.shape[1:]}
+    n, m = k.b.shape
+    sizes = shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}
     sizes = {name: sizes[name] for name in BLOCKS}
     places = tuple(accumulate(map(prod, sizes.values()), initial=0))
     ybar, j = _sensitivities(k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), channel, places)
