@@ -176,8 +176,7 @@ def _sensitivities(k, v, x0, basis, channel, places):
     for r in range(records):
         x, ahead = x0[r].copy(), np.empty(n)
         s, moved = np.zeros((n, at_c)), np.empty((n, at_c))
-        for i in range(n):
-            s[i, at_x0 + i] = 1.0  # dx / dx0 at the first sample
+        s[:, at_x0:at_c] = np.eye(n)  # dx / dx0 at the first sample
         for t in range(samples):
             _neurons(k, still, x, v[r, t], w, slope)
             _rows(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])
