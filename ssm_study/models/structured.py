@@ -130,14 +130,6 @@ class StructuredSSM(Wired):
         return self._structured if self.neurons else self.linear
 
     @property
-    def simplest(self) -> "SSM | StructuredSSM":
-        """Itself, or without any neuron the model of one layer, of which more can be proved."""
-        if self.neurons:
-            return self
-        maps: Any = {name: getattr(self, name) for name in ("scaffold_in", "scaffold_out", "scale", "step_s")}
-        return SSM(linear=self.linear, **maps)
-
-    @property
     def _structured(self) -> StructuredSystem:
         return StructuredSystem(**{block.name: getattr(self, block.name) for block in fields(StructuredSystem)})
 

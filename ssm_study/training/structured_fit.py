@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from ssm_study.models.identified import SSM
 from ssm_study.models.spec import scaled
 from ssm_study.models.structured import Model, StructuredSSM, shapes, slopes
 from ssm_study.models.structured_spec import StructuredSpec
@@ -42,22 +43,19 @@ class StructuredFit(pl.LightningModule):
         self.estimates = data.start_up_samples > 0
         self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
         self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
-        for name, shape in self._shapes().items():
-            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
-
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
-        n, q, (u, y, _) = int(self.spec.order), self.spec.neurons, self.problem.records
-        p, sizes = y.shape[-1], shapes(n, u.shape[-1], y.shape[-1], q)
-        if self.spec.rate is not None:
+        n, q, p = int(spec.order), spec.neurons, data.scale.outputs
+        sizes: dict[str, tuple[int, ...]] = shapes(n, data.scale.inputs, p, q)
+        if spec.rate is not None:
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
             sizes |= {"x_e": (n, q), "x_g": (n + q, n), "log_d": (q,)}
-        maps = {"scaffold_in": self.problem.lift.owners.shape, "scaffold_out": self.problem.read.owners.shape}
-        return sizes | maps | {"x0": (len(u), n + p * self.spec.integrated)}
+        sizes |= {"scaffold_in": lift.owners.shape, "scaffold_out": read.owners.shape}
+        for name, shape in (sizes | {"x0": (len(data.training), n + p * spec.integrated)}).items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     @property
     def theta(self) -> Theta:
         """The parameters, as NumPy sees them."""
-        return {name: getattr(self, name).detach().cpu().numpy() for name in self._shapes()}
+        return {name: part.cpu().numpy() for name, part in self.named_buffers() if name not in ("damping", "loss")}
 
     def advance(self, steps: int) -> None:
         """The starting point and at most so many steps, without what Lightning does around each."""
@@ -76,7 +74,7 @@ class StructuredFit(pl.LightningModule):
         return self._free(CORE if self.spec.rate is None else FREE_CORE, self.spec.input_path != "none")
 
     def _keep(self, at: Descent) -> None:
-        for name in self._shapes():
+        for name in self.theta:
             getattr(self, name).copy_(torch.as_tensor(at.theta[name]))
         self.loss.fill_(at.loss)
         self.damping.fill_(at.damping)
@@ -101,7 +99,7 @@ class StructuredFit(pl.LightningModule):
             maps = (*matrices, "scaffold_in", "scaffold_out")
             theta = descended(linear, theta, maps, spec.start_steps[1]).theta
         best = min((self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss)
-        x0 = np.zeros(self._shapes()["x0"])  # records that the start has not seen begin at rest
+        x0 = np.zeros_like(self.theta["x0"])  # records that the start has not seen begin at rest
         x0[: len(best.theta["x0"])] = best.theta["x0"]
         return best.theta | {"x0": x0}
 
@@ -149,10 +147,14 @@ class StructuredFit(pl.LightningModule):
         return StructuredSSM(**parts)
 
     def concluded(self) -> tuple[Model, str]:
-        """The model without the neurons that do nothing on the training inputs, and how many those were."""
+        """The model without the neurons that do nothing on the training inputs, and how many those were.
+
+        Without any neuron it is the model of one layer, of which more can be proved.
+        """
         model = pruned(self.stored(), [record.u for record in self.data.training])
         idle = len(self.spec.each) - len(model.neurons)
-        return model.simplest, f"; neurons removed because they did nothing: {idle}" if idle else ""
+        told = f"; neurons removed because they did nothing: {idle}" if idle else ""
+        return model if model.neurons else SSM.from_json(model.to_json()), told
 
 
 def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:

@@ -17,7 +17,6 @@ from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, damped
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out, x0.
 Theta = dict[str, Float[np.ndarray, "..."]]
-Columns = dict[str, Float[np.ndarray, "N T p _"]]
 FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
