@@ -64,13 +64,9 @@ class TorchDynoNet(TorchModel):
         self.bend = static.MimoStaticNonLinearity(wires, wires, n_hidden=spec.hidden, activation="tanh").double()
         self.second = lti.MimoLinearDynamicalOperator(wires, data.scale.outputs, **terms).double()
 
-    def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        del x0  # there is none
-        y = self.second(self.bend(self.first(u)))
-        return y if self.integral_s is None else self.integral_s * y.cumsum(-2)
-
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        return self.forward(u), x0
+        y = self.second(self.bend(self.first(u)))
+        return (y if self.integral_s is None else self.integral_s * y.cumsum(-2)), x0
 
     def freeze(self, data: DataSet) -> DynoNet:
         (b1, a1), (b2, a2) = self.first.get_filtdata(), self.second.get_filtdata()

@@ -59,9 +59,6 @@ class TorchRecurrent(TorchModel):
         self.read = nn.Linear(hidden, scale.outputs, dtype=torch.float64)
         self.states = hidden if kind == "gru" else 2 * hidden  # the LSTM's h, then its c
 
-    def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        return self.read(self.cell(u)[0]) if x0 is None else self.advance(u, x0)[0]
-
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
         start = [part.contiguous() for part in x0[None].split(self.cell.hidden_size, dim=-1)]
         y, end = self.cell(u, start[0] if self.kind == "gru" else tuple(start))
