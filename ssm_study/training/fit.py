@@ -16,10 +16,10 @@ from ssm_study.models.spec import Pairs
 from ssm_study.models.torch_recurrence import forward_derivatives, hankel_singular_values
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
-from ssm_study.signals import DataSet, Trajectory, fit_of_error
+from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.optimisers import Levenberg, trainable
 from ssm_study.training.training import Training
-from ssm_study.training.windows import Cut
+from ssm_study.training.windows import Cut, Windows
 
 POLISH_STEPS = 20  # they undo the rounding, not the optimum
 UNMOVED = 1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
@@ -36,9 +36,9 @@ def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, 
 class Records(nn.Module):
     """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
 
-    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the first `unscored` samples (the start-up samples unless
-    given) and in the padding, and scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then
-    the loss is `(1 - fit / 100)^2` for one channel.
+    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the `unscored` samples of the cut and in the padding, and
+    scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then the loss is
+    `(1 - fit / 100)^2` for one channel.
     """
 
     u: Tensor
@@ -47,20 +47,13 @@ class Records(nn.Module):
     scored: Tensor
     sum_spread: Tensor
 
-    def __init__(
-        self,
-        records: Sequence[Trajectory],
-        data: DataSet,
-        sorts: bool,
-        share: float = 0.0,
-        unscored: Sequence[int] = (),
-    ) -> None:
+    def __init__(self, cut: Cut, data: DataSet, sorts: bool, share: float = 0.0) -> None:
         super().__init__()
         self.integrated_share = share
-        u, y = padded([(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in records])
+        u, y = padded([(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in cut.pieces])
         scored = np.zeros((*u.shape[:2], 1))
-        for e, record in enumerate(records):
-            scored[e, (unscored[e] if unscored else data.start_up_samples) : len(record)] = 1.0
+        for e, (piece, unscored) in enumerate(zip(cut.pieces, cut.unscored, strict=True)):
+            scored[e, unscored : len(piece)] = 1.0
         mean = (scored * y).sum(axis=(0, 1)) / scored.sum()  # one offset for all records
         spread = float((scored * (y - mean) ** 2).sum())
         for name, values in {"u": u, "y": y, "weight": scored / spread, "scored": scored}.items():
@@ -150,10 +143,11 @@ class Fit(pl.LightningModule):
         able = sorts or model.differentiates_forward
         require(able, "training.optimiser", "levenberg", "this model has no forward derivatives", "use lbfgs or adam")
         cut = settings.windows.cut(data.training, data.start_up_samples)
+        training, validation = (Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation))
         self.model, self.data, self.settings = model, data, settings
-        self.training_records = Records(cut.pieces, data, sorts, settings.integrated_share, cut.unscored)
-        self.validation_records = Records(data.validation, data, sorts)
-        self.whole = Records(data.training, data, sorts) if cut.later else self.training_records
+        self.training_records = Records(cut, data, sorts, settings.integrated_share)
+        self.validation_records = Records(validation, data, sorts)
+        self.whole = Records(training, data, sorts) if cut.later else self.training_records
         self.starts = self._free_starts(cut)
 
     def _free_starts(self, cut: Cut) -> Starts | None:
