@@ -153,6 +153,7 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
     [
         (LBFGS, Windows(samples=100, continuity_weight=1.0)),
         (LBFGS, Windows(samples=150, washout=50)),
+        (LBFGS, Windows(samples=150, washout=50, stride=30)),
         (Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5), Windows(samples=100, continuity_weight=1.0)),
     ],
 )
@@ -196,9 +197,12 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
         ({"samples": 1}, r"training.windows.samples = 1"),
         ({"samples": 40, "washout": 40}, r"training.windows.washout = 40"),
         ({"samples": 40, "washout": -1}, r"training.windows.washout = -1"),
+        ({"samples": 40, "stride": 0}, r"training.windows.stride = 0"),
+        ({"samples": 40, "stride": 41}, r"training.windows.stride = 41"),
         ({"samples": 40, "continuity_weight": -1.0}, r"training.windows.continuity_weight = -1"),
         ({"samples": 40, "continuity_weight": float("nan")}, r"training.windows.continuity_weight = nan"),
-        ({"samples": 40, "continuity_weight": 1.0, "washout": 5}, r"follow each other.*use washout 0"),
+        ({"samples": 40, "continuity_weight": 1.0, "washout": 5}, r"follow each other.*use washout 0 and stride null"),
+        ({"samples": 40, "continuity_weight": 1.0, "stride": 30}, r"follow each other"),
         ({"washout": 5}, r"need windows"),
         ({"continuity_weight": 1.0}, r"need windows"),
     ],
