@@ -124,12 +124,11 @@ def _linearised(model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]) -> tuple
         for _ in range(len(lifted) - 1):
             powers.append(powers[-1] @ model.linear.a)
         return model.linear.simulate(lifted, x0)[0], np.stack(powers)
-    from ssm_study.models.structured_kernel import blocks, sensitivities, split  # numba: only where it is needed
+    from ssm_study.models.structured_kernel import sensitivities  # numba: only where it is needed
 
-    (n, m), p, q = model.b.shape, len(model.c), len(model.bias)
     nothing, none = np.zeros((1, len(lifted), 0)), np.zeros(0, dtype=np.int64)
-    ybar, j = sensitivities(model.matrices, np.ascontiguousarray(lifted[None]), x0[None], nothing, none)
-    return ybar[0], split(blocks(n, m, p, q, 0), j[0])["x0"]
+    ybar, by = sensitivities(model.matrices, lifted[None], x0[None], nothing, none)
+    return ybar[0], by["x0"][0]
 
 
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:

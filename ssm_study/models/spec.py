@@ -25,7 +25,7 @@ LEAST_SHARE = 0.5  # |y - ys| < |y| exactly where <y, ys> > <ys, ys> / 2
 SLOWEST = 0.9995  # starting modes are pulled inside this radius: a least-squares fit of noisy data may be unstable
 
 Range = Sequence[float]  # from, to
-Records = Sequence[tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]  # (T, m), (T, p), T may differ
+Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]  # records; their lengths may differ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ def on_ring(
     return Start(modes=modes, b=b, c=c, d=np.zeros((p, m)))
 
 
-def from_data(records: Records, order: int, rng: np.random.Generator, feedthrough: bool) -> Start:
+def from_data(records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool) -> Start:
     """ARX by least squares over all records, its impulse response, a balanced realisation of it, its modes.
 
     Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is allowed; their modes,
@@ -82,7 +82,7 @@ def from_data(records: Records, order: int, rng: np.random.Generator, feedthroug
     return replace(start, c=share * start.c, d=share * start.d)
 
 
-def explained(start: Start, records: Records) -> float:
+def explained(start: Start, records: Pairs) -> float:
     """`<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than zero is."""
     seen = np.concatenate([y for _, y in records])
     made = np.concatenate([start.free_run(u) for u, _ in records])
@@ -90,7 +90,7 @@ def explained(start: Start, records: Records) -> float:
 
 
 def arx(
-    records: Records, lags: int, feedthrough: bool
+    records: Pairs, lags: int, feedthrough: bool
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
     """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
     rows, targets = [], []
@@ -225,7 +225,7 @@ class SSMSpec(ModelSpec):
         return TorchSSM(scaffold_in, LRU(start, self.feedthrough), scaffold_out)
 
 
-def scaled(data: DataSet) -> list[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]:
+def scaled(data: DataSet) -> Pairs:
     """Training records in scaled units: `(u - u_eq) / input_scale`, `(y - y_eq) / output_scale`."""
     return [(data.scale.scaled_input(record.u), data.scale.scaled_output(record.y)) for record in data.training]
 

@@ -1,7 +1,7 @@
 """The structured model: neurons inside the recurrence, and every certificate still within reach. No torch here."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -73,8 +73,13 @@ def slopes(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"]) -> Float[np
     return phi(kinds, z, "slope")
 
 
-MATRICES = ("a", "b", "c", "d", "e", "f", "g", "h")
-Matrix = Float[np.ndarray, "_ _"]  # the constructor says which shape
+def shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:
+    """Of each matrix of a recurrence with n states, m lifted inputs, p outputs and q neurons."""
+    linear = {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}
+    return linear | {"e": (n, q), "f": (q, n), "g": (q, m), "h": (p, q), "bias": (q,)}
+
+
+Matrix = Float[np.ndarray, "_ _"]  # `shapes` says which
 Injected = Float[np.ndarray, "*batch q"] | float
 
 
@@ -107,8 +112,7 @@ class StructuredSSM(Wired):
     def __post_init__(self) -> None:
         n, m, p, q = len(self.a), self.scaffold_in.outputs, self.scaffold_out.inputs, len(self.neurons)
         codes(self.neurons)
-        shapes: list[tuple[int, ...]] = [(n, n), (n, m), (p, n), (p, m), (n, q), (q, n), (q, m), (p, q), (q,)]
-        for name, shape in zip((*MATRICES, "bias"), shapes, strict=True):
+        for name, shape in shapes(n, m, p, q).items():
             value = getattr(self, name)
             fits = value.shape == shape and bool(np.isfinite(value).all())
             problem = f"must be finite and of shape {shape}: {n} states, {q} neurons"
@@ -126,16 +130,8 @@ class StructuredSSM(Wired):
         return self._structured if self.neurons else self.linear
 
     @property
-    def simplest(self) -> "SSM | StructuredSSM":
-        """Itself, or without any neuron the model of one layer, of which more can be proved."""
-        if self.neurons:
-            return self
-        maps: Any = {name: getattr(self, name) for name in ("scaffold_in", "scaffold_out", "scale", "step_s")}
-        return SSM(linear=self.linear, **maps)
-
-    @property
     def _structured(self) -> StructuredSystem:
-        return StructuredSystem(**{name: getattr(self, name) for name in MATRICES})
+        return StructuredSystem(**{block.name: getattr(self, block.name) for block in fields(StructuredSystem)})
 
     @cached_property
     def matrices(self) -> "Matrices":
@@ -182,9 +178,8 @@ class StructuredSSM(Wired):
         plain = vars(SSM.from_json(data))
         parts = vars(plain.pop("linear"))
         (n, m), p = parts["b"].shape, len(parts["c"])
-        shapes = {"e": (n, 0), "f": (0, n), "g": (0, m), "h": (p, 0), "bias": (0,)}
-        none: Any = {name: np.zeros(shape) for name, shape in shapes.items()}
-        return cls(**parts, **plain, **none, neurons=())
+        none: Any = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}
+        return cls(**none | parts, **plain, neurons=())
 
 
 def model_from_json(data: Mapping[str, Any]) -> Simulator:

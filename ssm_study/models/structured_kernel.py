@@ -6,12 +6,15 @@ By hand: with `S = diag phi'(z)` a change obeys `dx+ = (A + E S F) dx + ...`, `d
 """
 
 from collections.abc import Mapping
-from math import exp, log1p, tanh
+from itertools import accumulate
+from math import exp, log1p, prod, tanh
 from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
+
+from ssm_study.models.structured import shapes
 
 compiled = njit(cache=True, error_model="numpy")  # division as in C: no checks inside the loops
 
@@ -103,16 +106,10 @@ def free_run(k, v, x0):
     return ybar, states
 
 
-def blocks(n: int, m: int, p: int, q: int, lifted: int) -> dict[str, tuple[int, ...]]:
-    """The columns of `sensitivities`, block by block in their order, each flattened by rows."""
-    state = {"a": (n, n), "b": (n, m), "e": (n, q), "f": (q, n), "g": (q, m), "bias": (q,), "lifted": (lifted,)}
-    return state | {"x0": (n,), "c": (p, n), "d": (p, m), "h": (p, q)}
-
-
-def split(shapes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]) -> dict[str, Float[np.ndarray, "..."]]:
+def split(sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]) -> dict[str, Float[np.ndarray, "..."]]:
     """The last axis cut into blocks of these shapes, in their order."""
-    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
-    return dict(zip(shapes, np.split(j, ends[:-1], axis=-1), strict=True))
+    *ends, _ = accumulate(map(prod, sizes.values()))
+    return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
 
 
 @compiled
@@ -120,7 +117,7 @@ def split(shapes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]) 
 def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
     """Add to a row of derivatives `weights s`, what moves this row alone (from `own` on), and what moves the neurons.
 
-    `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g, bias and lifted.
+    `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g, bias and scaffold_in.
     """
     x, v, w, slope, rest = here
     for j in range(len(x)):
@@ -140,29 +137,38 @@ def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at)
         row[at[3] + j] += through[channel[j]] * basis[j]
 
 
-@compiled
-@no_type_check
-def _places(n, m, p, q, lifted):
-    """The first columns of b, e, of (f, g, bias, lifted), of x0, c, d and h, in the order of `blocks`."""
-    at_e = n * n + n * m
-    at_f = at_e + n * q
-    at = (at_f, at_f + q * n, at_f + q * n + q * m, at_f + q * n + q * m + q)
-    at_c = at[3] + lifted + n
-    return n * n, at_e, at, at_c - n, at_c, at_c + p * n, at_c + p * n + p * m
+BLOCKS = ("a", "b", "e", "f", "g", "bias", "scaffold_in", "x0", "c", "d", "h")  # what moves the states first
 
 
-@compiled
-@no_type_check
-def sensitivities(k, v, x0, basis, channel):
-    """`(ybar (N, T, p), J (N, T, p, P))`, the columns of J as `blocks` has them.
+def sensitivities(
+    k: Matrices,
+    v: Float[np.ndarray, "N T m"],
+    x0: Float[np.ndarray, "N n"],
+    moved: Float[np.ndarray, "N T K"],
+    channel: Int[np.ndarray, "K"],
+) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
+    """`ybar`, and its derivatives by each of `BLOCKS`, flattened by rows.
 
-    `lifted` parameter j moves the lifted input of `channel[j]` by `basis[., ., j] (N, T, K)` per unit; `x0` is the own
-    record's. A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its place.
+    Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per unit; `x0` is the own
+    record's.
     """
+    n, m = k.b.shape
+    sizes = shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}
+    sizes = {name: sizes[name] for name in BLOCKS}
+    places = tuple(accumulate(map(prod, sizes.values()), initial=0))
+    ybar, j = _sensitivities(k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), channel, places)
+    return ybar, split(sizes, j)
+
+
+@compiled
+@no_type_check
+def _sensitivities(k, v, x0, basis, channel, places):
+    """A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its place."""
     records, samples, m = v.shape
     n, p, q = k.a.shape[0], k.c.shape[0], k.e.shape[1]
-    at_b, at_e, at, at_x0, at_c, at_d, at_h = _places(n, m, p, q, basis.shape[2])
-    out, ybar = np.zeros((records, samples, p, at_h + p * q)), np.empty((records, samples, p))
+    _, at_b, at_e, _, _, _, _, at_x0, at_c, at_d, at_h, width = places
+    at = places[3:7]
+    out, ybar = np.zeros((records, samples, p, width)), np.empty((records, samples, p))
     w, slope, still, rest = np.empty(q), np.empty(q), np.zeros(q), np.empty(q)
     _neurons(k, still, np.zeros(n), np.zeros(m), still, rest)
     es, hs, turn, read = np.empty((n, q)), np.empty((p, q)), np.empty((n, n)), np.empty((p, n))
@@ -170,8 +176,7 @@ def sensitivities(k, v, x0, basis, channel):
     for r in range(records):
         x, ahead = x0[r].copy(), np.empty(n)
         s, moved = np.zeros((n, at_c)), np.empty((n, at_c))
-        for i in range(n):
-            s[i, at_x0 + i] = 1.0  # dx / dx0 at the first sample
+        s[:, at_x0:at_c] = np.eye(n)  # dx / dx0 at the first sample
         for t in range(samples):
             _neurons(k, still, x, v[r, t], w, slope)
             _rows(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])

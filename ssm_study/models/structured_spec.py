@@ -169,12 +169,11 @@ class StructuredSpec(ModelSpec):
 
     def one_layer(self) -> SSMSpec:
         """The model without neurons, trained as `model=ssm` is."""
-        require(isinstance(self.order, int), "model.order", self.order, "there is no choice without neurons", "give it")
         inward, outward = (Monotone() if knots else Linear() for knots in (self.knots, self.output_knots))
         shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper", "feedthrough")}
         width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 
     def build(self, data: DataSet, seed: int) -> TorchModel:
-        """Raises `BadRequest`: it has a training of its own, and without neurons `one_layer` is built."""
+        """`one_layer`: with neurons there is a training of its own (`training.structured_fit`)."""
         return self.one_layer().build(data, seed)

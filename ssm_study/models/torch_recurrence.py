@@ -40,13 +40,15 @@ class Chunks(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None) -> Tensor:
-        power = torch.exp(_AGES.to(u.device) * decay.to(torch.complex128)).to(decay.dtype)  # lambda^k, k = 0 ... 64
+        rate = decay.to(torch.complex128)  # in which powers are taken: a phase grows with its sample
+        power = torch.exp(_AGES.to(u.device) * rate).to(decay.dtype)  # lambda^k, k = 0 ... 64
         lift = _real((power[:-1].flip(0)[:, None] * b.mT).flatten(0, 1))
         read = _real((power[:-1, None] * c).flatten(0, 1).conj_physical())
         within = _toeplitz(d, read, _real(b.mT.contiguous()))
         blocks = _blocks(u)
         members = math.isqrt(len(blocks) - 1) + 1  # as many powers of lambda^64 as a group of the scan has
-        turns = torch.exp(torch.arange(1, members + 1, device=u.device)[:, None, None] * (decay * CHUNK))
+        steps = torch.arange(1, members + 1, device=u.device)[:, None, None]
+        turns = torch.exp(steps * (rate * CHUNK)).to(decay.dtype)
         x = _scan(turns, _complex(blocks @ lift), x0)  # the state at the start of each block
         y = (blocks @ within).view(-1, within.shape[1]).addmm_(_real(x).flatten(0, 1), read.mT)
         ctx.save_for_backward(turns, power, b, c, lift, read, within, blocks, x)

@@ -219,8 +219,9 @@ class TorchModel(nn.Module, ABC):
     states: int
     differentiates_forward: ClassVar[bool] = True
 
-    @abstractmethod
-    def forward(self, u: Signals, x0: States | None = None) -> Signals: ...
+    def forward(self, u: Signals, x0: States | None = None) -> Signals:
+        """The output from `x0`, or from rest; overridden where that is cheaper than `advance`."""
+        return self.advance(u, u.new_zeros(len(u), self.states) if x0 is None else x0)[0]
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:

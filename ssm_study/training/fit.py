@@ -1,6 +1,5 @@
 """The Lightning module: one loss over all windows per step, one free run over whole records per epoch."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,18 +12,17 @@ from torch.func import functional_call
 
 from ssm_study.models.identified import Simulator
 from ssm_study.models.metrics import initial_state
+from ssm_study.models.spec import Pairs
 from ssm_study.models.torch_recurrence import forward_derivatives, hankel_singular_values
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
-from ssm_study.signals import DataSet, Trajectory, fit_of_error
-from ssm_study.training.levenberg import LevenbergMarquardt
-from ssm_study.training.optimisers import Adam, Levenberg, trainable
+from ssm_study.signals import DataSet, fit_of_error
+from ssm_study.training.optimisers import Levenberg, trainable
 from ssm_study.training.training import Training
-from ssm_study.training.windows import Cut
+from ssm_study.training.windows import Cut, Windows
 
 POLISH_STEPS = 20  # they undo the rounding, not the optimum
 UNMOVED = 1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
-Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]
 
 
 def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
@@ -38,9 +36,9 @@ def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, 
 class Records(nn.Module):
     """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
 
-    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the first `unscored` samples (the start-up samples unless
-    given) and in the padding, and scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then
-    the loss is `(1 - fit / 100)^2` for one channel.
+    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the `unscored` samples of the cut and in the padding, and
+    scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then the loss is
+    `(1 - fit / 100)^2` for one channel.
     """
 
     u: Tensor
@@ -49,44 +47,35 @@ class Records(nn.Module):
     scored: Tensor
     sum_spread: Tensor
 
-    def __init__(
-        self,
-        records: Sequence[Trajectory],
-        data: DataSet,
-        sorts: bool,
-        share: float = 0.0,
-        unscored: Sequence[int] = (),
-    ) -> None:
+    def __init__(self, cut: Cut, data: DataSet, sorts: bool, share: float = 0.0) -> None:
         super().__init__()
         self.integrated_share = share
-        u, y = padded([(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in records])
+        u, y = padded([(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in cut.pieces])
         scored = np.zeros((*u.shape[:2], 1))
-        for e, record in enumerate(records):
-            scored[e, (unscored[e] if unscored else data.start_up_samples) : len(record)] = 1.0
+        for e, (piece, unscored) in enumerate(zip(cut.pieces, cut.unscored, strict=True)):
+            scored[e, unscored : len(piece)] = 1.0
         mean = (scored * y).sum(axis=(0, 1)) / scored.sum()  # one offset for all records
         spread = float((scored * (y - mean) ** 2).sum())
         for name, values in {"u": u, "y": y, "weight": scored / spread, "scored": scored}.items():
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
         summed = (self.scored * self.y).cumsum(1) * self.scored  # of y as of its error, see `objective`
-        sum_spread = summed.square().sum() if share else torch.ones((), dtype=torch.float64)
-        self.register_buffer("sum_spread", sum_spread, persistent=False)
+        self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
         self.lift = Lift(self.u, sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
         """Free run of the model over all records."""
-        if isinstance(model, TorchSSM):
-            return model(self.u, x0, self.lift(model.scaffold_in))
-        return model(self.u, x0)
+        return model(self.u, x0, **self._lifted(model))
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
         """As `simulate`, and the states after the last sample, padding included."""
-        if isinstance(model, TorchSSM):
-            return model.advance(self.u, x0, self.lift(model.scaffold_in))
-        return model.advance(self.u, x0)
+        return model.advance(self.u, x0, **self._lifted(model))
+
+    def _lifted(self, model: TorchModel) -> dict[str, Signals]:
+        return {"lifted": self.lift(model.scaffold_in)} if isinstance(model, TorchSSM) else {}
 
     def loss(self, y_hat: Signals) -> Float[Tensor, ""]:
         """`sum weight |e|^2`: what the fit is made of."""
-        return (self.weight * (y_hat - self.y) ** 2).sum((-3, -2, -1))
+        return (self.weight * (y_hat - self.y) ** 2).sum()
 
     def objective(self, y_hat: Signals) -> Float[Tensor, ""]:
         """`(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running sum of y|^2`.
@@ -95,8 +84,8 @@ class Records(nn.Module):
         """
         if self.integrated_share == 0.0:
             return self.loss(y_hat)
-        summed = (self.scored * (y_hat - self.y)).cumsum(-2) * self.scored
-        drift = summed.square().sum((-3, -2, -1)) / self.sum_spread  # relative to the sum of y itself
+        summed = (self.scored * (y_hat - self.y)).cumsum(1) * self.scored
+        drift = summed.square().sum() / self.sum_spread  # relative to the sum of y itself
         return (1 - self.integrated_share) * self.loss(y_hat) + self.integrated_share * drift
 
 
@@ -143,21 +132,22 @@ def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) ->
 class Fit(pl.LightningModule):
     """Minimises the training loss of `model`, and with it the states that windows start from where these are free.
 
-    `whole` are the records that the windows were cut from (None where windows are whole records): the training fit
-    that is shown is always that of whole records. Raises `BadRequest` for settings that this model cannot have.
+    `whole` are the records that the windows were cut from: the training fit that is shown is always that of whole
+    records. Raises `BadRequest` for settings that this model cannot have.
     """
 
     def __init__(self, model: TorchModel, data: DataSet, settings: Training) -> None:
         super().__init__()
-        self.automatic_optimization, self.last_loss = False, math.inf
+        self.automatic_optimization = False
         sorts = not isinstance(settings.optimiser, Levenberg)  # which differentiates forward
         able = sorts or model.differentiates_forward
         require(able, "training.optimiser", "levenberg", "this model has no forward derivatives", "use lbfgs or adam")
         cut = settings.windows.cut(data.training, data.start_up_samples)
+        training, validation = (Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation))
         self.model, self.data, self.settings = model, data, settings
-        self.training_records = Records(cut.pieces, data, sorts, settings.integrated_share, cut.unscored)
-        self.validation_records = Records(data.validation, data, sorts)
-        self.whole = Records(data.training, data, sorts) if cut.later else None
+        self.training_records = Records(cut, data, sorts, settings.integrated_share)
+        self.validation_records = Records(validation, data, sorts)
+        self.whole = Records(training, data, sorts) if cut.later else self.training_records
         self.starts = self._free_starts(cut)
 
     def _free_starts(self, cut: Cut) -> Starts | None:
@@ -183,13 +173,11 @@ class Fit(pl.LightningModule):
         self.zero_grad()
         loss = self.loss()
         loss.backward()
-        return loss
+        return loss.detach()
 
     def loss(self) -> Tensor:
-        """What gradients are taken of; the squared error in it is noted as `last_loss`."""
+        """What gradients are taken of."""
         y_hat, defects = self.run()
-        with torch.no_grad():
-            self.last_loss = float(self.training_records.loss(y_hat))
         added = penalty(self.model, self.settings.roughness_weight, self.settings.hankel_weight)
         return self.training_records.objective(y_hat) + defects.square().sum() + added
 
@@ -215,14 +203,16 @@ class Fit(pl.LightningModule):
             return functional_call(self, values, ())
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Fits in percent, minus infinity for a loss that is not finite."""
-        x0 = self._validation_starts() if self.data.start_up_samples > 0 and isinstance(self.model, TorchSSM) else None
-        loss = float(self.validation_records.loss(self.validation_records.simulate(self.model, x0)))
-        if self.whole is not None:
-            x0 = None if self.starts is None else self.starts()[list(self.starts.cut.first)]
-            self.last_loss = float(self.whole.loss(self.whole.simulate(self.model, x0)))
-        for name, value in (("fit_validation_percent", loss), ("fit_training_percent", self.last_loss)):
-            self.log(name, fit_of_error(value**0.5) if np.isfinite(value) else -np.inf)
+        """Fits in percent of the model as it is now, minus infinity for a loss that is not finite.
+
+        What an optimiser evaluated last may be a trial that it refused, or the model before its last step.
+        """
+        fitted = None if self.starts is None else self.starts()[list(self.starts.cut.first)]
+        moving = self.data.start_up_samples > 0 and isinstance(self.model, TorchSSM)
+        estimated = self._validation_starts() if moving else None
+        for name, records, x0 in (("training", self.whole, fitted), ("validation", self.validation_records, estimated)):
+            loss = float(records.loss(records.simulate(self.model, x0)))
+            self.log(f"fit_{name}_percent", fit_of_error(loss**0.5) if np.isfinite(loss) else -np.inf)
 
     def _validation_starts(self) -> States:
         """The states that `free_run` estimates from the start-up samples of the validation records.
@@ -238,13 +228,7 @@ class Fit(pl.LightningModule):
         return torch.from_numpy(np.stack(states)).to(like)
 
     def configure_optimizers(self) -> Any:
-        spec = self.settings.optimiser
-        optimiser = spec.build(self)
-        if isinstance(optimiser, LevenbergMarquardt):
-            optimiser.residual, optimiser.seen = self.residual, lambda loss: setattr(self, "last_loss", loss)
-        if isinstance(spec, Adam):
-            return {"optimizer": optimiser, "lr_scheduler": spec.schedule(optimiser, self.settings.max_epochs)}
-        return optimiser
+        return self.settings.optimiser.build(self)
 
     def concluded(self) -> tuple[Simulator, str]:
         """The explicit numbers, float32 undone by a few L-BFGS iterations in float64 if they end finite and lower."""
@@ -253,9 +237,9 @@ class Fit(pl.LightningModule):
         if single and not isinstance(self.settings.optimiser, Levenberg):  # which leaves the penalties out
             before = {name: value.clone() for name, value in self.state_dict().items()}
             optimiser = torch.optim.LBFGS(trainable(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe")
-            first = float(self._evaluate().detach())
-            optimiser.step(lambda: float(self._evaluate().detach()))
-            if not float(self._evaluate().detach()) <= first:  # also where it is NaN
+            first = float(self._evaluate())
+            optimiser.step(self._evaluate)
+            if not float(self._evaluate()) <= first:  # also where it is NaN
                 self.load_state_dict(before)
         return self.model.freeze(self.data), ""
 

@@ -57,24 +57,23 @@ class LevenbergMarquardt(torch.optim.Optimizer):
     """The optimiser of torch models: `step` takes one accepted step, or none; there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once, where the linear model
-    holds. `residual(flat parameters)` and `seen(loss)`, told of the loss before each step, are set by the training.
+    holds. `residual` takes all parameters in a row.
     """
 
-    def __init__(self, named: list[tuple[str, torch.nn.Parameter]], damping: float, longest_step: float) -> None:
+    def __init__(
+        self, named: list[tuple[str, torch.nn.Parameter]], residual: Residual, damping: float, longest_step: float
+    ) -> None:
         super().__init__([parameter for _, parameter in named], {"damping": damping})
-        self.residual: Residual | None = None
-        self.seen: Callable[[float], object] = float
+        self.residual = residual
         most = {name: longest_step if name.endswith(("nu", "theta")) else torch.inf for name, _ in named}
         self.limits = torch.cat([torch.full_like(p.detach(), most[name]).flatten() for name, p in named])
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss
         residual, group = self.residual, self.param_groups[0]
-        assert residual is not None, "the training sets the residual"
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
         r, j = residual(flat), jacfwd(residual)(flat)  # P + 1 forward passes, those of the Jacobian in one batch
         loss, gradient, normal = float(r @ r), j.T @ r, j.T @ j
-        self.seen(loss)
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
 
         def solved(damping: float) -> Tensor:

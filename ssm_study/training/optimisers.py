@@ -11,10 +11,15 @@ from ssm_study.refusal import at_least, positive, require
 if TYPE_CHECKING:
     from torch import nn
 
+    from ssm_study.training.fit import Fit
+
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
-    """`build` returns a torch optimiser over the trainable parameters; an epoch is `calls_per_epoch` calls of it."""
+    """`build` returns what Lightning takes: a torch optimiser over the trainable parameters, perhaps with a schedule.
+
+    An epoch is `calls_per_epoch` calls of it.
+    """
 
     steps_per_epoch: int
 
@@ -26,7 +31,7 @@ class OptimiserSpec(ABC):
         return self.steps_per_epoch
 
     @abstractmethod
-    def build(self, model: "nn.Module") -> "torch.optim.Optimizer": ...
+    def build(self, fit: "Fit") -> Any: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +48,10 @@ class Lbfgs(OptimiserSpec):
     def calls_per_epoch(self) -> int:
         return 1  # it iterates by itself
 
-    def build(self, model: "nn.Module") -> "torch.optim.Optimizer":
+    def build(self, fit: "Fit") -> "torch.optim.Optimizer":
         sizes: dict[str, Any] = {"max_iter": self.steps_per_epoch, "history_size": self.history}
         search: dict[str, Any] = {"line_search_fn": "strong_wolfe", "tolerance_grad": 0.0, "tolerance_change": 0.0}
-        return torch.optim.LBFGS(trainable(model), **sizes, **search)
+        return torch.optim.LBFGS(trainable(fit), **sizes, **search)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,11 +66,11 @@ class Levenberg(OptimiserSpec):
         positive("optimiser.damping", self.damping, "use 0.01")
         positive("optimiser.longest_step", self.longest_step, "use 0.5")
 
-    def build(self, model: "nn.Module") -> "torch.optim.Optimizer":
+    def build(self, fit: "Fit") -> "torch.optim.Optimizer":
         from ssm_study.training.levenberg import LevenbergMarquardt
 
-        named = [(name, p) for name, p in model.named_parameters() if p.requires_grad]
-        return LevenbergMarquardt(named, self.damping, self.longest_step)
+        named = [(name, p) for name, p in fit.named_parameters() if p.requires_grad]
+        return LevenbergMarquardt(named, fit.residual, self.damping, self.longest_step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,16 +86,14 @@ class Adam(OptimiserSpec):
         final = self.final_fraction
         require(0 < final <= 1, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so")
 
-    def build(self, model: "nn.Module") -> "torch.optim.Optimizer":
-        return torch.optim.Adam(trainable(model), lr=self.learning_rate, fused=True)
-
-    def schedule(self, optimiser: "torch.optim.Optimizer", max_epochs: int) -> "torch.optim.lr_scheduler.LRScheduler":
-        """Half a cosine over all epochs, stepped once per epoch."""
+    def build(self, fit: "Fit") -> dict[str, Any]:
+        optimiser = torch.optim.Adam(trainable(fit), lr=self.learning_rate, fused=True)
 
         def factor(epoch: int) -> float:
-            return self.final_fraction + (1 - self.final_fraction) * (1 + math.cos(math.pi * (epoch / max_epochs))) / 2
+            along = epoch / fit.settings.max_epochs
+            return self.final_fraction + (1 - self.final_fraction) * (1 + math.cos(math.pi * along)) / 2
 
-        return torch.optim.lr_scheduler.LambdaLR(optimiser, factor)
+        return {"optimizer": optimiser, "lr_scheduler": torch.optim.lr_scheduler.LambdaLR(optimiser, factor)}
 
 
 def trainable(model: "nn.Module") -> "list[nn.Parameter]":

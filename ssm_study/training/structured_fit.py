@@ -8,30 +8,19 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from ssm_study.models.identified import SSM
 from ssm_study.models.spec import scaled
-from ssm_study.models.structured import Model, StructuredSSM, slopes
+from ssm_study.models.structured import Model, StructuredSSM, shapes, slopes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
-from ssm_study.training.structured_problem import (
-    CORE,
-    FREE_CORE,
-    Batch,
-    Descent,
-    Residuals,
-    Theta,
-    descended,
-    ended,
-    loss,
-    step,
-)
+from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Descent, Residuals, Theta, descended, step
 from ssm_study.training.structured_start import contracting_start, linear_start, screened_poles, with_neurons
 
 IDLE = 1e-3  # relative change of the output below which a neuron does nothing
 START_SAMPLES = 2000  # of which a start is made: the training goes on with all
 RACE = 5  # steps of each draw inside the contracting set
 TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random poles come below
-UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 
 
 class StructuredFit(pl.LightningModule):
@@ -49,46 +38,43 @@ class StructuredFit(pl.LightningModule):
         self.automatic_optimization = False
         self.spec, self.data, self.seed = spec, data, seed
         lift, read = spec.maps((data.scale.inputs, data.scale.outputs))
-        told: dict[str, Any] = {"neurons": spec.each, "rate": spec.rate, "integrated": spec.integrated}
-        self.problem = Residuals(records=Batch.padded(scaled(data)), lift=lift, read=read, **told)
+        told: dict[str, Any] = {name: getattr(spec, name) for name in ("rate", "integrated", "ridge")}
+        self.problem = Residuals(records=Batch.padded(scaled(data)), neurons=spec.each, lift=lift, read=read, **told)
         self.estimates = data.start_up_samples > 0
-        buffers = {"damping": np.zeros(()), "loss": np.full((), np.nan)}
-        for name, value in (buffers | {name: np.zeros(shape) for name, shape in self._shapes().items()}).items():
-            self.register_buffer(name, torch.from_numpy(value))
-
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
-        n, q, (u, y, _) = int(self.spec.order), self.spec.neurons, self.problem.records
-        count, m, p = len(u), u.shape[-1], y.shape[-1]
-        free = {"x_e": (n, q), "x_g": (n + q, n), "log_d": (q,)}
-        core = free if self.spec.rate else {"a": (n, n), "e": (n, q), "f": (q, n)}
-        shapes = core | {"b": (n, m), "g": (q, m), "bias": (q,), "c": (p, n), "d": (p, m), "h": (p, q)}
-        maps = {"scaffold_in": (len(self.problem.lift.owners),), "scaffold_out": (len(self.problem.read.owners),)}
-        return shapes | maps | {"x0": (count, n + p * self.spec.integrated)}
+        self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
+        n, q, p = int(spec.order), spec.neurons, data.scale.outputs
+        sizes: dict[str, tuple[int, ...]] = shapes(n, data.scale.inputs, p, q)
+        if spec.rate is not None:
+            sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
+            sizes |= {"x_e": (n, q), "x_g": (n + q, n), "log_d": (q,)}
+        sizes |= {"scaffold_in": lift.owners.shape, "scaffold_out": read.owners.shape}
+        for name, shape in (sizes | {"x0": (len(data.training), n + p * spec.integrated)}).items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     @property
     def theta(self) -> Theta:
         """The parameters, as NumPy sees them."""
-        return {name: getattr(self, name).detach().cpu().numpy() for name in self._shapes()}
+        return {name: part.cpu().numpy() for name, part in self.named_buffers() if name not in ("damping", "loss")}
 
     def advance(self, steps: int) -> None:
-        """The starting point and so many steps, without what Lightning does around each."""
-        for _ in range(1 + steps):
-            before = float(self.loss)
-            self.training_step(None, 0)
-            if np.isfinite(before) and ended(before, float(self.loss), float(self.damping)):
-                break
+        """The starting point and at most so many steps, without what Lightning does around each."""
+        self._keep(descended(self.problem, self._started(), self._moved, steps))
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
         """The starting point, then one accepted step (or none) an epoch."""
-        free = self._free(CORE if self.spec.rate is None else FREE_CORE, self.spec.input_path != "none")
-        ridge = self._ridge(free)
         if torch.isnan(self.loss):
-            theta = self._started()
-            at = Descent(theta=theta, loss=loss(self.problem, theta, ridge))
-        else:
-            at = Descent(theta=self.theta, loss=float(self.loss), damping=float(self.damping))
-            at = step(self.problem, at, free, ridge)
-        for name in self._shapes():
+            self.advance(0)
+            return
+        at = Descent(theta=self.theta, loss=float(self.loss), damping=float(self.damping))
+        self._keep(step(self.problem, at, self._moved))
+
+    @property
+    def _moved(self) -> tuple[str, ...]:
+        return self._free(CORE if self.spec.rate is None else FREE_CORE, self.spec.input_path != "none")
+
+    def _keep(self, at: Descent) -> None:
+        for name in self.theta:
             getattr(self, name).copy_(torch.as_tensor(at.theta[name]))
         self.loss.fill_(at.loss)
         self.damping.fill_(at.damping)
@@ -101,7 +87,7 @@ class StructuredFit(pl.LightningModule):
         matrices = ("a", "b", "c", *(("d",) if spec.feedthrough else ()), *(("x0",) if self.estimates else ()))
 
         def settled(theta: Theta) -> Descent:  # phase 1: the linear fit
-            return descended(linear, theta, matrices, self._ridge(matrices), spec.start_steps[0])
+            return descended(linear, theta, matrices, spec.start_steps[0])
 
         begun = linear_start(linear, int(spec.order), spec.feedthrough, rng)
         at = settled(begun)
@@ -111,9 +97,9 @@ class StructuredFit(pl.LightningModule):
         theta = at.theta
         if spec.knots or spec.output_knots:
             maps = (*matrices, "scaffold_in", "scaffold_out")
-            theta = descended(linear, theta, maps, self._ridge(maps), spec.start_steps[1]).theta
+            theta = descended(linear, theta, maps, spec.start_steps[1]).theta
         best = min((self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss)
-        x0 = np.zeros(self._shapes()["x0"])  # records that the start has not seen begin at rest
+        x0 = np.zeros_like(self.theta["x0"])  # records that the start has not seen begin at rest
         x0[: len(best.theta["x0"])] = best.theta["x0"]
         return best.theta | {"x0": x0}
 
@@ -122,20 +108,17 @@ class StructuredFit(pl.LightningModule):
         spec, free = self.spec, replace(short, rate=None)
         theta = with_neurons(free, theta, spec.neurons, rng)
         unbound, inside = (self._free(core, spec.input_path == "free") for core in (CORE, FREE_CORE))
-        at = descended(free, theta, unbound, self._ridge(unbound), spec.start_steps[2])
+        at = descended(free, theta, unbound, spec.start_steps[2])
         if spec.rate is None:
             return at
         theta = contracting_start(free, at.theta, spec.rate)
-        return descended(short, theta, inside, self._ridge(inside), RACE)
+        return descended(short, theta, inside, RACE)
 
     def _free(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:  # The blocks that a phase moves
         spec = self.spec
         paths = {"g": input_path, "h": spec.output_path == "free", "d": spec.feedthrough, "x0": self.estimates}
         opened = (name for name, is_open in paths.items() if is_open)
         return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *opened)
-
-    def _ridge(self, free: tuple[str, ...]) -> dict[str, float]:
-        return {name: self.spec.ridge for name in free if name not in UNWEIGHTED}
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
         """Fits in percent: of training from the states that were fitted, of validation as a score has them."""
@@ -164,10 +147,14 @@ class StructuredFit(pl.LightningModule):
         return StructuredSSM(**parts)
 
     def concluded(self) -> tuple[Model, str]:
-        """The model without the neurons that do nothing on the training inputs, and how many those were."""
+        """The model without the neurons that do nothing on the training inputs, and how many those were.
+
+        Without any neuron it is the model of one layer, of which more can be proved.
+        """
         model = pruned(self.stored(), [record.u for record in self.data.training])
         idle = len(self.spec.each) - len(model.neurons)
-        return model.simplest, f"; neurons removed because they did nothing: {idle}" if idle else ""
+        told = f"; neurons removed because they did nothing: {idle}" if idle else ""
+        return model if model.neurons else SSM.from_json(model.to_json()), told
 
 
 def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:

@@ -8,16 +8,17 @@ from jaxtyping import Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ssm_study.models.contracting import Free, derivative, explicit
+from ssm_study.models.spec import Pairs
 from ssm_study.models.structured import codes
-from ssm_study.models.structured_kernel import Matrices, blocks, free_run, sensitivities, split
+from ssm_study.models.structured_kernel import Matrices, free_run, sensitivities, split
 from ssm_study.models.structured_spec import Pieces
-from ssm_study.training.fit import Pairs, padded
+from ssm_study.training.fit import padded
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, damped
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out, x0.
 Theta = dict[str, Float[np.ndarray, "..."]]
-Columns = dict[str, Float[np.ndarray, "N T p _"]]
 FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
+UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
@@ -46,10 +47,10 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Residuals:
-    """`r = weight (y_hat - y)`, all records from their own x0 (zero where `x0` is not among the parameters).
+    """`r = weight (y_hat - y)`, all records from their own x0.
 
     With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrated`: the output is the
-    running sum of the model's, started at `x0`'s last entry.
+    running sum of the model's, started at `x0`'s last entry. `ridge` weighs the squared parameters that are moved.
     """
 
     records: Batch
@@ -58,18 +59,22 @@ class Residuals:
     read: Pieces
     rate: float | None = None
     integrated: bool = False
+    ridge: float = 0.0
+
+    def ridge_of(self, block: str) -> float:
+        """Of the squared parameters of a block in the penalty."""
+        return 0.0 if block in UNWEIGHTED else self.ridge
 
     def matrices(self, theta: Theta) -> Matrices:
         """What the compiled recurrence takes."""
         if self.rate is not None:
-            theta = theta | explicit(Free(*(theta[name] for name in FREE_CORE)), self.rate)._asdict()
+            theta = theta | explicit(_free(theta), self.rate)._asdict()
         return Matrices.of(theta, codes(self.neurons))
 
     def starts(self, theta: Theta) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
         """States and, where the output is summed up, outputs that the records start from."""
-        n, p, count = len(theta["b"]), len(theta["c"]), len(self.records.u)
-        x0 = theta.get("x0", np.zeros((count, n + p * self.integrated)))
-        return np.ascontiguousarray(x0[:, :n]), x0[:, n:]
+        n = len(theta["b"])
+        return np.ascontiguousarray(theta["x0"][:, :n]), theta["x0"][:, n:]
 
     def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1, n)`."""
@@ -97,18 +102,16 @@ class Residuals:
         """
         u, target, weight = self.records
         v, _, moved = self.lift.derivatives(theta["scaffold_in"], u)  # S_u, and what its parameters do to it
-        (x0, begun), k = self.starts(theta), self.matrices(theta)
-        y, j = sensitivities(k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), self.lift.owners)
-        (n, m), p, q = k.b.shape, len(k.c), len(k.bias)
-        columns = split(blocks(n, m, p, q, moved.shape[-1]), j)
-        columns |= {"scaffold_in": columns["lifted"], "scaffold_out": np.zeros((*target.shape, 0))}
+        x0, begun = self.starts(theta)
+        y, columns = sensitivities(self.matrices(theta), v, x0, moved, self.lift.owners)
+        columns["scaffold_out"] = np.zeros((*target.shape, 0))
         if self.integrated:
             y = begun[:, None, :] + summed(y)
             columns = {name: summed(part) for name, part in columns.items()}
         elif self.read.knots:
             y, slope, bent = self.read.derivatives(theta["scaffold_out"], y)
             columns = {name: slope[..., None] * part for name, part in columns.items()}
-            columns["scaffold_out"] = bent[..., None, :] * (self.read.owners == np.arange(p)[:, None])
+            columns["scaffold_out"] = bent[..., None, :] * (self.read.owners == np.arange(target.shape[-1])[:, None])
         if "x0" in free:
             columns["x0"] = self._by_start(columns["x0"])
         own = [name for name in free if name not in FREE_CORE]
@@ -121,11 +124,8 @@ class Residuals:
 
     def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
         """What each free parameter does to A, E and F, in columns."""
-        free = {name: theta[name] for name in FREE_CORE}
-        shapes = {name: part.shape for name, part in free.items()}
-        unit = split(shapes, np.eye(sum(part.size for part in free.values())))
-        change = Free(**{name: part.reshape(len(part), *shapes[name]) for name, part in unit.items()})
-        turned = derivative(Free(**free), change, self.rate or 1.0)
+        units = np.eye(pack(theta, FREE_CORE).size)
+        turned = derivative(_free(theta), Free(**unpack(units, theta, FREE_CORE)), self.rate or 1.0)
         return np.concatenate([part.reshape(len(part), part[0].size) for part in turned], axis=1).T
 
     def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
@@ -137,6 +137,10 @@ class Residuals:
             if self.integrated:
                 whole[r, :, :, r, n:] = np.eye(p)
         return whole.reshape(count, samples, p, -1)
+
+
+def _free(theta: Theta) -> Free:
+    return Free(*(theta[name] for name in FREE_CORE))
 
 
 def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
@@ -154,18 +158,19 @@ class Descent:
     damping: float = 1e-2
 
 
-def loss(problem: Residuals, theta: Theta, ridge: dict[str, float]) -> float:
-    """`|r|^2 + sum ridge |block|^2`, infinite where the simulation is not finite."""
+def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
+    """`|r|^2 + ridge sum |block|^2` over the blocks `free`, infinite where the simulation is not finite."""
     r = problem.residual(theta)
     with np.errstate(all="ignore"):
-        value = float(r @ r) + sum(weight * float(np.sum(theta[name] ** 2)) for name, weight in ridge.items())
+        value = float(r @ r) + sum(problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free)
     return value if np.isfinite(value) else np.inf
 
 
-def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str, float]) -> Descent:
-    """One accepted step in the blocks `free`, or none; `R = diag(ridge)`."""
+def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
+    """One accepted step in the blocks `free`, or none."""
     r, j, turn = problem.linearised(at.theta, free)
-    flat, weights = pack(at.theta, free), pack({n: np.full_like(at.theta[n], ridge.get(n, 0.0)) for n in free}, free)
+    flat = pack(at.theta, free)
+    weights = np.concatenate([np.full(at.theta[name].size, problem.ridge_of(name)) for name in free])  # R, its diagonal
     with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
         normal, gradient = turn.T @ (j.T @ j) @ turn, turn.T @ (j.T @ r) + weights * flat
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
@@ -176,17 +181,17 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...], ridge: dict[str
         by, value, damping = damped(
             WRITTEN_OUT, at.loss, gradient, normal, at.damping,
             lambda damping: _solved(normal + np.diag(damping * scale), gradient),
-            lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), ridge),
+            lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), free),
         )  # fmt: skip
     theta = at.theta if by is None else at.theta | unpack(flat + by, at.theta, free)
     return Descent(theta=theta, loss=value, damping=damping)
 
 
-def descended(problem: Residuals, theta: Theta, free: tuple[str, ...], ridge: dict[str, float], most: int) -> Descent:
+def descended(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
     """At most so many steps, until one has `ended` the descent."""
-    at = Descent(theta=theta, loss=loss(problem, theta, ridge))
+    at = Descent(theta=theta, loss=loss(problem, theta, free))
     for _ in range(most):
-        before, at = at.loss, step(problem, at, free, ridge)
+        before, at = at.loss, step(problem, at, free)
         if ended(before, at.loss, at.damping):
             break
     return at
@@ -210,7 +215,7 @@ def pack(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
     return np.concatenate([theta[name].ravel() for name in names])
 
 
-def unpack(flat: Float[np.ndarray, "P"], like: Theta, names: tuple[str, ...]) -> Theta:
+def unpack(flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]) -> Theta:
     """The inverse of `pack`, with the shapes of `like`."""
     parts = split({name: like[name].shape for name in names}, flat)
-    return {name: part.reshape(like[name].shape) for name, part in parts.items()}
+    return {name: part.reshape(*flat.shape[:-1], *like[name].shape) for name, part in parts.items()}

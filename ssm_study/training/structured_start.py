@@ -6,7 +6,7 @@ from scipy import linalg
 
 from ssm_study.models.contracting import Core, in_metric, parameters, projected
 from ssm_study.models.spec import arx, impulse_response, realise
-from ssm_study.models.structured import slopes
+from ssm_study.models.structured import shapes, slopes
 from ssm_study.training.structured_problem import CORE, Residuals, Theta, loss
 
 ARX_LAGS = 10
@@ -29,13 +29,13 @@ def linear_start(problem: Residuals, order: int, feedthrough: bool, rng: np.rand
     system = realise(impulse_response(*arx(pairs, lags, feedthrough)), order, rng)
     radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
     (n, m), p = system.b.shape, len(system.c)
-    shapes = {"e": (n, 0), "f": (0, n), "g": (0, m), "h": (p, 0), "bias": (0,)}  # no neurons yet
-    shapes |= {"x0": (len(u), n + p * problem.integrated)}
-    start = {name: np.zeros(shape) for name, shape in shapes.items()} | {
+    none = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}  # no neurons yet
+    start = none | {
         "a": system.a * min(1.0, SLOWEST / radius),
         "b": system.b,
         "c": system.c,
-        "d": system.d if feedthrough else np.zeros((p, m)),
+        "d": system.d if feedthrough else none["d"],
+        "x0": np.zeros((len(u), n + p * problem.integrated)),
         "scaffold_in": problem.lift.start(samples[0]),
         "scaffold_out": problem.read.start(samples[1]),
     }
@@ -63,21 +63,19 @@ def screened_poles(problem: Residuals, begun: Theta, estimates: bool, rng: np.ra
     """
     order = len(begun["a"])
     found = [begun | _residues(problem, begun, _drawn_poles(order, rng), estimates, rng) for _ in range(SCREENED)]
-    return min(found, key=lambda one: loss(problem, one, {}))
+    return min(found, key=lambda one: loss(problem, one, ()))
 
 
 def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
     """Time constants of 1 to `LONGEST` samples, evenly in their logarithm; one in two begins a pair."""
-    a, i = np.zeros((order, order)), 0
-    while i < order:
-        radius = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST))))
-        angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2 if i + 1 < order and rng.uniform() < 0.5 else None
-        if angle is None:
-            a[i, i], i = radius, i + 1
-            continue
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        a[i : i + 2, i : i + 2], i = radius * turn, i + 2
-    return a
+    blocks: list[np.ndarray] = []
+    while (left := order - sum(map(len, blocks))) > 0:
+        radius, turn = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST)))), np.eye(1)
+        if left > 1 and rng.uniform() < 0.5:
+            angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2
+            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        blocks.append(radius * turn)
+    return linalg.block_diag(*blocks)
 
 
 def _residues(

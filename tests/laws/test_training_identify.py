@@ -21,7 +21,7 @@ from ssm_study.models.scaffolds.scaffold import Trainable
 from ssm_study.models.spec import SSMSpec
 from ssm_study.signals import Scale, Trajectory, fit_percent
 from ssm_study.training.metrics import mean_fit
-from ssm_study.training.optimisers import Adam, Lbfgs, OptimiserSpec
+from ssm_study.training.optimisers import Adam, Lbfgs, Levenberg, OptimiserSpec
 from ssm_study.training.training import Training
 
 LBFGS = Lbfgs(steps_per_epoch=10, history=20)
@@ -92,7 +92,20 @@ def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> No
     assert np.abs(replayed - convolved).max() <= 1e-9 * np.abs(convolved).max()
 
 
-@pytest.mark.parametrize("optimiser", [LBFGS, Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)])
+ADAM = Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)
+LEVENBERG = Levenberg(steps_per_epoch=1, damping=0.01, longest_step=0.5)
+
+
+@pytest.mark.parametrize("optimiser", [LBFGS, ADAM, LEVENBERG])
+def test_the_fit_that_the_curve_shows_is_that_of_the_state_it_stands_beside(
+    optimiser: OptimiserSpec, tmp_path: Path
+) -> None:
+    """Not of the state before the epoch's last step, nor of a trial that a line search refused."""
+    found = training(optimiser, max_epochs=1).identify(spec(), data_set(samples=120), 0, tmp_path)
+    assert found.curve[0]["fit_training_percent"] == pytest.approx(found.fit_training_percent, abs=1e-4)
+
+
+@pytest.mark.parametrize("optimiser", [LBFGS, ADAM])
 def test_equal_seeds_give_equal_models(optimiser: OptimiserSpec, tmp_path: Path) -> None:
     data = data_set(noise=0.05)
     one, two = (

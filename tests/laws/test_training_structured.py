@@ -144,13 +144,13 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
     maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
     one = Residuals(records=Batch.padded([(np.ones((900, 1)), np.arange(900.0)[:, None])]), neurons=(), **maps)  # type: ignore[arg-type]
     begun = linear_start(one, 1, False, np.random.default_rng(0)) | {"a": np.array([[1.48]])}
-    at = Descent(theta=begun, loss=loss(one, begun, {}), damping=1e6)
+    at = Descent(theta=begun, loss=loss(one, begun, ()), damping=1e6)
     normal = np.square(one.linearised(begun, ("a",))[1]).sum()
     assert np.isfinite(at.loss)
     assert np.isfinite(normal)
     with np.errstate(over="ignore"):
         assert not np.isfinite(normal * at.damping)
-    after = step(one, at, ("a",), {})
+    after = step(one, at, ("a",))
     assert after.theta is begun
     assert after.loss == at.loss
 
@@ -162,8 +162,8 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     maps = {"lift": Pieces(1, 16, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
     one = Residuals(records=Batch.padded(scaled(data)).cut(2000), neurons=(), **maps)  # type: ignore[arg-type]
     begun = linear_start(one, 5, False, np.random.default_rng(8))
-    assert loss(one, begun, {}) > 0.05
-    assert descended(one, begun, ("a", "b", "c"), {}, 15).loss < 0.0055
+    assert loss(one, begun, ()) > 0.05
+    assert descended(one, begun, ("a", "b", "c"), 15).loss < 0.0055
     assert not ended(1.0, 1.0, 1.0)
     assert ended(1.0, 1.0, DAMPING_RANGE[1])
 
@@ -180,8 +180,8 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     one = Residuals(records=Batch.padded([(u, y)]), neurons=(), **maps)  # type: ignore[arg-type]
     begun = linear_start(one, 2, False, rng)
     found = screened_poles(one, begun, True, rng)
-    assert loss(one, begun, {}) > 0.5
-    assert loss(one, found, {}) < 0.1
+    assert loss(one, begun, ()) > 0.5
+    assert loss(one, found, ()) < 0.1
     for mode, true in zip(sorted(np.abs(np.linalg.eigvals(found["a"]))), (0.96, 0.975), strict=True):
         assert mode == pytest.approx(true, abs=0.03)
 

@@ -55,24 +55,18 @@ class TorchDynoNet(TorchModel):
     states = 0
     differentiates_forward = False
 
-    def __init__(
-        self, channels: tuple[int, int], wires: int, terms: tuple[int, int], hidden: int, integral_s: float | None
-    ) -> None:
+    def __init__(self, spec: "DynoNetSpec", data: DataSet) -> None:
         super().__init__()
-        self.integral_s = integral_s
+        self.integral_s = data.step_s if spec.integrated else None
         lti, static = library("dynonet.lti"), library("dynonet.static")
-        (enter, leave), (nb, na) = channels, terms
-        self.first = lti.MimoLinearDynamicalOperator(enter, wires, n_b=nb, n_a=na, n_k=1).double()
-        self.bend = static.MimoStaticNonLinearity(wires, wires, n_hidden=hidden, activation="tanh").double()
-        self.second = lti.MimoLinearDynamicalOperator(wires, leave, n_b=nb, n_a=na).double()
-
-    def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        del x0  # there is none
-        y = self.second(self.bend(self.first(u)))
-        return y if self.integral_s is None else self.integral_s * y.cumsum(-2)
+        wires, terms = spec.wires, {"n_b": spec.numerator, "n_a": spec.denominator}
+        self.first = lti.MimoLinearDynamicalOperator(data.scale.inputs, wires, **terms, n_k=1).double()
+        self.bend = static.MimoStaticNonLinearity(wires, wires, n_hidden=spec.hidden, activation="tanh").double()
+        self.second = lti.MimoLinearDynamicalOperator(wires, data.scale.outputs, **terms).double()
 
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        return self.forward(u), x0
+        y = self.second(self.bend(self.first(u)))
+        return (y if self.integral_s is None else self.integral_s * y.cumsum(-2)), x0
 
     def freeze(self, data: DataSet) -> DynoNet:
         (b1, a1), (b2, a2) = self.first.get_filtdata(), self.second.get_filtdata()
@@ -102,8 +96,6 @@ class DynoNetSpec(ModelSpec):
             at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     def build(self, data: DataSet, seed: int) -> TorchDynoNet:
-        channels = (data.scale.inputs, data.scale.outputs)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            terms, integral_s = (self.numerator, self.denominator), data.step_s if self.integrated else None
-            return TorchDynoNet(channels, self.wires, terms, self.hidden, integral_s)
+            return TorchDynoNet(self, data)

@@ -51,16 +51,13 @@ class Recurrent(Simulator, names=("gru", "lstm")):
 class TorchRecurrent(TorchModel):
     """`y = W h + b` of torch's GRU or LSTM cell, float64; its state is h, and c of the LSTM."""
 
-    def __init__(self, cell: str, hidden: int, channels: tuple[int, int]) -> None:
+    def __init__(self, kind: str, hidden: int, scale: Scale) -> None:
         super().__init__()
-        self.kind = cell
-        kind = nn.GRU if cell == "gru" else nn.LSTM
-        self.cell = kind(channels[0], hidden, batch_first=True, dtype=torch.float64)
-        self.read = nn.Linear(hidden, channels[1], dtype=torch.float64)
-        self.states = hidden if cell == "gru" else 2 * hidden  # the LSTM's h, then its c
-
-    def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        return self.read(self.cell(u)[0]) if x0 is None else self.advance(u, x0)[0]
+        self.kind = kind
+        cell = nn.GRU if kind == "gru" else nn.LSTM
+        self.cell = cell(scale.inputs, hidden, batch_first=True, dtype=torch.float64)
+        self.read = nn.Linear(hidden, scale.outputs, dtype=torch.float64)
+        self.states = hidden if kind == "gru" else 2 * hidden  # the LSTM's h, then its c
 
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
         start = [part.contiguous() for part in x0[None].split(self.cell.hidden_size, dim=-1)]
@@ -88,4 +85,4 @@ class RecurrentSpec(ModelSpec):
     def build(self, data: DataSet, seed: int) -> TorchRecurrent:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            return TorchRecurrent(self.cell, self.hidden, (data.scale.inputs, data.scale.outputs))
+            return TorchRecurrent(self.cell, self.hidden, data.scale)

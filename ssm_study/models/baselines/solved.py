@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models.identified import SSM, Inputs, Outputs, Simulator
-from ssm_study.models.spec import ModelSpec, Records, scaled
+from ssm_study.models.spec import ModelSpec, Pairs, scaled
 from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import BadRequest, at_least, require
 from ssm_study.signals import DataSet, Scale
@@ -67,9 +67,7 @@ class N4SID(SolvedSpec):
         return SSM.of(StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d)), data.step_s, data.scale)
 
 
-def input_matrix(
-    a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Records
-) -> Float[np.ndarray, "n m"]:
+def input_matrix(a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs) -> Float[np.ndarray, "n m"]:
     """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so solved at once."""
     n, m, count = len(a), records[0][0].shape[1], len(records)
     each = StateSpace(a=a, b=np.eye(n), c=c, d=np.zeros((len(c), n)))

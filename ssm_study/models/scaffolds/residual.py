@@ -78,7 +78,7 @@ class Residual(Trainable):
         free |= {f"scale_{i}": np.zeros(h) for i in layers} | {f"bias_{i}": rng.normal(size=h) for i in layers}
         return free | {"last_skew": rng.normal(size=(m, m)) * 0.1, "last_tail": last.T}
 
-    def explicit(self, free: Free, slopes: tuple[float, float]) -> "Explicit":
+    def explicit(self, free: Free, slopes: tuple[float, float]) -> "Sandwich":
         weights: list[Tensor] = []
         left: Any = None
         psis = [torch.exp(free[f"scale_{i}"]) for i in range(self.depth)]
@@ -91,14 +91,14 @@ class Residual(Trainable):
         ball = (slopes[1] + slopes[0]) / 2, (slopes[1] - slopes[0]) / 2
         return ball, [*weights, b @ left], [free[f"bias_{i}"] for i in range(self.depth)], psis
 
-    def evaluate(self, explicit: "Explicit", v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
+    def evaluate(self, explicit: "Sandwich", v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
         (alpha, beta), weights, biases, _ = explicit
         d = v
         for w, b in zip(weights[:-1], biases, strict=True):
             d = torch.relu(d @ w.T + b) - torch.relu(b)
         return alpha * v + beta * (d @ weights[-1].T)
 
-    def frozen(self, explicit: "Explicit", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
+    def frozen(self, explicit: "Sandwich", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
         (alpha, beta), weights, biases, psis = explicit
         network = Network(
             weights=tuple(numbers(w) for w in weights),
@@ -111,7 +111,7 @@ class Residual(Trainable):
 
 
 # `(alpha, beta)`, plain weights and biases of G, and `psi` of each hidden layer.
-Explicit = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
+Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 
 
 def cayley(skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
