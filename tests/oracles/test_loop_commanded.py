@@ -20,7 +20,7 @@ from ssm_study.synthesis.deployed import as_deployed
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.mismatch import ANGLES, mismatch
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.integral_action import controlled_system
 
 ASKED = RiccatiSynthesis(rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True)
 SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
@@ -30,7 +30,7 @@ MODELS = {"one layer": motor_model, "neurons": with_neurons}
 @pytest.fixture(scope="module", params=[*MODELS, "integral"])
 def made(request: pytest.FixtureRequest) -> tuple:
     stand = MODELS.get(request.param, with_neurons)()
-    asked = IntegralSynthesis(synthesis=ASKED) if request.param == "integral" else ASKED
+    asked = replace(ASKED, internal_model=["step"] if request.param == "integral" else [])
     balls = certified_balls(stand)
     return (
         stand,
