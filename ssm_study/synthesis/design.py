@@ -15,7 +15,7 @@ import numpy as np
 
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.certificate import BESIDE, SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
+from ssm_study.synthesis.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
 from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.frontier import Frontier, controller_frontier
 from ssm_study.synthesis.mismatch import Mismatch
@@ -124,9 +124,9 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
     ]
     for label, part in design.content.items():
         broken += [f"{label}{claim}" for claim in _of_part(part, known)]
-    for label, again in design.beside.items():  # what is proved beside a side is of the gain that is deployed
-        whole = design.content.get(BESIDE.get(label, ""))
-        if isinstance(again, Side) and (not isinstance(whole, Side) or not np.array_equal(again.gain, whole.gain)):
+    for label, again in design.beside.items():  # what is proved beside a side is of the gains that are deployed
+        own = again.gains.items() if isinstance(again, Side) else ()
+        if not all(np.array_equal(gain, design.gains.get(letter, np.nan)) for letter, gain in own):
             broken.append(f"{label}: the gain is not the one that is deployed")
     for side in SIDES:
         stated, derived = content[side].get("certified_rate"), design.certified_rate(side)

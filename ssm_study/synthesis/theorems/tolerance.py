@@ -149,10 +149,6 @@ class Tolerance(Theorem):
     def rate_limit_of(cls, known: Known) -> None:
         """No rate is claimed."""
 
-    @property
-    def gain(self) -> Float[np.ndarray, "m s"]:
-        return self.k
-
 
 def largest_tolerance(
     known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance", theorem: type[Tolerance] = Tolerance
