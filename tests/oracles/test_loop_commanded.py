@@ -2,18 +2,22 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from loop_cases import flat, motor_model
+from loop_cases import flat, motor_model, motor_record
 from structured_cases import model as with_neurons
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.portable import portable
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, digest
 from ssm_study.synthesis.commanded import commanded, shown_behind
 from ssm_study.synthesis.deployed import as_deployed
@@ -84,6 +88,23 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     np.testing.assert_allclose(runs[0].y, runs[1].y, atol=1e-9)
     np.testing.assert_allclose(runs[0].estimate, runs[1].estimate, atol=1e-9)
     assert np.abs(runs[0].u).max() > 0
+
+
+def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`u` in [-0.4, 0.1] is `v = -u` in [-0.1, 0.4]: what the responses are scored within."""
+    scored = []
+
+    def noted(*asked: Any) -> np.ndarray:
+        scored.append(asked[-1])
+        return relative_areas(*asked)
+
+    monkeypatch.setattr("ssm_study.synthesis.auto.relative_areas", noted)
+    falling = replace(motor_model(), scaffold_in=LinearScaffold(gain=-np.eye(1)))
+    falling = falling.with_linear(replace(falling.linear, b=-falling.linear.b))
+    asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
+    asked = asked.within(np.array([-0.4]), np.array([0.1]))
+    assert asked.design(falling, certified_balls(falling), (motor_record(),)).certified
+    np.testing.assert_array_equal(scored, [[[-0.1], [0.4]]])
 
 
 def test_what_the_records_show_is_relative_to_the_command() -> None:

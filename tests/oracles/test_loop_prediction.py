@@ -231,6 +231,11 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(si
     assert found.keeps_the_plant() == passes
     assert np.isinf(found.resolved_margin)
     assert noise_peak(model, pair, ONES, replace(shown, farthest=1.2)) < 1
+    falling = replace(model, scaffold_in=LinearScaffold(gain=-0.5 * np.eye(1)))
+    rising = replace(model, scaffold_in=LinearScaffold(gain=0.5 * np.eye(1)))
+    balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in (-0.5, 0.5)]
+    turned = replace(pair, k=-pair.k)  # the same loop
+    assert noise_peak(falling, turned, balls[0], shown) == noise_peak(rising, pair, balls[1], shown)
 
 
 def drive() -> StribeckDrive:

@@ -246,6 +246,16 @@ def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> Non
     assert abs(a - b * c / d) < 1
 
 
+def test_what_no_filter_covers_gets_no_tolerance_by_frequency() -> None:
+    """Bands where the record has an error and no input: a weight of the others would cover less than is shown."""
+    model = motor_model()
+    shown = flat(np.where(ANGLES > 3, np.inf, SHOWN.by_frequency), gain=0.1)
+    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    found = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, shown).beside
+    assert "tolerance" in found
+    assert "tolerance_by_frequency" not in found
+
+
 @pytest.fixture(scope="module")
 def stored() -> tuple[dict, StateSpace]:
     model = motor_model()
