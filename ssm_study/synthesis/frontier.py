@@ -90,18 +90,6 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
     return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
 
 
-def fast_part(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
-) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "k k"], Float[np.ndarray, "k m"]]:
-    """`basis, a, b` of `z = basis^T x`, `z+ = a z + b u`, the modes with `|lambda| > r`: a left invariant subspace.
-
-    Ordered real Schur form of `A^T`: orthogonal coordinates, so no eigenvector basis is ever inverted.
-    """
-    edge = contraction * (1 + ON_CIRCLE)
-    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge)
-    return z[:, :order], t[:order, :order].T, z[:, :order].T @ b
-
-
 def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k k"]:
     """Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
 
@@ -126,13 +114,18 @@ def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Flo
 
 
 def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
-    """`lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one next to out of reach."""
-    _, fast_a, fast_b = fast_part(a, b, contraction)
-    if not len(fast_a):
+    """`lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of reach.
+
+    Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T` has orthogonal
+    coordinates of it, so no eigenvector basis is ever inverted.
+    """
+    edge = contraction * (1 + ON_CIRCLE)
+    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge)
+    if not order:
         return 0.0
-    bh = fast_b / contraction
+    bh = z[:, :order].T @ b / contraction
     try:
-        root = energy_root(fast_a / contraction, bh)
+        root = energy_root(t[:order, :order].T / contraction, bh)
     except NoSolution:
         return np.inf
     return float(np.linalg.norm(scipy.linalg.solve_triangular(root, bh, lower=True), 2) ** 2)
