@@ -89,7 +89,7 @@ GROUPS = {
     ),
     "claims": Group(modules=("study/verify.py", "study/claims.py"), tests=CLAIMS, planted=15),
     "neurons": Group(
-        modules=_synthesis("structured_lmi", "structured_riccati", "game", "among_starts")
+        modules=_synthesis("structured_lmi", "structured_riccati", "among_starts")
         + _synthesis(*(f"theorems/structured_{name}" for name in ("state_feedback", "observer", "tolerance")))
         + ("models/contracting.py", "models/structured.py", "models/structured_spec.py", "training/levenberg.py")
         + tuple(f"training/structured_{name}.py" for name in ("fit", "start", "problem", "choice")),

@@ -28,7 +28,6 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of, with_limits
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 
 LIMITS = {"dc_motor": (-1.5, 1.5), "stribeck_drive": (-0.5, 0.5), "cascaded_tanks": (1.7, 3.3)}
 INTEGRAL = RiccatiSynthesis(rate_controller=0.003, rate_observer=0.1, input_weight=0.1, output_noise=0.1)
@@ -46,7 +45,7 @@ def loops(files: RunFiles, integral: bool) -> tuple[Design, LoopRuns, LoopRuns]:
     plant, model, (low, high) = files.plant, files.model, files.loop.limits
     design = files.design
     if integral:
-        design = IntegralSynthesis(synthesis=INTEGRAL, integral_weight=1e-2).design(model, certified_balls(model))
+        design = replace(INTEGRAL, internal_model=["step"], integral_weight=1e-2).design(model, certified_balls(model))
     law = ObserverFeedback.of(model, design)
     fitted = files.loop.fitted(model)
     quiet = replace(fitted, measurement_noise_variance=0.0, horizon_s=(4 if integral else 1) * fitted.horizon_s)

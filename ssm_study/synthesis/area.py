@@ -84,8 +84,7 @@ def relative_areas(
     start = *release(model, validation, loaded=len(gains.modes) > 0), limits or (-LARGEST, LARGEST)
     alone = _areas(model, replace(gains, k=0 * gains.k[:1], l=0 * gains.l[:1], l_z=None), *start)[0]
     counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
-    split = [[None] * parts if g is None else np.array_split(g, parts) for g in (gains.k, gains.l, gains.l_z)]
-    found = [_areas(model, replace(gains, k=k, l=l, l_z=l_z), *start) for k, l, l_z in zip(*split, strict=True)]  # noqa: E741
+    found = [_areas(model, gains.at(some), *start) for some in np.array_split(np.arange(len(gains.k)), parts)]
     return (np.concatenate(found)[:, counts] / alone[counts]).mean(axis=1)
 
 

@@ -33,13 +33,15 @@ from ssm_study.synthesis.prediction import noise_peak, predict, worst
 from ssm_study.synthesis.problem import NoSolution, Solution, dual
 from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, frequencies, internal_model, with_modes
+from ssm_study.synthesis.theorems.integral_action import frequencies, internal_model, with_modes
 from ssm_study.systems import Balls, JacobianBall, StateSpace, System
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 ATTEMPTS = 20  # how many candidates are verified exactly before the search gives up: each costs two exact certificates
 LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
+OWN_SHARE = 0.5  # of the rate that a model has by itself: the most cautious request
+STATE_WEIGHT = 1e-6  # of the gains' cost, beside `|C x|^2`
 WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, where none are given
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
 Slopes = Float[np.ndarray, "q"]
@@ -50,7 +52,7 @@ LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is 
 class Auto:
     """The best expected response of a certified design whose resolved mismatch margin exceeds `margin`.
 
-    The grids: rates as shares of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
+    The grids: rates as a share of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
     model always leaves a cautious choice) and of the stretch from there to the exact limit; for the observer, whose
     limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. `rate` stands
     for each side that is left at "auto"; a number is kept. When no candidate passes, the one with the largest margin is
@@ -63,15 +65,12 @@ class Auto:
     rate_controller: float | str = "auto"
     rate_observer: float | str = "auto"
     margin: float = 1.0
-    own_rate_shares: Sequence[float] = (0.5,)
     stretch_shares: Sequence[float] = (0.05, 0.3, 0.6, 0.9)
     observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)
     input_weights: Sequence[float] = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     output_noises: Sequence[float] = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     integral_weights: Sequence[float] = ()
     internal_model: Sequence[str] = ()
-    state_weight: float = 1e-6
-    state_noise: float = 1e-4
     limits: Ends | None = None
     invert_input: bool = False
 
@@ -83,7 +82,7 @@ class Auto:
             if rate != "auto":
                 contraction_rate(f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1')
         require(self.margin > 0, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
-        for name in ("own_rate_shares", "stretch_shares", "observer_rates"):
+        for name in ("stretch_shares", "observer_rates"):
             grid = getattr(self, name)
             inside = len(grid) > 0 and all(0 < value < 1 for value in grid)
             require(inside, f"synthesis.{name}", grid, "must hold numbers in (0, 1)", "keep the default grid")
@@ -97,10 +96,6 @@ class Auto:
     def modes(self) -> tuple[str, ...]:
         """The internal model's words."""
         return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
-
-    @property
-    def _weights(self) -> Sequence[float]:
-        return self.integral_weights or (WEIGHTS if self.internal_model else (0.0,))
 
     def design(
         self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
@@ -141,31 +136,30 @@ class Auto:
         """Every gain of the grids that the Riccati equation gives; None if one side has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
-        grids, rest = {}, None
+        rest = None
         if not isinstance(model, SSM) and model.neurons:
             rest = slopes(model.neurons, model.bias)
-        for weight in self._weights:
-            controlled = with_modes(model, self.modes, weight) if weight else model.system
-            grids[weight] = self._solved(controlled, balls.input, False, rest)
-        feedback = [(made, weight, found) for weight, (solved, _) in grids.items() for made, found in solved]
-        observing, unsolved = self._solved(model.system, balls.output, True, rest)
+        specifications, feedback = self._specifications(), list[Found]()
+        observing, unsolved = self._solved(specifications[0], model.system, balls.output, True, rest)
+        for asked in specifications:
+            controlled = with_modes(model, asked.modes, asked.integral_weight) if asked.modes else model.system
+            found, without = self._solved(asked, controlled, balls.input, False, rest)
+            feedback, unsolved = feedback + found, unsolved + without
         if not feedback or not observing:
             return None
         injected = [found.k_w for _, found in observing]
         return Candidates(
-            feedback=tuple(specification for specification, _, _ in feedback),
-            integral=tuple(weight for _, weight, _ in feedback),
-            ks=np.stack([found.k for _, _, found in feedback]),
-            unsolved=unsolved + sum(count for _, count in grids.values()),
+            feedback=tuple(specification for specification, _ in feedback),
+            ks=np.stack([found.k for _, found in feedback]),
+            unsolved=unsolved,
             observing=tuple(specification for specification, _ in observing),
             ls=np.stack([found.k.T for _, found in observing]),
             l_zs=None if injected[0] is None else np.stack([k_w.T for k_w in injected if k_w is not None]),
-            modes=self.modes,
             internal=internal_model(self.modes, model.step_s, model.scale.outputs) if self.modes else None,
         )
 
     def _solved(
-        self, system: System, ball: JacobianBall, observes: bool, rest: Slopes | None = None
+        self, asked: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool, rest: Slopes | None = None
     ) -> tuple[list[Found], int]:
         """What the grid of one side gives, and how many of its requests have no solution (or none that floats hold)."""
         side, linear = "observer" if observes else "controller", isinstance(system, StateSpace)
@@ -177,7 +171,7 @@ class Auto:
         else:  # the best that the inequality reaches
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
-            limit, fastest = structured_lmi.fastest(self._specification().problem(system, ball, observes))
+            limit, fastest = structured_lmi.fastest(asked.problem(system, ball, observes))
         weight, weights = ("output_noise", self.output_noises) if observes else ("input_weight", self.input_weights)
         found: list[Found] = []
         near: dict[float, Solution] = {}  # by weight, of a faster rate: it holds, so a search may start there
@@ -185,15 +179,15 @@ class Auto:
         down = sorted((rate for rate in self._rates(observes, linear, own, limit) if 0 < rate < limit), reverse=True)
         for rate, value in product(down, sorted(weights, reverse=True)):
             start = near.get(value, found[-1][1] if found else fastest)
-            started = {} if start is None else {observes: start}
-            specification = self._specification(**{f"rate_{side}": rate, weight: value, "near": started})
+            chosen: Any = {f"rate_{side}": rate, weight: value, "near": {} if start is None else {observes: start}}
+            specification = replace(asked, **chosen)
             try:
                 near[value] = specification.solve(specification.problem(system, ball, observes))
                 found.append((replace(specification, near={observes: near[value]}), near[value]))
             except NoSolution:
                 unsolved += 1
         if rest is not None and down:
-            found += self._frozen(system, ball, observes, rest, down[-1])
+            found += self._frozen(asked, system, ball, observes, rest, down[-1])
         return found[::-1], unsolved
 
     def _rates(self, observes: bool, linear: bool, own: float, limit: float) -> list[float]:
@@ -201,19 +195,22 @@ class Auto:
         asked = self._asked(self.rate_observer if observes else self.rate_controller)
         if asked != "auto":
             return [float(asked)]
-        rates = [share * own for share in self.own_rate_shares] + list(self.observer_rates if observes else ())
+        rates = [OWN_SHARE * own, *(self.observer_rates if observes else ())]
         return rates + ([] if observes and linear else [own + share * (limit - own) for share in self.stretch_shares])
 
-    def _frozen(self, system: Any, ball: JacobianBall, observes: bool, rest: Slopes, rate: float) -> list[Found]:
+    def _frozen(
+        self, asked: RiccatiSynthesis, system: Any, ball: JacobianBall, observes: bool, rest: Slopes, rate: float
+    ) -> list[Found]:
         """Gains as of one layer, the neurons' slopes frozen at rest or half way: those proved for every slope.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does not ask for it.
         """
         from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-        program = StructuredLmi.of_gains(self._specification().problem(system, ball, observes).at(rate))
+        program = StructuredLmi.of_gains(asked.problem(system, ball, observes).at(rate))
         kept, side = [], "rate_observer" if observes else "rate_controller"
-        frozen = (self._solved(system.at_slopes(at), ball, observes)[0] for at in (rest, 0.5 * np.ones_like(rest)))
+        slopes_at = rest, 0.5 * np.ones_like(rest)
+        frozen = (self._solved(asked, system.at_slopes(at), ball, observes)[0] for at in slopes_at)
         for made, found in chain.from_iterable(frozen):
             try:
                 proved = program.proved(found.k)
@@ -226,9 +223,11 @@ class Auto:
     def _asked(self, own: float | str) -> float | str:
         return self.rate if own == "auto" else own
 
-    def _specification(self, **chosen: Any) -> RiccatiSynthesis:
-        asked: Any = {"rate_controller": 0.5, "rate_observer": 0.5} | chosen
-        return RiccatiSynthesis(state_weight=self.state_weight, state_noise=self.state_noise, **asked)
+    def _specifications(self) -> list[RiccatiSynthesis]:
+        """What the grids are laid over: one for each weight of the internal model."""
+        asked: Any = {"rate_controller": 0.5, "rate_observer": 0.5, "internal_model": self.modes}
+        weights = (self.integral_weights or WEIGHTS) if self.modes else WEIGHTS[:1]
+        return [RiccatiSynthesis(**asked, state_weight=STATE_WEIGHT, integral_weight=weight) for weight in weights]
 
     def _in_order(
         self,
@@ -271,14 +270,11 @@ class Auto:
 
     def _slowest(self, model: Model, balls: Balls) -> Design:
         """What the Riccati route says at the least demanding request, as the reason to report."""
-        rates = (self._asked(self.rate_controller), self._asked(self.rate_observer))
-        asked = [1e-3 if rate == "auto" else float(rate) for rate in rates]
-        specification = self._specification(rate_controller=asked[0], rate_observer=asked[1])
-        if not self.modes:
-            return specification.design(model, balls)
-        weight = self._weights[0]
-        internal = IntegralSynthesis(synthesis=specification, integral_weight=weight, internal_model=self.modes)
-        return internal.design(model, balls)
+        asked: Any = {"rate_controller": self.rate_controller, "rate_observer": self.rate_observer}
+        for side, own in asked.items():
+            rate = self._asked(own)
+            asked[side] = 1e-3 if rate == "auto" else rate
+        return replace(self._specifications()[0], **asked).design(model, balls)
 
     def _reported(self, design: Design, status: str) -> Design:
         """The parts under this method's name, with what the search found."""

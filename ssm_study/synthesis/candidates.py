@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 
 from ssm_study.synthesis.problem import Solution
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 from ssm_study.systems import Pair
 
 Found = tuple[RiccatiSynthesis, Solution]
@@ -16,15 +15,13 @@ Found = tuple[RiccatiSynthesis, Solution]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Gains on the grid, and the specification of each; `integral` is the internal model's weight, 0 without one."""
+    """Gains on the grid, and the specification of each."""
 
     feedback: tuple[RiccatiSynthesis, ...]
-    integral: tuple[float, ...]
     ks: Float[np.ndarray, "C m s"]
     observing: tuple[RiccatiSynthesis, ...]
     ls: Float[np.ndarray, "O n p"]
     l_zs: Float[np.ndarray, "O q p"] | None = None
-    modes: tuple[str, ...] = ()
     internal: Float[np.ndarray, "z z"] | None = None
     unsolved: int = 0
 
@@ -33,11 +30,8 @@ class Candidates:
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
         return Pair(k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
 
-    def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis | IntegralSynthesis:
-        feedback, observing, weight = self.feedback[pair[0]], self.observing[pair[1]], self.integral[pair[0]]
+    def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
+        feedback, observing = self.feedback[pair[0]], self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
-        near: Any = {**feedback.near, **observing.near}
-        chosen = replace(feedback, near=near, **{name: getattr(observing, name) for name in names})
-        if not weight:
-            return chosen
-        return IntegralSynthesis(synthesis=chosen, integral_weight=weight, internal_model=self.modes)
+        taken: Any = {name: getattr(observing, name) for name in names}
+        return replace(feedback, near={**feedback.near, **observing.near}, **taken)

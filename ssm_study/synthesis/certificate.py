@@ -43,6 +43,21 @@ class Side(Theorem, abstract=True):
         """`r`: the factor by which distances (the estimation error) shrink each step."""
         return float(np.sqrt(1 - self.rate))
 
+    @property
+    def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
+        """Those that are deployed, by their letters: `k`, or `l` and, where neurons are injected into, `l_z`."""
+        return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
+
+    @property
+    def gain(self) -> Float[np.ndarray, "r c"]:
+        """K, or L."""
+        return self.gains["l" if self.observes else "k"]
+
+    @property
+    def gain_norm(self) -> float:
+        """`||K||_2`, scaled input per state unit; `||L||_2`, state unit per scaled output."""
+        return float(np.linalg.norm(self.gain, 2))
+
     @classmethod
     def ball(cls, known: Known) -> JacobianBall:
         """That of `S_u`, of an observer that of `S_y`."""
@@ -128,10 +143,6 @@ class StateFeedback(Side, abstract=True):
     metric_matrix: ClassVar[str] = "p"
     observes: ClassVar[bool] = False
 
-    @property
-    def gain(self) -> Float[np.ndarray, "m n"]:
-        return self.k
-
 
 @dataclass(frozen=True, kw_only=True)
 class Observer(Side, abstract=True):
@@ -144,10 +155,6 @@ class Observer(Side, abstract=True):
     part: ClassVar[str] = "observer"
     metric_matrix: ClassVar[str] = "q"
     observes: ClassVar[bool] = True
-
-    @property
-    def gain(self) -> Float[np.ndarray, "n p"]:
-        return self.l
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,8 +232,8 @@ class Design:
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
         """`k`, `l` and `l_z`, those that there are."""
-        found = {"k": self.state_feedback, "l": self.observer, "l_z": self.observer}
-        return {letter: vars(part)[letter] for letter, part in found.items() if letter in vars(part)}
+        sides = (part for part in (self.state_feedback, self.observer) if isinstance(part, Side))
+        return {letter: gain for side in sides for letter, gain in side.gains.items()}
 
     def certified_rate(self, side: str) -> float | None:
         """The largest rate that is proved for the gain of this side; None without any."""

@@ -82,6 +82,6 @@ def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Ball
 def designed(plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None) -> Design:
     """The design of `plain`, a specification without the option, for the model with input v; marked as such."""
     made = commanded(model)
-    if getattr(plain, "limits", None) is not None:  # scaled inputs, whose order S_u keeps
-        plain = replace(plain, limits=tuple(model.scaffold_in(end) for end in plain.limits))
+    if getattr(plain, "limits", None) is not None:  # scaled inputs; a falling S_u exchanges the ends
+        plain = replace(plain, limits=tuple(np.sort([model.scaffold_in(end) for end in plain.limits], axis=0)))
     return inverting(plain.design(made, certified_balls(made), behind(model, validation), shown))

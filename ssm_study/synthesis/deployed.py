@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.refusal import BadRequest
+from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
 from ssm_study.synthesis.commanded import of_commands
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
@@ -59,8 +59,8 @@ def as_deployed(
         controlled = controlled_system(model, feedback)
         known = Known(system=model.system, controlled=controlled, balls=balls, gains=design.gains)
         weights = {"tolerance": np.eye(len(feedback.k))}
-        if shown.rests:  # a plant that does not rest by itself shows no gain that a weight could cover
-            gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
+        gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
+        if shown.rests and np.isfinite(gains).all():  # else no weight covers what is shown
             weights["tolerance_by_frequency"] = covering_weight(ANGLES, gains, channels=len(feedback.k))
         asked = {name: (weight, Tolerance if linear else StructuredTolerance) for name, weight in weights.items()}
         if linear and not model.linear.d.any():
@@ -107,12 +107,16 @@ class WithinLimits:
 
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Both, for limits in physical units; `BadRequest` for an infeasible design or limits without room around rest."""
+    """Both, for limits in physical units; `BadRequest` for an infeasible design, limits without room around rest, and
+    where nothing is proved: without a certificate, or of an output that no input holds.
+    """
     design.parts()
-    parts, limits = with_limits(model, design, lower, upper), (lower.tolist(), upper.tolist())
+    rest, limits = model.scale.input_equilibrium, (lower.tolist(), upper.tolist())
     problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"
-    if (found := WithinLimits.of(model, parts)) is None:
-        raise BadRequest("input limits", limits, problem, remedy)
+    require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
+    found = WithinLimits.of(model, with_limits(model, design, lower, upper))
+    if found is None:
+        raise BadRequest("input limits", limits, "nothing is proved within them", "request lower rates")
     return found
 
 
@@ -141,7 +145,7 @@ def covering_weight(
     and `|w|^2 = (g_0^2 + (g_1 t tan)^2) / (1 + (t tan)^2)` with `tan = tan(angle / 2)`, `t = 1 / tan(corner / 2)`.
     Of a grid of ratios and corners the one that exceeds the shown gain by the least mean logarithm; channels alike.
     """
-    known = np.isfinite(gains) & (gains > 0)
+    known = gains > 0
     if not known.any():
         return np.eye(channels)
     gains, half = gains[known], np.tan(np.minimum(angles[known], np.pi - 1e-6) / 2)

@@ -5,7 +5,7 @@ The theorems are 1 and 2 of [Z26]; how one problem serves both: docs/theory.md.
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -15,11 +15,13 @@ import numpy as np
 
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.certificate import BESIDE, SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
+from ssm_study.synthesis.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
+from ssm_study.synthesis.commanded import designed
 from ssm_study.synthesis.frontier import Frontier, controller_frontier
 from ssm_study.synthesis.mismatch import Mismatch
 from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
 from ssm_study.synthesis.theorem import Known, Theorem, theorem_named
+from ssm_study.synthesis.theorems.integral_action import frequencies, with_modes
 from ssm_study.synthesis.theorems.observer import ObserverOfBall
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
@@ -122,9 +124,9 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
     ]
     for label, part in design.content.items():
         broken += [f"{label}{claim}" for claim in _of_part(part, known)]
-    for label, again in design.beside.items():  # what is proved beside a side is of the gain that is deployed
-        whole = design.content.get(BESIDE.get(label, ""))
-        if isinstance(again, Side) and (not isinstance(whole, Side) or not np.array_equal(again.gain, whole.gain)):
+    for label, again in design.beside.items():  # what is proved beside a side is of the gains that are deployed
+        own = again.gains.items() if isinstance(again, Side) else ()
+        if not all(np.array_equal(gain, design.gains.get(letter, np.nan)) for letter, gain in own):
             broken.append(f"{label}: the gain is not the one that is deployed")
     for side in SIDES:
         stated, derived = content[side].get("certified_rate"), design.certified_rate(side)
@@ -168,7 +170,9 @@ class Synthesis(ABC):
     Weights, in scaled units: the controller minimises the guaranteed cost of
     `output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`; the observer is tuned as if `B` carried noise of
     variance `input_noise`, every state `state_noise`, and the output `output_noise`. With `invert_input` the law is
-    `u = S_u^{-1}(K xh)` (`synthesis.commanded`).
+    `u = S_u^{-1}(K xh)` (`synthesis.commanded`). With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the
+    controller is that of the model with these modes z (`theorems.integral_action`), `integral_weight |z|^2` beside the
+    cost above, where larger removes errors sooner; the observer is the model's.
     """
 
     rate_controller: float
@@ -180,6 +184,8 @@ class Synthesis(ABC):
     state_noise: float = 1e-4
     output_noise: float = 1.0
     invert_input: bool = False
+    internal_model: Sequence[str] = ()
+    integral_weight: float = 1e-3
 
     method: ClassVar[str]
     feedback_theorem: ClassVar[type[StateFeedback]] = StateFeedbackOfBall
@@ -188,10 +194,16 @@ class Synthesis(ABC):
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
             contraction_rate(f"synthesis.{name}", getattr(self, name), "try 0.1")
-        for name in ("state_weight", "input_weight", "state_noise", "output_noise"):
+        for name in ("state_weight", "input_weight", "state_noise", "output_noise", "integral_weight"):
             positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
             at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
+        frequencies(self.internal_model)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The internal model's words."""
+        return tuple(self.internal_model)
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
@@ -200,11 +212,10 @@ class Synthesis(ABC):
     def design(self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None) -> Design:
         """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
         if self.invert_input:
-            from ssm_study.synthesis.commanded import designed  # which designs by this module
-
             return designed(replace(self, invert_input=False), model, validation, shown)
         system = getattr(model, "system", model.linear)
-        feedback, observer = self.state_feedback(system, balls.input), self.observer(system, balls.output)
+        controlled = with_modes(model, self.modes, self.integral_weight) if self.modes else system
+        feedback, observer = self.state_feedback(controlled, balls.input), self.observer(system, balls.output)
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:

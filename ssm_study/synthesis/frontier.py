@@ -13,12 +13,15 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.synthesis.problem import symmetric
+from ssm_study.synthesis.problem import NoSolution
 from ssm_study.systems import JacobianBall, StateSpace, System
 
 REACH_FLOOR = 1e-12  # a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14
 REPEATED = 1e-7  # eigenvalues closer than this share of the largest count as repeated: a defective pair splits by 1e-8
 ON_CIRCLE = 1e-10  # a mode this near to `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`: its metric is infinite
+# After k steps 2^k samples are summed: where 60 do not suffice a closed loop is on the unit circle for floats.
+MOST_STEPS = 60
+NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^j G G^T F^jT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,35 +90,45 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
     return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
 
 
-def fast_part(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
-) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "k k"], Float[np.ndarray, "k m"]]:
-    """`basis, a, b` of `z = basis^T x`, `z+ = a z + b u`, the modes with `|lambda| > r`: a left invariant subspace.
+def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k k"]:
+    """Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
 
-    Ordered real Schur form of `A^T`: orthogonal coordinates, so no eigenvector basis is ever inverted.
+    Summed in factored form by doubling, so that small directions of W keep their relative accuracy.
+    Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of reach).
     """
-    edge = contraction * (1 + ON_CIRCLE)
-    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge)
-    return z[:, :order], t[:order, :order].T, z[:, :order].T @ b
-
-
-def minimum_energy(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k k"]:
-    """`W = S^{-1}` of `S = A^T (S^{-1} + B B^T)^{-1} A`, all `|lambda(A)| > 1`: `W = A^{-1} (W + B B^T) A^{-T}`.
-
-    With no weight on the state the Riccati equation is a Lyapunov equation in the inverse.
-    """
-    inverse = np.linalg.inv(a)  # stable, for all modes of A are outside the circle
-    return symmetric(scipy.linalg.solve_discrete_lyapunov(inverse, inverse @ b @ b.T @ inverse.T))
+    f = np.linalg.inv(a)
+    root = f @ b
+    for _ in range(MOST_STEPS):
+        root = np.hstack([root, f @ root])
+        if root.shape[1] > len(root):
+            root = np.asarray(np.linalg.qr(root.T, mode="r")).T  # R^T R = root root^T: as narrow as W again
+        f = f @ f  # F^(2^j): each round doubles the terms summed
+        size = np.abs(f).max()
+        if not np.isfinite(size):
+            raise NoSolution("a fast mode lies on the circle |lambda| = r")
+        if size < NEGLIGIBLE:
+            break
+    if root.shape[1] < len(a) or not np.abs(np.diagonal(root)).min() > 0:
+        raise NoSolution("a fast mode is out of the input's reach")
+    return root
 
 
 def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
-    """`lambda_max(Bh^T S Bh)`, 0 when no mode is faster than `r` asks for."""
-    _, fast_a, fast_b = fast_part(a, b, contraction)
-    if not len(fast_a):
+    """`lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of reach.
+
+    Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T` has orthogonal
+    coordinates of it, so no eigenvector basis is ever inverted.
+    """
+    edge = contraction * (1 + ON_CIRCLE)
+    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge)
+    if not order:
         return 0.0
-    bh = fast_b / contraction
-    w = minimum_energy(fast_a / contraction, bh)
-    return float(np.linalg.eigvalsh(bh.T @ np.linalg.solve(w, bh))[-1])
+    bh = z[:, :order].T @ b / contraction
+    try:
+        root = energy_root(t[:order, :order].T / contraction, bh)
+    except NoSolution:
+        return np.inf
+    return float(np.linalg.norm(scipy.linalg.solve_triangular(root, bh, lower=True), 2) ** 2)
 
 
 def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:

@@ -54,17 +54,6 @@ def plus(a, b, share):
 
 @compiled
 @no_type_check
-def part(a, top, left, rows, columns):
-    """A block of a."""
-    out = np.empty((rows, columns))
-    for i in range(rows):
-        for j in range(columns):
-            out[i, j] = a[top + i, left + j]
-    return out
-
-
-@compiled
-@no_type_check
 def beside(a, b):
     """`[a, b]`."""
     out = np.empty((a.shape[0], a.shape[1] + b.shape[1]))
@@ -96,7 +85,7 @@ def solved(a, b):
         for j in range(n):
             for k in range(i + 1, width if j != i else 0):
                 rows[j, k] -= rows[j, i] * rows[i, k]
-    return part(rows, 0, n, n, width - n)
+    return rows[:, n:].copy()
 
 
 @compiled
@@ -141,7 +130,7 @@ def doubled(a, g, h):
     for _ in range(DOUBLINGS):
         # One elimination serves both: the closed-loop matrix, and what it adds to G.
         both = solved(plus(np.eye(n), times(g, h), 1.0), beside(a, g))
-        left, right, across = part(both, 0, 0, n, n), part(both, 0, n, n, n), turned(a)
+        left, right, across = both[:, :n].copy(), both[:, n:].copy(), turned(a)
         ended = _grown(h, times(times(across, h), left))
         if ended:
             break
@@ -203,8 +192,8 @@ def _constraint(h, m, inputs, injects):
     for i in range(m, size):
         t[i, i - m] = 1.0
     if injects:
-        log_det(part(h, 0, 0, m, m))
-        answered = solved(part(h, 0, 0, inputs, inputs), part(h, 0, inputs, inputs, size - inputs))
+        log_det(h[:m, :m].copy())
+        answered = solved(h[:inputs, :inputs].copy(), h[:inputs, inputs:].copy())
         for i in range(inputs):
             for j in range(size - inputs):
                 t[i, inputs - m + j] = -answered[i, j]
@@ -219,9 +208,9 @@ def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     At a saddle point the players' own changes count only in second order: the multipliers act on the cost alone.
     """
     (q, n), inputs = f.shape, moved.shape[1]
-    z = plus(f, times(moved, part(saddle, 0, 0, inputs, n)), 1.0)  # what drives each neuron there
+    z = plus(f, times(moved, saddle[:inputs].copy()), 1.0)  # what drives each neuron there
     driven, played = times(z, reach), times(saddle, reach)
-    held, gradient = times(moved, part(shadow, 0, 0, inputs, inputs)), np.full(len(logs), barrier)
+    held, gradient = times(moved, shadow[:inputs, :inputs].copy()), np.full(len(logs), barrier)
     for i in range(q):
         flow = barrier * -shadow[inputs + i, inputs + i]
         for j in range(n):
@@ -248,7 +237,7 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
     cost, own, s = _costs(f, moved, state_weight, input_weight, m, r, logs)
     across = turned(b)
     inverse = solved(own, beside(s, across))
-    first, second = part(inverse, 0, 0, inputs + q, n), part(inverse, 0, n, inputs + q, n)
+    first, second = inverse[:, :n].copy(), inverse[:, n:].copy()
     x = doubled(plus(a, times(b, first), -1.0), times(b, second), plus(cost, times(turned(s), first), -1.0))
     log_det(x)
     into = times(across, x)

@@ -11,12 +11,11 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.synthesis.frontier import MOST_STEPS, energy_root
 from ssm_study.synthesis.problem import NoSolution, Problem, symmetric
 from ssm_study.synthesis.theorem import margin
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 
-# After k steps 2^k samples are summed: where 60 do not suffice the closed loop is on the unit circle for floats.
-MOST_STEPS = 60
 CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
 RESIDUAL_SHARE = 1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows
 # E in coordinates where the reachable metric is about the identity; the faster rate gives the slack itself.
@@ -85,7 +84,6 @@ def least_metric(
     return symmetric(right @ p @ right.T)
 
 
-NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^j G G^T F^jT
 SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)  # of the slow modes' metric: from dominating to negligible beside the fast
 GOOD_SHARE = 0.3
 BETWEEN = 0.3  # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
@@ -135,29 +133,6 @@ def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contra
         right[:, :k] += right[:, k:] @ x
     b_z = left @ b
     return Modes(right=right, left=left, a_fast=a_fast, b_fast=b_z[:k], a_slow=a_slow, b_slow=b_z[k:])
-
-
-def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k k"]:
-    """Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
-
-    Summed in factored form by doubling, so that small directions of W keep their relative accuracy.
-    Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of reach).
-    """
-    f = np.linalg.inv(a)
-    root = f @ b
-    for _ in range(MOST_STEPS):
-        root = np.hstack([root, f @ root])
-        if root.shape[1] > len(root):
-            root = np.asarray(np.linalg.qr(root.T, mode="r")).T  # R^T R = root root^T: as narrow as W again
-        f = f @ f  # F^(2^j): each round doubles the terms summed
-        size = np.abs(f).max()
-        if not np.isfinite(size):
-            raise NoSolution("a fast mode lies on the circle |lambda| = r")
-        if size < NEGLIGIBLE:
-            break
-    if root.shape[1] < len(a) or not np.abs(np.diagonal(root)).min() > 0:
-        raise NoSolution("a fast mode is out of the input's reach")
-    return root
 
 
 def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:

@@ -128,7 +128,8 @@ def noise_peak(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float
     at = slopes(model.neurons, model.bias)[None] if isinstance(model, StructuredSSM) else None
     system, pair = next((linear, own) for linear, own, *_ in loops.ends(model.system, pair, balls, at))
     parts = ((model.scaffold_in, balls.input), (model.scaffold_out, balls.output))
-    slope = [np.clip(np.linalg.norm(s.jacobian(np.zeros(s.inputs)), 2), ball.lower, ball.upper) for s, ball in parts]
+    at_rest = [np.sign(ball.alpha) * np.linalg.norm(s.jacobian(np.zeros(s.inputs)), 2) for s, ball in parts]
+    slope = [np.clip(found, ball.lower, ball.upper) for found, (_, ball) in zip(at_rest, parts, strict=True)]
     answer = frequency_response(loops.sensitivity(system, pair, *slope), COARSE)
     moved = slope[0] * slope[1] * frequency_response(system, COARSE) @ answer
     density = np.stack([loops.sizes(answer), loops.sizes(moved)]) ** 2 * np.interp(COARSE, ANGLES, shown.noise)

@@ -16,9 +16,9 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.certificate import Side
+from ssm_study.synthesis.certificate import LETTERS, Side
 from ssm_study.synthesis.lmi import aim, solved
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
+from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, symmetric
 from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 from ssm_study.synthesis.theorem import Blocks
 from ssm_study.synthesis.theorems import structured_observer, structured_state_feedback
@@ -54,7 +54,7 @@ class StructuredLmi:
             alpha=ball.alpha,
             beta=ball.beta,
         )
-        upper, rows = (self._observing if neurons.observes else self._feeding)(of, neurons)
+        upper, rows = self._inequality(of, neurons)
         if ball.beta == 0:  # without those of its multiplier
             rows = [i for i in range(len(upper)) if i not in rows]
             upper = [[upper[i][j - i] for j in rows if j >= i] for i in rows]
@@ -63,20 +63,17 @@ class StructuredLmi:
         goal, constraints = aim(objective, upper, p, len(upper) - 1 if neurons.observes else 0, weighted)
         self.program = cp.Problem(cp.Minimize(goal), constraints)
 
-    def _feeding(self, of: Any, neurons: Any) -> tuple[Blocks, list[int]]:
-        """The inequality, and the rows of the ball's multiplier; so too of an observer."""
-        t = cp.diag(of.t)
+    def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
+        """The theorem's, and the rows of the ball's multiplier."""
+        (q, m), t = neurons.g.shape, cp.diag(of.t)
         data = {"a": self.problem.a, "b": self.problem.b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
-        named = SimpleNamespace(**vars(of), **data, y=of.p)
-        return structured_state_feedback.inequality(named, (np.eye(neurons.e.shape[1]), t, t)), [1, 4]
-
-    def _observing(self, of: Any, neurons: Any) -> tuple[Blocks, list[int]]:
-        shape, t = (neurons.e.shape[1], self.problem.b.shape[1]), cp.diag(of.t)
-        of.n = cp.Variable(shape) if neurons.injects else np.zeros(shape)
+        if not neurons.observes:
+            named = SimpleNamespace(**vars(of), **data, y=of.p)
+            return structured_state_feedback.inequality(named, (np.eye(q), t, t)), [1, 4]
+        of.n = cp.Variable((q, m)) if neurons.injects else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
             of.n = t @ (self.fixed.k_w / self.problem.of_neurons.units).T
-        data = {"a": self.problem.a, "c": self.problem.b, "e": neurons.f, "f": neurons.e, "h": neurons.g}
-        turned = {name: matrix.T for name, matrix in data.items()}
+        turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
         return structured_observer.inequality(named, t, of.n), [1]
 

@@ -19,15 +19,18 @@ Source: docs/theory.md, "With neurons"; Basar & Bernhard 1995 (games),
 Petersen & Hollot 1986 (guaranteed cost).
 """
 
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.game import Game, descend, evaluate
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
+from ssm_study.synthesis.game_kernel import saddle_point
+from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, symmetric
 
+Matrix = Float[np.ndarray, "_ _"]
+Vector = Float[np.ndarray, "_"]
 SLOWER, SLOWEST = 1.5, 1e3  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
 # Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r, below which the
 # search has come to its end; each where the one before gets stuck.
@@ -37,6 +40,81 @@ TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
 LAST = ((0.3, 10), (0.03, 10), (1e-3, 30))
 ROOM = np.arange(0.0, 40.0, 2.0)  # by how much known multipliers may have to grow, log, to cover the weights
 BALL_SLACK = 1e-9  # of the metric: what a multiplier without effect may take of it, where the ball has no radius
+STRIDE = 2.0  # the largest change of a log multiplier in one step
+FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Game:
+    """A problem with neurons at a factor `r` of its own: the search comes from slower ones, above one too."""
+
+    problem: Problem
+    r: float
+
+    @cached_property
+    def neurons(self) -> Neurons:
+        """Scaled; raises `ValueError` for a problem without any."""
+        return self.problem.of_neurons.scaled()
+
+    @cached_property
+    def data(self) -> tuple[Any, ...]:
+        """What `saddle_point` takes: `A, B` of the equation, inputs `(u, p, v)`, how u and p enter neurons, weights.
+
+        `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is no p.
+        """
+        of, neurons, half = self.problem, self.neurons, self.neurons.e / 2
+        shares = (of.ball.alpha, of.ball.beta)[: 1 + (of.ball.beta > 0)]
+        drive, moved = of.b + neurons.e @ neurons.g / 2, np.hstack([share * neurons.g for share in shares])
+        a, b = of.a + half @ neurons.f, np.hstack([*(share * drive for share in shares), half])
+        matrices = (a / self.r, b / self.r, neurons.f, moved, of.state_weight)
+        # numba would compile everything once more for any other layout or kind of number
+        contiguous = (np.ascontiguousarray(matrix, dtype=float) for matrix in matrices)
+        return *contiguous, float(of.input_weight), of.b.shape[1], float(self.r), neurons.injects
+
+
+class Saddle(NamedTuple):
+    """At admissible multipliers: the goal and its gradient, `X`, `H = R + B'X B` and `B'X A + S'`."""
+
+    goal: float
+    gradient: Vector
+    x: Matrix
+    h: Matrix
+    toward: Matrix
+
+
+def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
+    """The saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite where they admit none.
+
+    The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the second term keeps
+    the search off the edge of what is admissible, where the gradient of the first one leads.
+    """
+    try:
+        return Saddle(*saddle_point(*game.data, logs, barrier))
+    except (np.linalg.LinAlgError, ArithmeticError):
+        none = np.empty((0, 0))
+        return Saddle(np.inf, np.empty(0), none, none, none)
+
+
+def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
+    """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The best logs found."""
+    at, metric, left, gained = evaluate(game, logs, barrier), np.eye(len(logs)), evaluations, np.inf
+    while np.isfinite(at.goal) and left > 0 and gained >= FLAT:
+        step = -(metric @ at.gradient)
+        step *= min(1.0, STRIDE / max(np.abs(step).max(), 1e-300))
+        there, lower = at, False
+        while left > 0 and not lower and np.abs(step).max() > 1e-6:
+            left -= 1
+            there = evaluate(game, logs + step, barrier)
+            lower = bool(there.goal < at.goal + 1e-4 * (step @ at.gradient))  # Armijo's condition
+            step = step if lower else step / 3
+        if not lower:
+            break
+        logs, change, gained = logs + step, there.gradient - at.gradient, at.goal - there.goal
+        along, at = step @ change, there
+        if along > 1e-12:  # BFGS's curvature condition: without it the metric would lose definiteness
+            turn = np.eye(len(logs)) - np.outer(step, change) / along
+            metric = turn @ metric @ turn.T + np.outer(step, step) / along
+    return logs
 
 
 def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
@@ -47,35 +125,24 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     """
     if near is not None and near.logs is None:
         return near  # it is the solution itself
-    game, known = game_of(problem), None if near is None else near.logs
+    game, known = Game(problem=problem, r=problem.contraction), None if near is None else near.logs
     for logs in () if known is None else known + ROOM[:, None]:
         if np.isfinite(evaluate(game, logs, 0.0).goal):
-            return solution(problem, game, cheapest(game, logs))
+            return solution(game, cheapest(game, logs))
     for effort in TRIES:
         logs, reached = searched(game, *effort)
         if reached <= game.r:
-            return solution(problem, game, logs)
+            return solution(game, logs)
     raise NoSolution(f"multipliers found down to a factor {reached:.4f} a sample")
 
 
-def game_of(problem: Problem) -> Game:
-    """The problem as the search takes it; raises `ValueError` for a problem without neurons."""
-    neurons, ball = problem.of_neurons.scaled(), problem.ball
-    parts = {"a": problem.a, "b": problem.b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
-    parts |= {"state_weight": problem.state_weight}
-    numbers = {"alpha": ball.alpha, "beta": ball.beta, "r": problem.contraction, "input_weight": problem.input_weight}
-    told: dict[str, Any] = {name: np.array(part, dtype=float, order="C") for name, part in parts.items()}
-    return Game(**told | {name: float(number) for name, number in numbers.items()}, injects=neurons.injects)
-
-
-def searched(
-    game: Game, centred: float = 3.0, per_rate: int = 4, shortest: float = 0.02
-) -> tuple[Float[np.ndarray, "s"], float]:
+def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tuple[Vector, float]:
     """Log multipliers, and the factor they hold at: from a slow rate to the asked one, centred on the way."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's step
-    logs = np.log(2 * np.einsum("nq,nj,jq->q", game.e, game.state_weight, game.e) + 1e-9)
-    if game.beta > 0:
-        logs = np.append(logs, np.log(1 + 4 * game.beta**2 * np.linalg.norm(game.b.T @ game.state_weight @ game.b, 2)))
+    of, e = game.problem, game.neurons.e
+    logs = np.log(2 * np.einsum("nq,nj,jq->q", e, of.state_weight, e) + 1e-9)
+    if of.ball.beta > 0:
+        logs = np.append(logs, np.log(1 + 4 * of.ball.beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)))
     slow, share = game, 1.0
     while np.isinf(evaluate(slow, logs, 0.0).goal):
         slow = replace(slow, r=slow.r * SLOWER)
@@ -91,14 +158,14 @@ def searched(
     return cheapest(game, logs), game.r
 
 
-def cheapest(game: Game, logs: Float[np.ndarray, "s"]) -> Float[np.ndarray, "s"]:
+def cheapest(game: Game, logs: Vector) -> Vector:
     """The multipliers of least cost that are found from these, which hold."""
     for barrier, evaluations in LAST:
         logs = descend(game, logs, barrier, evaluations)
     return logs
 
 
-def logs_of(problem: Problem, found: Solution) -> Float[np.ndarray, "s"]:
+def logs_of(problem: Problem, found: Solution) -> Vector:
     """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of them."""
     assert found.multipliers is not None
     units, r2, beta = problem.of_neurons.units, 1 - problem.rate, problem.ball.beta
@@ -112,27 +179,26 @@ def _between(game: Game, slow: Game, share: float) -> Game:
     return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
 
 
-def solution(problem: Problem, game: Game, logs: Float[np.ndarray, "s"]) -> Solution:
+def solution(game: Game, logs: Vector) -> Solution:
     """The theorem's matrices at these multipliers. Raises `NoSolution` where they do not hold."""
-    saddle = evaluate(game, logs, 0.0)
+    saddle, problem, neurons = evaluate(game, logs, 0.0), game.problem, game.neurons
     if np.isinf(saddle.goal):
         raise NoSolution("the game has no saddle point at these multipliers")
     x, h, toward = saddle.x, saddle.h, saddle.toward
-    m, q = game.b.shape[1], game.e.shape[1]
-    if game.injects:
+    m, q = problem.b.shape[1], neurons.e.shape[1]
+    if neurons.injects:
         inputs = len(h) - q
         known = np.linalg.solve(h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]]))[:m]
-        k, k_w = known[:, len(x) :] @ game.f - known[:, : len(x)], -2 * known[:, len(x) :]
+        k, k_w = known[:, len(x) :] @ neurons.f - known[:, : len(x)], -2 * known[:, len(x) :]
     else:
         k, k_w = -np.linalg.solve(h, toward)[:m], np.zeros((m, q))
-    p, weights = symmetric(np.linalg.inv(x)), np.exp(logs[:q])
-    sigma = float(np.exp(-logs[-1])) if game.beta > 0 else 0.0
-    if problem.of_neurons.observes:
+    p, weights, beta = symmetric(np.linalg.inv(x)), np.exp(logs[:q]), problem.ball.beta
+    sigma = float(np.exp(-logs[-1])) if beta > 0 else without_ball(problem, p, k)
+    if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4 divides one by r and
         # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2 sigma`.
         r2 = 1 - problem.rate
-        weights, sigma = r2 / weights, r2 * game.beta**2 * sigma
-    sigma = sigma if game.beta > 0 else without_ball(problem, p, k)
+        weights, sigma = r2 / weights, r2 * beta**2 * sigma if beta > 0 else sigma
     found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs)
     return found.of_neurons(problem.of_neurons)
 

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from ssm_study.extensions import load
 from ssm_study.refusal import require
 from ssm_study.synthesis.exact import Exact, is_positive_definite
-from ssm_study.systems import Balls, JacobianBall
+from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
 FOLDER = "ssm_study.synthesis.theorems"
 AGAIN = "synthesise again"
@@ -139,16 +139,6 @@ class Theorem(ABC):
     def rate_limit_of(cls, known: Known) -> float | None:
         """The exact limit of the rate, if one is known; None where nothing can be said."""
 
-    @property
-    @abstractmethod
-    def gain(self) -> Float[np.ndarray, "r c"]:
-        """The gain that is deployed."""
-
-    @property
-    def gain_norm(self) -> float:
-        """`||K||_2`, scaled input per state unit; `||L||_2`, state unit per scaled output."""
-        return float(np.linalg.norm(self.gain, 2))
-
     @classmethod
     def name(cls) -> str:
         """The name of its file, by which a stored certificate finds its theorem."""
@@ -200,7 +190,12 @@ class Theorem(ABC):
         return {name: value for name, value in vars(self).items() if name not in {*INFORMATION, *self.products}}
 
     def broken(self, known: Known) -> list[str]:
-        """Sentences, one per claim of this certificate that does not hold beside what is known of the model."""
+        """Sentences, one per claim of this certificate that does not hold beside what is known of the model.
+
+        A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the reverse.
+        """
+        if isinstance(known.system, StructuredSystem) != hasattr(self, "e"):
+            return [f": {UNFIT}"]
         given, stored = self.given(known), vars(self)
         try:
             conditions = self.exactly(**self.numbers)

@@ -18,7 +18,7 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.area import relative_areas
-from ssm_study.synthesis.auto import LOSS, Auto, expected_area
+from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
 from ssm_study.synthesis.certificate import Design, Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.mismatch import mismatch
@@ -204,7 +204,6 @@ def test_a_record_without_excitation_is_refused():
         ({"observer_rates": ()}, "observer_rates"),
         ({"observer_rates": (0.1, 1.0)}, "observer_rates"),
         ({"stretch_shares": (0.0,)}, "stretch_shares"),
-        ({"own_rate_shares": (1.0,)}, "own_rate_shares"),
         ({"input_weights": (0.0,)}, "input_weights"),
         ({"input_weights": ()}, "input_weights"),
         ({"output_noises": (1.0, np.inf)}, "output_noises"),
@@ -220,7 +219,7 @@ def test_values_out_of_range(values, names):
 def test_the_default_grids_are_those_of_the_documentation():
     """Docs: from half the model's own rate up to 0.9 of the way to the frontier, weights from 1e-3 to 100; no gaps."""
     auto = Auto()
-    assert auto.own_rate_shares == (0.5,)
+    assert OWN_SHARE == 0.5
     assert max(auto.stretch_shares) == 0.9
     for weights in (auto.input_weights, auto.output_noises):
         assert (min(weights), max(weights)) == (1e-3, 100.0)
@@ -236,30 +235,29 @@ def test_the_default_grids_are_those_of_the_documentation():
 
 
 def test_each_candidate_is_the_gain_of_its_specification():
-    auto = replace(SMALL, integral_weights=(1e-3, 1e-2), state_weight=1e-5, state_noise=1e-3)
+    auto = replace(SMALL, integral_weights=(1e-3, 1e-2))
     candidates = auto.candidates(motor_model(), BALLS)
-    assert set(candidates.integral) == {1e-3, 1e-2}
+    assert {made.integral_weight for made in candidates.feedback} == {1e-3, 1e-2}
     last = np.array([len(candidates.ks) - 1, len(candidates.ls) - 1])
     for pair in (np.array([0, 0]), last // 2, last):
         asked = candidates.specification(pair)
         design = asked.design(motor_model(), BALLS)
         np.testing.assert_allclose(design.state_feedback.k, candidates.ks[pair[0]], rtol=1e-9)
         np.testing.assert_allclose(design.observer.l, candidates.ls[pair[1]], rtol=1e-9)
-        assert asked.integral_weight == candidates.integral[pair[0]]
-        assert (asked.synthesis.state_weight, asked.synthesis.state_noise) == (1e-5, 1e-3)
+        assert asked.integral_weight == candidates.feedback[pair[0]].integral_weight
+        assert (asked.state_weight, asked.state_noise) == (1e-6, 1e-4)
 
 
 def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
-    """Shares of the model's own rate, then of the stretch from there to the limit; absolute ones for the observer."""
+    """Half the model's own rate, then shares of the stretch from there to the limit; absolute ones for the observer."""
     model = motor_model()
-    auto = replace(SMALL, own_rate_shares=(0.25, 0.5))
-    candidates = auto.candidates(model, BALLS)
+    candidates = SMALL.candidates(model, BALLS)
     own = 1 - model.linear.spectral_radius**2
     limit = controller_frontier(model.linear, INPUT_BALL).rate_limit
     rates = sorted({specification.rate_controller for specification in candidates.feedback})
-    np.testing.assert_allclose(rates, [own / 4, own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)])
+    np.testing.assert_allclose(rates, [own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)])
     observed = sorted({specification.rate_observer for specification in candidates.observing})
-    np.testing.assert_allclose(observed, sorted([own / 4, own / 2, 0.05, 0.3]))
+    np.testing.assert_allclose(observed, sorted([own / 2, 0.05, 0.3]))
     assert {specification.input_weight for specification in candidates.feedback} == set(SMALL.input_weights)
     assert {specification.output_noise for specification in candidates.observing} == set(SMALL.output_noises)
 

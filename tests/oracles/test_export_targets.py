@@ -22,7 +22,6 @@ from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 
 SAMPLES = 300
 Replay = Callable[[Path, np.ndarray], np.ndarray]
@@ -127,7 +126,7 @@ def structured_run(folder: Path, kinds: tuple[str, ...], seen: float, integral: 
     """A certified pair of a model with these neurons, which the output sees directly where `seen` is not zero."""
     made = replace(structured(kinds, seed=2), h=np.full((1, len(kinds)), seen))
     asked = RiccatiSynthesis(rate_controller=0.05 if integral else 0.5, rate_observer=0.5, input_weight=0.1)
-    design = (IntegralSynthesis(synthesis=asked) if integral else asked).design(made, certified_balls(made))
+    design = replace(asked, internal_model=["step"] if integral else []).design(made, certified_balls(made))
     assert design.certified
     folder.mkdir(parents=True)
     (folder / "model.json").write_text(json.dumps(made.to_json()))

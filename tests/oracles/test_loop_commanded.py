@@ -2,25 +2,29 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from loop_cases import flat, motor_model
+from loop_cases import flat, motor_model, motor_record
 from structured_cases import model as with_neurons
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.portable import portable
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, digest
 from ssm_study.synthesis.commanded import commanded, shown_behind
 from ssm_study.synthesis.deployed import as_deployed
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.mismatch import ANGLES, mismatch
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.integral_action import controlled_system
 
 ASKED = RiccatiSynthesis(rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True)
 SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
@@ -30,7 +34,7 @@ MODELS = {"one layer": motor_model, "neurons": with_neurons}
 @pytest.fixture(scope="module", params=[*MODELS, "integral"])
 def made(request: pytest.FixtureRequest) -> tuple:
     stand = MODELS.get(request.param, with_neurons)()
-    asked = IntegralSynthesis(synthesis=ASKED) if request.param == "integral" else ASKED
+    asked = replace(ASKED, internal_model=["step"] if request.param == "integral" else [])
     balls = certified_balls(stand)
     return (
         stand,
@@ -84,6 +88,23 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     np.testing.assert_allclose(runs[0].y, runs[1].y, atol=1e-9)
     np.testing.assert_allclose(runs[0].estimate, runs[1].estimate, atol=1e-9)
     assert np.abs(runs[0].u).max() > 0
+
+
+def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`u` in [-0.4, 0.1] is `v = -u` in [-0.1, 0.4]: what the responses are scored within."""
+    scored = []
+
+    def noted(*asked: Any) -> np.ndarray:
+        scored.append(asked[-1])
+        return relative_areas(*asked)
+
+    monkeypatch.setattr("ssm_study.synthesis.auto.relative_areas", noted)
+    falling = replace(motor_model(), scaffold_in=LinearScaffold(gain=-np.eye(1)))
+    falling = falling.with_linear(replace(falling.linear, b=-falling.linear.b))
+    asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
+    asked = asked.within(np.array([-0.4]), np.array([0.1]))
+    assert asked.design(falling, certified_balls(falling), (motor_record(),)).certified
+    np.testing.assert_array_equal(scored, [[[-0.1], [0.4]]])
 
 
 def test_what_the_records_show_is_relative_to_the_command() -> None:

@@ -21,7 +21,7 @@ from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.sensitivity import gains, peaks_on_grid, sensitivity
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system, with_modes
+from ssm_study.synthesis.theorems.integral_action import controlled_system, with_modes
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import Pair
 
@@ -37,9 +37,13 @@ def inner(rate: float = 0.02) -> RiccatiSynthesis:
     return RiccatiSynthesis(rate_controller=rate, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
 
 
+def integral(rate: float = 0.02) -> RiccatiSynthesis:
+    return replace(inner(rate), internal_model=["step"])
+
+
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return IntegralSynthesis(synthesis=inner(), integral_weight=1e-3).design(motor_model(), BALLS)
+    return replace(integral(), integral_weight=1e-3).design(motor_model(), BALLS)
 
 
 def test_the_augmented_pair_is_the_equations_written_out():
@@ -67,9 +71,9 @@ def test_an_integrator_costs_rate_as_the_frontier_says():
     r = 0.97
     alone, with_it = ratio_limit(model.linear.a, model.linear.b, r), ratio_limit(*_pair(model), r)
     assert with_it == pytest.approx(alone * r / 1.0, rel=1e-6)
-    limit = IntegralSynthesis(synthesis=inner()).design(model, BALLS).state_feedback.rate_limit
-    beyond = IntegralSynthesis(synthesis=inner(limit * 1.001)).design(model, BALLS).state_feedback
-    within = IntegralSynthesis(synthesis=inner(limit * 0.98)).design(model, BALLS).state_feedback
+    limit = integral().design(model, BALLS).state_feedback.rate_limit
+    beyond = integral(limit * 1.001).design(model, BALLS).state_feedback
+    within = integral(limit * 0.98).design(model, BALLS).state_feedback
     assert isinstance(beyond, Infeasible)
     assert beyond.proved
     assert within.certified
@@ -142,7 +146,6 @@ def test_the_margin_with_integrators_by_two_routes(design):
 
 def test_auto_chooses_with_integral_action():
     auto = Auto(
-        own_rate_shares=(0.1, 0.5),
         stretch_shares=(0.3, 0.8),
         observer_rates=(0.05, 0.3),
         input_weights=(0.01, 0.1, 1.0, 10.0),
@@ -171,7 +174,7 @@ def test_a_gain_of_the_wrong_width_is_refused():
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
 def test_a_weight_that_is_no_weight_is_refused(weight):
     with pytest.raises(BadRequest, match="integral_weight"):
-        IntegralSynthesis(synthesis=inner(), integral_weight=weight)
+        replace(inner(), integral_weight=weight)
 
 
 def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
@@ -181,13 +184,9 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     x, z = rng.standard_normal(4), rng.standard_normal(2)
     cost = (with_modes(model, weight=0.09).c @ np.concatenate([x, z])) ** 2
     assert cost.sum() == pytest.approx((model.read_scaled(x, np.zeros(2)) ** 2).sum() + 0.09 * (z**2).sum())
-    weights = (1e-5, IntegralSynthesis(synthesis=inner()).integral_weight, 1e-1)
+    weights = (1e-5, inner().integral_weight, 1e-1)
     gains_on_z = [
-        np.abs(
-            IntegralSynthesis(synthesis=inner(), integral_weight=weight)
-            .design(motor_model(), BALLS)
-            .state_feedback.k[0, -1]
-        )
+        np.abs(replace(integral(), integral_weight=weight).design(motor_model(), BALLS).state_feedback.k[0, -1])
         for weight in weights
     ]
     assert gains_on_z == sorted(gains_on_z)

@@ -21,7 +21,6 @@ from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.integral_action import (
-    IntegralSynthesis,
     controlled_system,
     internal_model,
     with_modes,
@@ -40,7 +39,7 @@ QUIET = {"initial_conditions": 1, "horizon_s": 8.0, "measurement_noise_variance"
 
 def made(*words: str) -> Design:
     inner = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=1.0, output_noise=0.1)
-    return IntegralSynthesis(synthesis=inner, integral_weight=1e-4, internal_model=words).design(motor_model(), BALLS)
+    return replace(inner, integral_weight=1e-4, internal_model=words).design(motor_model(), BALLS)
 
 
 def simulated(loop: Loop, design: Design) -> Rollouts:

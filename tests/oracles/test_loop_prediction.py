@@ -236,6 +236,11 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(si
     same = replace(model, linear=halved, scaffold_in=LinearScaffold(gain=2 * np.eye(1)))
     steeper = replace(ONES, input=JacobianBall(alpha=2.0, beta=0.0))
     assert noise_peak(same, pair, steeper, shown) == pytest.approx(found.noise_peak)
+    falling = replace(model, scaffold_in=LinearScaffold(gain=-0.5 * np.eye(1)))
+    rising = replace(model, scaffold_in=LinearScaffold(gain=0.5 * np.eye(1)))
+    balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in (-0.5, 0.5)]
+    turned = replace(pair, k=-pair.k)  # the same loop
+    assert noise_peak(falling, turned, balls[0], shown) == noise_peak(rising, pair, balls[1], shown)
 
 
 def drive() -> StribeckDrive:

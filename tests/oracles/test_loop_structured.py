@@ -15,7 +15,6 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.disturbance import NoDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 from ssm_study.systems import Pair
 
 
@@ -51,7 +50,7 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
     """Certified with an integrator, on the model itself with a load that the model does not know of."""
     stand, balls = model(), certified_balls(model())
     asked = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.3, input_weight=0.1, invert_input=undone)
-    design = IntegralSynthesis(synthesis=asked, integral_weight=0.1).design(stand, balls)
+    design = replace(asked, internal_model=["step"], integral_weight=0.1).design(stand, balls)
     assert design.certified
     load = StepDisturbance(size=0.1, at_s=0.5)
     steps = StepReference(before=0.0, after=0.6, at_s=1.0)

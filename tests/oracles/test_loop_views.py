@@ -18,7 +18,6 @@ from ssm_study.synthesis.mismatch import BAND, Mismatch, mismatch
 from ssm_study.synthesis.prediction import predict
 from ssm_study.synthesis.rest import AT_REST
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis
 from ssm_study.systems import Pair
 
 
@@ -126,7 +125,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         left = abs(float(y[0])) / offset * worst / (BAND * farthest)  # in bands
         assert not stuck or found.resolved_margin == pytest.approx(1 / left, rel=1e-3)
         assert found.keeps_the_plant() == (left < 1 and found.controller_radius < 1)
-        integral = IntegralSynthesis(synthesis=careful, integral_weight=0.01).design(model, ONES)
+        integral = replace(careful, internal_model=["step"], integral_weight=0.01).design(model, ONES)
         assert predict(model, integral.pair, ONES, shown).resolved_margin > 5  # at 1e-4 rad/sample, not at 0
 
 

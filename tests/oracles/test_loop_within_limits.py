@@ -137,6 +137,19 @@ def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
 def test_refusals(pair: tuple[SSM, Design]) -> None:
     with pytest.raises(BadRequest, match="do not enclose the input at rest"):
         within_limits(*pair, LIMIT, 2 * LIMIT)
+    model, design = pair
+    feedback = replace(design.state_feedback, certified=False)
+    with pytest.raises(BadRequest, match="nothing is proved within them"):
+        within_limits(model, replace(design, state_feedback=feedback), -LIMIT, LIMIT)
+
+
+def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Design]) -> None:
+    """An output that is zero at every rest: the design stands, from everywhere it contracts, and no range is named."""
+    model, design = pair
+    blind = model.with_linear(replace(model.linear, c=0 * model.linear.c))
+    assert set(with_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
+    with pytest.raises(BadRequest, match="nothing is proved within them"):
+        within_limits(blind, design, -LIMIT, LIMIT)
 
 
 def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:

@@ -1,6 +1,7 @@
 """Mismatch tolerated by a model with neurons: the limit without them, frozen slopes, simulated loops, a forged file."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,7 +18,7 @@ from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.synthesis.theorem import Known
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.integral_action import controlled_system
 from ssm_study.synthesis.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.synthesis.theorems.tolerance import largest_tolerance as without_neurons
 from ssm_study.systems import Balls, JacobianBall, Pair, StructuredSystem
@@ -111,7 +112,7 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
 @pytest.fixture(scope="module", params=[False, True])
 def stored(request: pytest.FixtureRequest) -> tuple[dict, object]:
     stand = model()
-    asked = IntegralSynthesis(synthesis=ASKED) if request.param else ASKED
+    asked = replace(ASKED, internal_model=["step"] if request.param else [])
     balls = certified_balls(stand)
     whole = as_deployed(asked.design(stand, balls), stand, balls, SHOWN)
     assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)

@@ -21,7 +21,7 @@ from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
 from ssm_study.synthesis.theorem import Known
 from ssm_study.synthesis.theorems.deployed_rate import largest_rate
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import IntegralSynthesis, controlled_system
+from ssm_study.synthesis.theorems.integral_action import controlled_system
 from ssm_study.synthesis.theorems.noise_gain import NoiseGain
 from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -226,7 +226,7 @@ def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_a
 def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     model = motor_model()
     synthesis = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
-    design = IntegralSynthesis(synthesis=synthesis, integral_weight=1e-4).design(model, MOTOR_BALLS)
+    design = replace(synthesis, internal_model=["step"], integral_weight=1e-4).design(model, MOTOR_BALLS)
     whole = as_deployed(design, model, MOTOR_BALLS, SHOWN)
     assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)
     assert all(part.certified for part in whole.beside.values())
@@ -244,6 +244,16 @@ def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> Non
     assert gains.min() < 3 * SHOWN.by_frequency.min()
     assert abs(a) < 1
     assert abs(a - b * c / d) < 1
+
+
+def test_what_no_filter_covers_gets_no_tolerance_by_frequency() -> None:
+    """Bands where the record has an error and no input: a weight of the others would cover less than is shown."""
+    model = motor_model()
+    shown = flat(np.where(ANGLES > 3, np.inf, SHOWN.by_frequency), gain=0.1)
+    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    found = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, shown).beside
+    assert "tolerance" in found
+    assert "tolerance_by_frequency" not in found
 
 
 @pytest.fixture(scope="module")

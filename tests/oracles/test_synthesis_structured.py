@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from structured_cases import KNOWN, asked, controlled_steps, drawn, observing_steps, slopes_of_all, slowest
 
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.game import descend, evaluate
 from ssm_study.synthesis.problem import NoSolution, dual
 from ssm_study.synthesis.structured_lmi import StructuredLmi, fastest, holds, largest_rate
-from ssm_study.synthesis.structured_riccati import game_of, least_cost, logs_of, searched
+from ssm_study.synthesis.structured_riccati import TRIES, Game, descend, evaluate, least_cost, logs_of, searched
 from ssm_study.synthesis.theorems.integral_action import augmented
 from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
 from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
@@ -94,8 +93,9 @@ def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, 
 @pytest.mark.parametrize("barrier", [0.0, 0.5])
 @pytest.mark.parametrize(("side", "ball"), list(product(SIDES, (WIDE, KNOWN))))
 def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier: float) -> None:
-    game = game_of(asked(drawn(2, m=2), side, ball, 0.1))
-    logs, reached = searched(game)
+    problem = asked(drawn(2, m=2), side, ball, 0.1)
+    game = Game(problem=problem, r=problem.contraction)
+    logs, reached = searched(game, *TRIES[0])
     assert reached == game.r
     logs = logs + 0.1
     step = 1e-5 * np.eye(len(logs))

@@ -285,6 +285,14 @@ def test_the_frontier_at_the_modulus_of_a_mode(inputs: int) -> None:
     assert ratio_limit(a, np.zeros_like(b), 0.9) == 0.0
 
 
+def test_the_frontier_of_modes_that_two_inputs_hardly_tell_apart() -> None:
+    """Three at minus one, so nearly uncoupled that each input moves its own: one of them has two, which decides."""
+    a = np.array([[-1.0, 0.0, 0.0], [3.03608337e-11, -1.0, 0.0], [3.02671280e-10, -4.81049402e-10, -1.0]])
+    b = np.array([[0.57466926, -0.3113685], [-0.18975561, 0.30924853], [0.26792832, 0.38736124]])
+    for ball in (BALLS.input, JacobianBall.from_slopes(1 / 3, 1.0)):
+        assert frontier(a, b, ball).contraction_limit == pytest.approx(np.sqrt(ball.relative_radius), abs=1e-6)
+
+
 def test_slopes_in_the_wrong_order() -> None:
     with pytest.raises(BadRequest, match="slopes"):
         JacobianBall.from_slopes(1.0, 0.5)

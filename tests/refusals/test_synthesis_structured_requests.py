@@ -1,13 +1,14 @@
 """A stored certificate of a model with neurons: altered numbers are named, and r lowered to 0.8 of it is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.synthesis.certificate import digest
+from ssm_study.synthesis.certificate import Design, digest
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 
@@ -58,3 +59,31 @@ def test_an_altered_number_is_named(stored: dict, side: str, name: str, factor: 
 def test_a_rate_that_the_matrices_do_not_prove_is_refused(stored: dict, side: str) -> None:
     faster = 1 - 0.64 * (1 - 0.97)
     assert any("the inequality fails" in claim for claim in altered(stored, side, "rate", faster))
+
+
+@pytest.mark.parametrize("side", ["state_feedback", "observer"])
+def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_reverse(stored: dict, side: str) -> None:
+    """Every matrix that the file shares with the model is the model's, and each inequality holds: of another loop."""
+    stand = model()
+    none = {name: getattr(stand, name)[:, :0] for name in "eh"} | {name: getattr(stand, name)[:0] for name in "fg"}
+    alone = replace(stand, neurons=(), bias=stand.bias[:0], **none)
+    plain = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).design(alone, certified_balls(alone))
+    other = json.loads(json.dumps(plain.to_json()))
+    limits = {name: part["rate_limit"] for name, part in (("plain", other[side]), ("stored", stored[side]))}
+    for part, limit, beside in ((other[side], "stored", stored), (stored[side], "plain", other)):
+        forged = part | {"rate_limit": limits[limit]}
+        content = beside | {side: forged | {"digest": digest(forged)}}
+        claims = broken_claims(content, (stand if beside is stored else alone).system, certified_balls(stand))
+        assert f"{side}: the matrices do not fit the model" in claims
+
+
+def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: dict) -> None:
+    """`L` with less injected into the neurons is another observer, whatever it is certified for."""
+    design = Design.from_json(stored)
+    observer = design.observer
+    other = replace(observer, l_z=0.9 * observer.l_z, rate=1e-3).at_largest_rate()
+    assert other is not None
+    assert other.certified
+    forged = json.loads(json.dumps(replace(design, beside={"observer_deployed": other}).to_json()))
+    claims = broken_claims(forged, model().system, certified_balls(model()))
+    assert "observer_deployed: the gain is not the one that is deployed" in claims

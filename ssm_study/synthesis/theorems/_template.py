@@ -21,7 +21,8 @@ decides and `verify` derives again; `given` and `products` are what a tampered f
 searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose `solve` returns what
 `numbers_of` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that are given, call `proved`.
 A field that Python reserves is written with an underscore (`lambda_`) and stored without. A multiplier that must stay
-diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as `theorem.diagonal(of.lambda_)`.
+diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as `theorem.diagonal(of.lambda_)`. A theorem for models with
+neurons has their matrix `e` for a field: without it `verify` takes it for one that knows none.
 """
 
 from collections.abc import Mapping

@@ -35,23 +35,18 @@ Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import scipy
 from jaxtyping import Float
 
 from ssm_study.models.structured import Model
-from ssm_study.refusal import positive, require
-from ssm_study.signals import Trajectories
+from ssm_study.refusal import require
 from ssm_study.synthesis.area import at_rest
-from ssm_study.synthesis.certificate import Design, StateFeedback
-from ssm_study.synthesis.commanded import designed
-from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.mismatch import Mismatch
+from ssm_study.synthesis.certificate import StateFeedback
 from ssm_study.synthesis.sensitivity import frequency_response
-from ssm_study.systems import Balls, StateSpace, StructuredSystem, System, feed
+from ssm_study.systems import StateSpace, StructuredSystem, System, feed
 
 FIELD = "synthesis.internal_model"
 BLOCKED = 1e-6  # of the model's largest gain: an output that the inputs move by less at a mode cannot be held there
@@ -149,43 +144,3 @@ def controlled_system(model: Model, feedback: StateFeedback) -> System:
     if feedback.a.shape[0] <= n:
         return model.system
     return augmented(model.system, output_gain(model), feedback.a[n:, n:])
-
-
-@dataclass(frozen=True, kw_only=True)
-class IntegralSynthesis:
-    """Any synthesis with an internal model: its controller for the augmented model, its observer for the model.
-
-    `integral_weight` is the cost of `|z|^2` beside `output_weight |y|^2`, both scaled; larger removes errors sooner.
-    """
-
-    synthesis: Synthesis
-    integral_weight: float = 1e-3
-    internal_model: Sequence[str] = ("step",)
-
-    method: ClassVar[str] = "integral"
-
-    def __post_init__(self) -> None:
-        positive("synthesis.integral_weight", self.integral_weight, "try 1e-3")
-        frequencies(self.internal_model)
-
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """The internal model's words, as `Auto` has them."""
-        return tuple(self.internal_model)
-
-    def design(
-        self, model: Model, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
-    ) -> Design:
-        if self.invert_input:
-            plain = replace(self, synthesis=replace(self.synthesis, invert_input=False))
-            return designed(plain, model, validation, shown)
-        controlled = with_modes(model, self.internal_model, self.integral_weight)
-        feedback = self.synthesis.state_feedback(controlled, balls.input)
-        return Design(state_feedback=feedback, observer=self.synthesis.observer(model.system, balls.output))
-
-    @property
-    def invert_input(self) -> bool:
-        return self.synthesis.invert_input
-
-
-Synthesis.register(IntegralSynthesis)

@@ -149,13 +149,9 @@ class Tolerance(Theorem):
     def rate_limit_of(cls, known: Known) -> None:
         """No rate is claimed."""
 
-    @property
-    def gain(self) -> Float[np.ndarray, "m s"]:
-        return self.k
-
 
 def largest_tolerance(
-    known: Known, weight: Float[np.ndarray, "v v"], method: str = "tolerance", theorem: type[Tolerance] = Tolerance
+    known: Known, weight: Float[np.ndarray, "v v"], theorem: type[Tolerance] = Tolerance
 ) -> Tolerance | None:
     """The largest s that is certified for this weight; None with a nonlinear output map, where none is found, and where
     no mismatch has an effect (K or L is zero): no number is the largest then.
@@ -166,7 +162,7 @@ def largest_tolerance(
     given = theorem.loop_of(known) | vars(known.balls.input) | {"weight": weight}
     of = SimpleNamespace(**given)
     for numbers in theorem.candidates(theorem.seen(of), of.beta, *theorem.matrices(of)):
-        told: Any = {"status": numbers.pop("status"), "method": method, "started": started}
+        told: Any = {"status": numbers.pop("status"), "method": "tolerance", "started": started}
         found: Tolerance = theorem.proved(given | numbers, **told)
         if found.certified:
             return found

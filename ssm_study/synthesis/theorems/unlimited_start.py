@@ -67,9 +67,9 @@ class UnlimitedStart(StateFeedbackOfBall):
 def unlimited(
     parts: Sequence[StateFeedbackOfBall], corners: Float[np.ndarray, "n j"], limits: Float[np.ndarray, "m two"]
 ) -> UnlimitedStart | None:
-    """The largest share of the `corners` that some part's metric proves; None where the limits leave no room."""
+    """The largest share of the `corners` that some part's metric proves; None without room, and for corners at rest."""
     started, room = time.perf_counter(), np.minimum(-limits[:, 0], limits[:, 1])
-    if not (room > 0).all():
+    if not (room > 0).all() or not corners.any():
         return None
     found = []
     for part in parts:
