@@ -9,8 +9,8 @@ from jaxtyping import Int
 
 from ssm_study.loop.controller import EstimateFeedback, Inputs, Memory, ObserverFeedback, Outputs, Target, Uncontrolled
 from ssm_study.loop.metrics import mean
-from ssm_study.loop.peers.peer import ComparisonTable, Identified, Row
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.peers.peer import Identified, Row
+from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.loop.rollout import motions, settling_times_s
 from ssm_study.loop.trajectory import Plan, Reference
 from ssm_study.plants.plant import Plant

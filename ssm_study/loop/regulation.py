@@ -1,5 +1,6 @@
 """The experiment: initial conditions, noise, reference and disturbance, on the plant, without control, on the model."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -7,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
-from ssm_study.loop.peers.peer import ComparisonTable
+from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, close_loop, settling_times_s
 from ssm_study.loop.trajectory import equilibrium
@@ -125,6 +126,14 @@ class LoopRuns:
     @property
     def judged(self) -> Rollouts:
         return self.noise_free or self.controlled
+
+
+class ComparisonTable(ABC):
+    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values None."""
+
+    @abstractmethod
+    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
+        """The same columns in every row."""
 
 
 @dataclass(frozen=True, kw_only=True)

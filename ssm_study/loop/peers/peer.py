@@ -1,11 +1,9 @@
 """The controllers compared on one plant, one file each: left alone, textbook, the paper's, ours; what each may know."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from ssm_study.family import Family
 from ssm_study.loop import peers
@@ -20,7 +18,6 @@ from ssm_study.synthesis.prediction import predict
 from ssm_study.systems import Balls
 
 if TYPE_CHECKING:
-    from ssm_study.loop.regulation import Loop
     from ssm_study.synthesis.auto import Auto
 
 Row = dict[str, Any]
@@ -55,14 +52,6 @@ class Identified:
         return synthesis.design(self.model, self.balls, self.validation, self.shown)
 
 
-class ComparisonTable(ABC):
-    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values None."""
-
-    @abstractmethod
-    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """The same columns in every row."""
-
-
 class Peer(Family):
     """A way to a controller; `names` is what the comparison calls it."""
 
@@ -87,8 +76,3 @@ def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> 
     if isinstance(controller, ObserverFeedback):
         said |= vars(predict(known.model, controller.gains, known.balls, known.shown))
     return controller, said | {"certified": isinstance(built, Design) and built.certified}
-
-
-def sensor_variance(plant: Plant, known: Identified) -> float:
-    """The sensor's own noise in scaled units, mean over the outputs."""
-    return max(float(np.mean(np.array(plant.noise_variance) / known.model.scale.output_scale**2)), 1e-6)
