@@ -18,7 +18,7 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
-from ssm_study.study.recordings import read_cases, read_trials, signal
+from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated
 from ssm_study.study.trials import repeated
@@ -112,8 +112,7 @@ class RunFiles:
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
         """What the training records applied, as `excitation.mcap` has it."""
-        file = self.path / "excitation.mcap"
-        return [signal(case, "input", file).values for case in read_cases(file)[0].values()]
+        return [signal.values for signal in RecordedCases.of(self.path / "excitation.mcap").signals("input")]
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
