@@ -324,6 +324,16 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 
+def test_an_error_without_a_place_to_break_fits_on_a_phone(tmp_path: Path) -> None:
+    """The path of a file widened the whole page to 581 pixels."""
+    table = report_tables.table(20)
+    table["error_message"] = table["status"].map({"failed": f"no such file: /{'folder/' * 12}log.csv"})
+    with chromium(tmp_path / "profile", phone=True) as driver:
+        driver.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+        wait_for(driver, "document.body.dataset.ready === 'yes'")
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+
+
 def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:
     """An axis around the runs alone would leave the plant's own time, a limit or margin one far outside the figure."""
     one = report_tables.table(60)
