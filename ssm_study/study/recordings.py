@@ -252,3 +252,15 @@ def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple
         return {"recording": (kept is not None, made is not None)}
     names = ("step_s", "reference", "u", "y", "measured", "estimate", "states", "bound", "left_at_sample")
     return {name: (getattr(kept, name), getattr(made, name)) for name in names}
+
+
+def distance(stored: Any, made: Any) -> float:
+    """`max |stored - made| / max |made|`; infinite for another shape, a missing side or a number that is none."""
+    if stored is None or made is None:
+        return 0.0 if stored is made else float("inf")
+    one, other = np.asarray(stored, dtype=float), np.asarray(made, dtype=float)
+    if one.shape != other.shape:
+        return float("inf")
+    apart = float(np.abs(one - other).max(initial=0.0))
+    largest = float(np.abs(other).max(initial=0.0))
+    return apart / largest if largest > 0 and apart > 0 else apart  # NaN passes through, and agrees with nothing

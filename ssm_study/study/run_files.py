@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.engine.durable import contents
 from ssm_study.evidence.judgement import Judgement, judge
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, Trajectories, input_limits
@@ -147,8 +147,9 @@ class RunFiles:
 
     @property
     def closes_loop(self) -> bool:
-        """Whether a controller and an observer are there, certified or not."""
-        return self.claims_certificate and self.design.feasible
+        """Whether a controller and an observer are there, certified or not, and what they can be closed on."""
+        can = self.claims_certificate and self.design.feasible
+        return can and (self.specification.plant is not None or not answers_at_once(self.model))
 
 
 def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from ssm_study.evidence.metrics import evidence_facts, withheld
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import Loop, LoopRuns
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
-from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.models.structured import model_from_json
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
@@ -221,12 +221,12 @@ def compute_loop(
 ) -> Experiment | None:
     """The certified pair on the true plant, or on the identified model where there is no plant; none without a pair.
 
-    None either where a structured model, in the place of a plant, reads its input at once: it is scored and certified.
+    None either where the model, in the place of a plant, answers its input at once: it is scored and certified.
     """
-    from ssm_study.loop.regulation import IdentifiedPlant
+    from ssm_study.loop.regulation import IdentifiedPlant, answers_at_once
 
     model = bounded.model
-    if not design.feasible or (plant is None and isinstance(model, StructuredSSM) and model.d.any()):
+    if not design.feasible or (plant is None and answers_at_once(model)):
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on, loop_on = plant or twin, recordings.closed_on(plant)

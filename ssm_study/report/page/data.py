@@ -34,10 +34,10 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     return {
         "study": study.name,
         "folder": study.folder.resolve().name,
-        "question": str((best.config if best else {}).get("question") or question(table)),
+        "question": question(table),
         "swept": f"{subject}{counts(table)}. {parameters_line(table)}",
         "answers": [vars(answer) for answer in answers(table)],
-        "verdicts": [{"word": v.word, "sentence": v.sentence, "colour": v.colour} for v in VERDICTS],
+        "verdicts": [vars(verdict) for verdict in VERDICTS],
         "columns": {str(name): coded(table[name]) for name in table},
         "words": {str(name): words(name) for name in table},
         "menus": by_part(map(str, table)),

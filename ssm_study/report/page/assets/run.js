@@ -40,7 +40,7 @@ function drawRun(i) {
   content.replaceChildren(element("p", {}, `${word}: ${verdict.sentence}.`), ...reasons(i).map((text) => element("p", { class: "reason" }, text)));
   const found = DATA.trajectories[name], charts = [];
   if (found) charts.push(...trajectoryCharts(content, found));
-  else content.append(element("p", { class: "quiet" }, `No trajectories here; if the run left any they are in ${DATA.study}/${name}/closed_loop.mcap.`));
+  else content.append(element("p", { class: "quiet" }, `No trajectories here; if the run left any they are in ${DATA.folder}/${name}/closed_loop.mcap.`));
   const compared = DATA.comparisons[name];
   if (compared && compared.controller) content.append(controllersTable(compared));
   if (compared && compared.design) charts.push(designsChart(content, compared));
