@@ -106,6 +106,8 @@ def files(run: RunFiles) -> Claims:
     yield NotChecked(dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"})
     if run.specification.loop.comparison is not None:
         yield NotChecked({"comparison.csv": "its loops are not kept"})
+    if isinstance(run.specification.refine, int):
+        yield NotChecked({trials.TRIED: "its loops are made again; that these designs were chosen is not"})
 
 
 def requested(run: RunFiles) -> Claims:
@@ -257,6 +259,7 @@ def loop(run: RunFiles) -> Claims:
     """The recorded loops are those of the stored model and gains on the configured plant; the columns are theirs."""
     there = {name for name in LOOPS if (run.path / name).is_file()}
     needed = {"closed_loop.mcap", "closed_loop_model.mcap"} if run.closes_loop else set()
+    needed |= {"comparison.csv"} if run.closes_loop and run.specification.loop.comparison else set()
     yield from (Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there))
     if not run.closes_loop:
         said = "no loop of such a run was closed"
