@@ -88,6 +88,7 @@ def close_loop(
         if not inside.all():  # only those that stay go on
             left[going[~inside]] = k
             x, y, seen, u, memory, going = (part[inside] for part in (x, y, seen, u, memory, going))
+            controller = controller.among(inside)
         values = {"u": u, "y": y, "measured": seen, "states": x, "estimate": controller.estimate(memory)}
         for name, value in values.items():
             log[name][going, k] = value

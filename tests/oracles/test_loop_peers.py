@@ -9,7 +9,7 @@ from loop_cases import BALLS, motor, motor_design, motor_model, motor_record, ra
 
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.design_grid import DesignGrid, GainGrid
+from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.metrics import behaviour
 from ssm_study.loop.peers.lqg import linearised, lqg
 from ssm_study.loop.peers.mpc import MPC
@@ -98,7 +98,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     k, l_ = design.pair.k, design.pair.l
     gains = Pair(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
     y0, noise = SHORT.draw(motor(), seed=2)
-    grid = GainGrid(model=model, gains=gains, cases_each=3)
+    grid = ObserverFeedback(model=model, gains=gains.at(np.repeat([0, 1], 3)))
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
     for i in range(2):
         alone = SHORT.simulate(
