@@ -25,7 +25,6 @@ TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
 MISMATCH = "mismatch.safetensors"
 VIEW = tuple(field.name for field in fields(View))
-NO_BOUND = 1e300  # a recorded bound is finite
 NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
 
 Case = dict[str, SignalGroup]
@@ -161,7 +160,7 @@ def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Pla
         "settling_band": repr(plant.settling_band),
         "input_equilibrium": json.dumps(plant.equilibrium().u.tolist()),
         "left_at_sample": json.dumps(run.left_at_sample.tolist()),
-        "bound": json.dumps(np.minimum(run.bound, NO_BOUND).tolist()),
+        "bound": json.dumps(run.bound.tolist()),
     }
     write_mcap(path, tuple(written), about | facts)
 

@@ -6,11 +6,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ssm_study.family import Family
-from ssm_study.loop import peers
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import BadRequest, one_of
+from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
@@ -62,11 +61,7 @@ class Peer(Family):
 
 
 def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> tuple[Controller | None, Row]:
-    """One of the peers, None where it has no controller, and what is proved and predicted of it, or the reason.
-
-    Raises `BadRequest` for another name.
-    """
-    one_of(Peer.members(peers), "loop.comparison.controllers", name)
+    """One of the peers, None where it has no controller, and what is proved and predicted of it, or the reason."""
     said = UNSAID | {"controller": name}
     try:
         built = Peer.known[name]().build(plant, known, rate)
