@@ -4,13 +4,12 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from safetensors.numpy import load_file, save_file
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.loop.regulation import LoopRuns
@@ -23,8 +22,7 @@ from ssm_study.synthesis.mismatch import Mismatch, View
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
-MISMATCH = "mismatch.safetensors"
-VIEW = tuple(field.name for field in fields(View))
+MISMATCH = "mismatch.json"
 NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
 
 Case = dict[str, SignalGroup]
@@ -211,31 +209,22 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
 
 
 def write_mismatch(folder: Path, shown: Mismatch) -> None:
-    """Every view bit for bit; complex numbers as pairs of real ones, for SafeTensors knows no others."""
-    views = {name: np.stack([getattr(view, name) for view in shown.everywhere]) for name in VIEW}
-    left_at_rest = np.nan if shown.left_at_rest is None else shown.left_at_rest
-    known = [shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]
-    lists = {name: np.array(getattr(shown, name), dtype=float) for name in ("unexcited", "stuck", "noise")}
-    save_file(views | {"linear": views["linear"].view(float), "known": np.array(known)} | lists, folder / MISMATCH)
+    """Every number as the text that reads back to the same float; a complex one as two."""
+    told = json.dumps(asdict(shown), default=lambda array: np.ascontiguousarray(array).view(float).tolist())
+    (folder / MISMATCH).write_text(told, encoding="utf-8")
 
 
 def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
-    arrays = load_file(folder / MISMATCH)
-    arrays["linear"] = arrays["linear"].view(complex)
-    views = []
-    for row in zip(*(arrays[name] for name in VIEW), strict=True):
-        told: dict[str, Any] = {name: one if one.ndim else float(one) for name, one in zip(VIEW, row, strict=True)}
-        views.append(View(**told))
-    spread, left_at_rest, looped, farthest = arrays["known"].tolist()
-    return Mismatch(
-        views=tuple(views[:-1] if looped else views),
-        loop=views[-1] if looped else None,
-        spread=spread,
-        left_at_rest=None if np.isnan(left_at_rest) else left_at_rest,
-        farthest=farthest,
-        **{name: tuple(arrays[name].tolist()) for name in ("unexcited", "stuck", "noise")},
-    )
+    told = json.loads((folder / MISMATCH).read_text(encoding="utf-8"))
+    views, loop = tuple(map(_view, told.pop("views"))), told.pop("loop")
+    others = {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+    return Mismatch(views=views, loop=loop and _view(loop), **others)
+
+
+def _view(told: dict[str, Any]) -> View:
+    parts: dict[str, Any] = {name: np.array(one) if isinstance(one, list) else one for name, one in told.items()}
+    return View(**parts | {"linear": parts["linear"].view(complex)})
 
 
 def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
