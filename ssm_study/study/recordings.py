@@ -38,8 +38,8 @@ class RecordedCases:
 
     Cases are named by what stands before the last `/` of their topics, in the order of its number: `/case_3/output` is
     the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name. A closed loop has
-    reference, input, output, uncontrolled (where the plant was left alone, too); a record has input, measured,
-    simulated. Raises `BadRequest` for a signal that a case lacks.
+    reference, input, output, uncontrolled (the plant left alone); a record has input, measured, simulated.
+    Raises `BadRequest` for a signal that a case lacks.
     """
 
     path: Path
@@ -60,14 +60,12 @@ class RecordedCases:
 
     def signals(self, name: str) -> list[SignalGroup]:
         """One signal of every case; the cases may differ in length."""
-        require(name in self, "topic", name, f"{self.path.name} lacks it", "run the study again")
+        there = all(name in case for case in self.cases.values())
+        require(there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
         return np.stack([signal.values for signal in self.signals(name)])
-
-    def __contains__(self, name: str) -> bool:
-        return all(name in case for case in self.cases.values())
 
     def time_s(self, name: str) -> Float[np.ndarray, "T"]:
         return self.signals(name)[0].time_s
@@ -81,17 +79,14 @@ class RecordedCases:
         return f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
 
     @property
-    def settling_band(self) -> float | None:
+    def settling_band(self) -> float:
         """What counts as settled, in the output's unit; of a closed loop."""
-        return float(self.about["settling_band"]) if "settling_band" in self.about else None
+        return float(self.about["settling_band"])
 
     @property
     def rest_s(self) -> float:
         """A little after the last response of a closed loop has come to rest in the band, else the whole horizon."""
-        time_s, names = self.time_s("output"), [name for name in ("output", "uncontrolled") if name in self]
-        responses = np.concatenate([self[name][:, :, 0] for name in names])
-        if self.settling_band is None:
-            return float(time_s[-1])
+        time_s, responses = self.time_s("output"), np.concatenate([self["output"], self["uncontrolled"]])[:, :, 0]
         outside = (np.abs(responses - self["reference"][0, :, 0]) > self.settling_band).any(axis=0)
         last = int(np.flatnonzero(outside).max(initial=0))  # the last sample at which any of them is outside
         return float(min(1.4 * time_s[last] + 5 * self.step_s("output"), time_s[-1]))
@@ -201,7 +196,7 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
         controlled=run,
         uncontrolled=replace(run, y=alone, left_at_sample=np.full(len(alone), STAYED)),  # left alone, none is stopped
         on_model=read_rollouts(on_model)[0] if on_model.is_file() else None,
-        settling_band=float(kept.about["settling_band"]),
+        settling_band=kept.settling_band,
         input_equilibrium=np.array(json.loads(kept.about["input_equilibrium"]), dtype=float),
         noise_free=read_rollouts(noise_free)[0] if noise_free.is_file() else None,
     )

@@ -121,8 +121,7 @@ def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any
     """The first channel of these signals and what is printed of them."""
     y, u = names["y"], names["u"]
     about = {"step_s": recording.step_s(y), "input": recording.label(u), "output": recording.label(y)}
-    there = {short: recording[name] for short, name in names.items() if name in recording}
-    return about | {short: packed(values[:, :until, 0]) for short, values in there.items()}
+    return about | {short: packed(recording[name][:, :until, 0]) for short, name in names.items()}
 
 
 def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ function responses(title, rows, { step_s, band, goal, output }, [low, high]) {
   const end = (rows[0].length - 1) * step_s || 1, span = high - low || 1;
   const x = (t) => left + (t / end) * (width - left - right), y = (v) => top + ((high - v) / span) * (height - top - bottom);
   const svg = shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title}: ${output} against time, ${rows.length} starts` });
-  if (band) svg.append(shape("rect", { x: left, width: width - left - right, y: y(goal + band), height: Math.max(1, y(goal - band) - y(goal + band)), class: "band" }));
+  svg.append(shape("rect", { x: left, width: width - left - right, y: y(goal + band), height: Math.max(1, y(goal - band) - y(goal + band)), class: "band" }));
   for (const [value, text] of ticks) svg.append(shape("text", { x: left - 4, y: y(value) + 4, class: "tick end" }, text));
   for (const t of [0, end / 2, end]) svg.append(shape("text", { x: x(t), y: height - 12, class: t === end ? "tick end" : "tick" }, `${Number(t.toPrecision(2))}${t === end ? " s" : ""}`));
   const order = rows.map((row, n) => [row[0], n]).sort((a, b) => a[0] - b[0]).map(([, n]) => n);
@@ -30,9 +30,8 @@ function responses(title, rows, { step_s, band, goal, output }, [low, high]) {
 }
 
 function bestResponses(loop) {
-  const own = unpack(loop.y), alone = loop.alone ? unpack(loop.alone) : null;
-  const range = rangeOf([[...own, ...(alone || [])]], [loop.goal]);
-  return [responses("Under control", own, loop, range), ...(alone ? [responses("Left alone, same starts", alone, loop, range)] : [])];
+  const own = unpack(loop.y), alone = unpack(loop.alone), range = rangeOf([[...own, ...alone]], [loop.goal]);
+  return [responses("Under control", own, loop, range), responses("Left alone, same starts", alone, loop, range)];
 }
 
 /** What all lines visit, at most as far again as the starts reach: one that diverges leaves the picture. */

@@ -103,7 +103,7 @@ function trajectoryCharts(content, { loop, validation }, responses = true) {
   if (loop) {
     const speeds = { y: loop.output, band: loop.band, goal: loop.goal };
     if (responses) charts.push(chartOf(content, "Under control", () => lines(loop.y, loop.step_s), speeds));
-    if (responses && loop.alone) charts.push(chartOf(content, "Left alone, same starts", () => lines(loop.alone, loop.step_s), speeds));
+    if (responses) charts.push(chartOf(content, "Left alone, same starts", () => lines(loop.alone, loop.step_s), speeds));
     charts.push(chartOf(content, "Input of the controlled runs", () => lines(loop.u, loop.step_s), { y: loop.input, held: true }));
   }
   if (validation) {
