@@ -105,7 +105,8 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
         return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
 
     signals = [("/input", volt, u), ("/measured", speed, y), ("/simulated", speed, 0.9 * y)]
-    write_mcap(run / "validation.mcap", tuple(group(*signal) for signal in signals), {})
+    for name in ("validation", "test"):
+        write_mcap(run / f"{name}.mcap", tuple(group(*signal) for signal in signals), {})
     records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
     write_mcap(run / "excitation.mcap", tuple(records), {})
     cases = []
