@@ -233,8 +233,7 @@ def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple
     """The signals of two sets of closed loops side by side; those that left their bound count up to there."""
     if kept is None or made is None:
         return {"recording": (kept is not None, made is not None)}
-    names = ("step_s", "reference", "u", "y", "measured", "estimate", "states", "bound", "left_at_sample")
-    return {name: (getattr(kept, name), getattr(made, name)) for name in names}
+    return {name: (stored, getattr(made, name)) for name, stored in vars(kept).items()}
 
 
 def distance(stored: Any, made: Any) -> float:
