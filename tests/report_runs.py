@@ -95,7 +95,7 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[st
     )
 
 
-def write_recordings(run: Path, *, plant_alone: bool = True, seed: int = 0) -> Path:
+def write_recordings(run: Path, *, seed: int = 0) -> Path:
     """`validation.mcap`, `excitation.mcap` and `closed_loop.mcap` with ten made-up cases, as a study leaves them."""
     rng, time_s = np.random.default_rng(seed), np.arange(200) * 0.01
     u, y = np.sign(rng.standard_normal((200, 1))) * 5, rng.standard_normal((200, 1))
@@ -105,7 +105,8 @@ def write_recordings(run: Path, *, plant_alone: bool = True, seed: int = 0) -> P
         return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
 
     signals = [("/input", volt, u), ("/measured", speed, y), ("/simulated", speed, 0.9 * y)]
-    write_mcap(run / "validation.mcap", tuple(group(*signal) for signal in signals), {})
+    for name in ("validation", "test"):
+        write_mcap(run / f"{name}.mcap", tuple(group(*signal) for signal in signals), {})
     records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
     write_mcap(run / "excitation.mcap", tuple(records), {})
     cases = []
@@ -113,7 +114,7 @@ def write_recordings(run: Path, *, plant_alone: bool = True, seed: int = 0) -> P
         decay = start * np.exp(-time_s / 0.05)[:, None]
         cases += [group(f"/case_{i}/reference", speed, 0 * y), group(f"/case_{i}/output", speed, decay)]
         cases += [group(f"/case_{i}/input", volt, -decay)]
-        cases += [group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))] if plant_alone else []
+        cases += [group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))]
     write_mcap(run / "closed_loop.mcap", tuple(cases), {"settling_band": "0.5"})
     rows = [f"{name},{case},0.9,0.1,0.2,3.0" for name in ("pi", "auto") for case in ("nominal", "delay")]
     head = "controller,situation,stable_fraction,settling_time_mean_s,settling_time_open_loop_s,input_peak_v"

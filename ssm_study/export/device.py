@@ -100,7 +100,8 @@ class Device:
         at_rest = Joined.through(kept.lifted, np.pad(kept.x, ((0, 0), (0, len(c.a) - kept.x.shape[1]))))
         missed = max(abs(float(seen(v[None])[0]) - y) for v, y in zip(full.lifted, full.read, strict=True))
         told: Any = {"inward": inward, "outward": outward, "missed": missed}
-        return in_floats(SetPoints(to_lifted=kept.inverse(), at_rest=at_rest, seen=seen, **told), REALS[self.real])
+        to_lifted = Joined.through(kept.read, kept.lifted[:, None])
+        return in_floats(SetPoints(to_lifted=to_lifted, at_rest=at_rest, seen=seen, **told), REALS[self.real])
 
     def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Every constant of the C code by name, in its order, but those of its maps."""

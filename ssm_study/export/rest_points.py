@@ -29,7 +29,9 @@ class Joined:
 
     @classmethod
     def through(cls, w: Vector, out: Rows) -> "Joined":
-        """The points `w`, rising, with `out` a row each."""
+        """The points `w`, in any order, with `out` a row each."""
+        order = np.argsort(w)
+        w, out = w[order], out[order]
         rising = np.diff(out, axis=0) / np.diff(w)[:, None]
         return cls(points=w[1:-1].copy(), slopes=rising, offsets=out[:-1] - rising * w[:-1, None])
 
@@ -50,11 +52,6 @@ class Curve:
     lifted: Vector
     x: Rows
     read: Vector
-
-    def inverse(self) -> Joined:
-        """From what S_y reads to the lifted input."""
-        order = np.argsort(self.read)
-        return Joined.through(self.read[order], self.lifted[order, None])
 
 
 def curve(controller: PortableController, low: float, high: float) -> Curve | None:

@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.loop.rollout import squared_shrink
 from ssm_study.synthesis.certificate import Observer, StateFeedback
 from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
 
@@ -95,12 +96,7 @@ def decay_rate(x: States, x_hat: Estimates, feedback: StateFeedback, observer: O
     """
     e = distances(x, x_hat, feedback, observer)[1]
     e = e[e[:, 0] > 0]
-    if not len(e):
-        return None
-    gone = e <= FORGOTTEN * e[:, :1]
-    at = np.where(gone.any(axis=1), np.argmax(gone, axis=1), e.shape[1] - 1)
-    shrink = e[np.arange(len(e)), at] / e[:, 0]
-    return float((1.0 - shrink ** (2.0 / np.maximum(at, 1))).min())
+    return float(1.0 - squared_shrink(e, FORGOTTEN * e[:, :1]).max()) if len(e) else None
 
 
 def excess(x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer) -> float | None:

@@ -8,9 +8,9 @@ from scipy.stats import qmc
 
 from ssm_study.loop import peers
 from ssm_study.loop.metrics import pooled
-from ssm_study.loop.peers.peer import UNSAID, ComparisonTable, Identified, Peer, Row, compared
+from ssm_study.loop.peers.peer import UNSAID, Identified, Peer, Row, compared
 from ssm_study.loop.peers.pi import PI
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, SaturatedInput

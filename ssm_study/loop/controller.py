@@ -6,10 +6,10 @@ and nothing is hidden in an object.
 
 # ruff: noqa: ARG002 - every law is shown everything; some need less
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ssm_study.bounds.inverse import Inverse, inverse_of
 from ssm_study.loop.trajectory import Plan, Reference, feasible_trajectory, guided_trajectory, set_points
@@ -59,6 +59,10 @@ class Controller(ABC):
     def estimate(self, memory: Memory) -> Estimate:
         """The part of the memory that estimates the model's state, if any."""
         return memory[:, :0]
+
+    def among(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
+        """The law of the cases that go on; it differs where each case has gains of its own."""
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +124,7 @@ class ObserverFeedback(EstimateFeedback):
     """`u = u_eq + s_u (u* + K (xh - x*))`, xh the observer's estimate ([Z26] eq. 9 and Theorem 3).
 
     A target row is `(x*, u*, y*)`, a trajectory of the model itself near the reference: around any such trajectory the
-    certified loop contracts. `K (m, n)`, or one pair of gains for each case, stacked.
+    certified loop contracts. `K (m, n)`, or one pair of gains for each case, stacked: such a law brings to rest only.
 
     With a wider K the law has an internal model: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
     `z+ = A_z z + E (y - y*) / s_y`. So that it does not wind up, no error enters while a limit keeps the input from
@@ -149,10 +153,14 @@ class ObserverFeedback(EstimateFeedback):
     def targets(self, reference: Reference) -> Plan:
         n = self.model.order
         if isinstance(self.model, StructuredSSM):
-            plan = guided_trajectory(self.model, self.gains.k[:, :n], reference, self.asked)
+            k = self.gains.k if self.gains.k.ndim == 2 else self.gains.k[0]  # at rest all have the same targets
+            plan = guided_trajectory(self.model, k[:, :n], reference, self.asked)
         else:
             plan = feasible_trajectory(self.model, reference)
         return np.concatenate([plan, self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))], axis=1)
+
+    def among(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
+        return self if self.gains.k.ndim == 2 else replace(self, gains=self.gains.at(np.flatnonzero(stayed)))
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
         ends = np.stack([reference.min(axis=0), reference.max(axis=0)])

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from ssm_study.loop.controller import EstimateFeedback, Inputs, Memory, ObserverFeedback, Outputs, Target, Uncontrolled
+from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
 from ssm_study.loop.metrics import mean
-from ssm_study.loop.peers.peer import ComparisonTable, Identified, Row
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.peers.peer import Identified, Row
+from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.loop.rollout import motions, settling_times_s
-from ssm_study.loop.trajectory import Plan, Reference
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import at_least
 from ssm_study.synthesis.area import relative_areas
@@ -20,32 +19,6 @@ from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.prediction import predict
 from ssm_study.systems import Pair
-
-
-@dataclass(frozen=True, kw_only=True)
-class GainGrid(EstimateFeedback):
-    """`ObserverFeedback` with gains of its own for every case: the last number of a case's memory says which.
-
-    `gains` holds as many pairs; case i of `start` uses pair `i // cases_each`. Regulation only.
-    """
-
-    cases_each: int
-
-    def start(self, cases: int) -> Memory:
-        return np.column_stack([super().start(cases), np.arange(cases) // self.cases_each])
-
-    def targets(self, reference: Reference) -> Plan:
-        return np.zeros((len(reference), self.model.order + sum(self.dimensions)))
-
-    def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        return self._law(memory).input(memory[:, :-1], y, target)
-
-    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
-        return np.column_stack([self._law(memory).advance(memory[:, :-1], u, y, target), memory[:, -1]])
-
-    def _law(self, memory: Memory) -> ObserverFeedback:
-        return ObserverFeedback(model=self.model, gains=self.gains.at(memory[:, -1].astype(int)))
-
 
 WIDE: dict[str, Any] = {
     "stretch_shares": (0.1, 0.5, 0.9, 0.99),
@@ -109,9 +82,9 @@ class DesignGrid(ComparisonTable):
 def _behaved(plant: Plant, known: Identified, gains: Pair, loop: Loop, seed: int) -> list[Row]:
     """All designs as one batch of cases, with the noise and without it."""
     (y0, noise), band, designs = loop.draw(plant, seed), plant.settling_band, len(gains.k)
-    grid, starts = GainGrid(model=known.model, gains=gains, cases_each=len(y0)), np.tile(y0, (designs, 1))
-    noises = np.tile(noise, (designs, 1, 1))
-    run, quiet = (loop.simulate(plant, grid, starts, given) for given in (noises, np.zeros_like(noises)))
+    each = ObserverFeedback(model=known.model, gains=gains.at(np.repeat(np.arange(designs), len(y0))))
+    starts, noises = np.tile(y0, (designs, 1)), np.tile(noise, (designs, 1, 1))
+    run, quiet = (loop.simulate(plant, each, starts, given) for given in (noises, np.zeros_like(noises)))
     alone = loop.simulate(plant, Uncontrolled.of(plant), y0, noise)
     open_loop, times_s, kinds = mean(settling_times_s(alone, band)), settling_times_s(run, band), motions(quiet, band)
     rows = []

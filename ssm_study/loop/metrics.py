@@ -27,7 +27,7 @@ COLUMNS = (
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),
     Column("input_peak_v", "Float64", "low", "peak u", "Input peak", "unit of the input"),
     Column("control_energy", "Float64", "low", "energy", "Control energy", "squared input, s"),
-    Column("integral_squared_error", "Float64", "low", word="Integral of the squared error"),
+    Column("integral_squared_error", "Float64", "low", word="Integral of the squared error", unit="squared output, s"),
     Column("final_error_worst", "Float64", "low", word="Worst remaining error", unit="output unit"),
     Column("left_bound_count", "Int64", "low", word="Starts stopped at the bound"),
     Column("left_bound_first_s", "Float64", word="First stop at the bound", unit="s"),

@@ -1,5 +1,6 @@
 """The experiment: initial conditions, noise, reference and disturbance, on the plant, without control, on the model."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -7,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
-from ssm_study.loop.peers.peer import ComparisonTable
+from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, close_loop, settling_times_s
 from ssm_study.loop.trajectory import equilibrium
@@ -41,9 +42,8 @@ class IdentifiedPlant(Plant):
 
     def __post_init__(self) -> None:
         model, remedy = self.model, "identify with model.feedthrough=false"
-        neurons = isinstance(model, StructuredSSM) and bool((model.g.any(axis=1) & model.h.any(axis=0)).any())
         problem, told = "the input reaches the output at once", "the loop samples the output before the input acts"
-        require(not model.linear.d.any() and not neurons, "model.feedthrough", problem, told, remedy)
+        require(not answers_at_once(model), "model.feedthrough", problem, told, remedy)
         channels, needed = (len(self.inputs), len(self.outputs)), (model.scale.inputs, model.scale.outputs)
         require(channels == needed, "channels", channels, f"the model has {needed}", "name each of its signals")
 
@@ -98,6 +98,12 @@ class IdentifiedPlant(Plant):
         return self.model.read(x, np.zeros((len(x), self.model.linear.b.shape[1])))
 
 
+def answers_at_once(model: Model) -> bool:
+    """Whether the input reaches the output within its sample, by D or through a neuron."""
+    through = isinstance(model, StructuredSSM) and bool((model.g.any(axis=1) & model.h.any(axis=0)).any())
+    return through or bool(model.linear.d.any())
+
+
 SAMPLES = (150, 1500)
 """Shortest and longest horizon unless told otherwise; 150 are 1.5 s on the motor, seven times its uncontrolled mean."""
 RESPONSES = 4  # horizon, in lengths of the model's own response
@@ -125,6 +131,14 @@ class LoopRuns:
     @property
     def judged(self) -> Rollouts:
         return self.noise_free or self.controlled
+
+
+class ComparisonTable(ABC):
+    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values None."""
+
+    @abstractmethod
+    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
+        """The same columns in every row."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +190,7 @@ class Loop:
         """The certified design on the plant, beside the plant left alone and the noise-free model."""
         controller = ObserverFeedback.of(model, design)
         runs = self.on_plant(plant, controller, seed)
-        return replace(runs, on_model=self._on_model(plant, controller, runs.controlled.y[:, 0]))
+        return replace(runs, on_model=self.on_model(plant, controller, runs.controlled.y[:, 0]))
 
     def on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
         """Any controller: at one seed all meet the same initial states, noise, reference and disturbance."""
@@ -195,7 +209,7 @@ class Loop:
             noise_free=noise_free,
         )
 
-    def _on_model(self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]) -> Rollouts:
+    def on_model(self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]) -> Rollouts:
         """The certified situation: the controller on its own model, nothing else acting."""
         twin = IdentifiedPlant.of(controller.model, plant.inputs, plant.outputs)
         twin = replace(twin, initial_range=plant.initial_range)  # which the bound is a multiple of

@@ -19,6 +19,7 @@ STAYED = -1  # `left_at_sample` of a case that never left the bound
 UNLIMITED = (-np.inf, np.inf)
 Limit = float | Float[np.ndarray, "*m"]
 Limits = tuple[Limit, Limit]
+Shrinks = Float[np.ndarray, "N"]
 DWELL = 0.1
 """The share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest."""
 STEADY = 0.9
@@ -87,6 +88,7 @@ def close_loop(
         if not inside.all():  # only those that stay go on
             left[going[~inside]] = k
             x, y, seen, u, memory, going = (part[inside] for part in (x, y, seen, u, memory, going))
+            controller = controller.among(inside)
         values = {"u": u, "y": y, "measured": seen, "states": x, "estimate": controller.estimate(memory)}
         for name, value in values.items():
             log[name][going, k] = value
@@ -180,13 +182,15 @@ def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
     """
     i, j = np.triu_indices(len(rollouts.y), k=1)  # each pair of cases once
     distance = np.linalg.norm(rollouts.y[i] - rollouts.y[j], axis=2)
-    distance = distance[distance[:, 0] > 2 * band]
-    if not len(distance):
-        return None
-    within = distance <= band
+    distance = np.maximum(distance[distance[:, 0] > 2 * band], band / 2)  # resolution: an exact zero is not a rate
+    return float(1.0 - np.median(squared_shrink(distance, band))) if len(distance) else None
+
+
+def squared_shrink(distance: Float[np.ndarray, "N T"], until: float | Float[np.ndarray, "N 1"]) -> Shrinks:
+    """`r^2`, r the mean factor per sample by which each row shrinks until it is at most `until`, else to its end."""
+    within = distance <= until
     at = np.where(within.any(axis=1), np.argmax(within, axis=1), distance.shape[1] - 1)
-    end = np.maximum(distance[np.arange(len(distance)), at], band / 2)  # resolution: an exact zero is not a rate
-    return float(1.0 - np.median((end / distance[:, 0]) ** (2.0 / np.maximum(at, 1))))
+    return np.asarray((distance[np.arange(len(distance)), at] / distance[:, 0]) ** (2.0 / np.maximum(at, 1)))
 
 
 def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:

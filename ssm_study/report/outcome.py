@@ -11,8 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.words import SETTLED, VERDICTS, decides
-from ssm_study.table.rank import standing
+from ssm_study.report.words import SETTLED, decides, judged
 
 WIDTH = 80
 MISSING = "–"
@@ -24,11 +23,8 @@ LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
 
 
-def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), console: Console | None = None) -> None:
-    """The end-of-run table, 80 columns wide: coloured on a terminal, plain text in a pipe (and under `NO_COLOR`)."""
-    console = console or Console()
-    if not console.is_terminal:
-        console = Console(file=console.file, width=WIDTH, color_system=None, force_jupyter=False)
+def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: Console) -> None:
+    """The end-of-run table, at most 80 columns wide, and where the figures lie."""
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
@@ -41,7 +37,7 @@ def print_outcome(record: Mapping[str, Any], figures: Sequence[Path] = (), conso
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
     """The numbers of `record.json` in the order of the argument: model, certificate, plant."""
-    verdict = VERDICTS[standing(pd.DataFrame([dict(record)])).iloc[0]]
+    verdict = judged(pd.DataFrame([dict(record)])).iloc[0]
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
     table.add_column(overflow="fold")

@@ -4,73 +4,26 @@ import io
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
-from jaxtyping import Float
 
 from ssm_study.engine.durable import contents
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import model_from_json
 from ssm_study.refusal import BadRequest, require
-from ssm_study.study.recordings import Case, read_cases, signal, stacked
+from ssm_study.study.recordings import RecordedCases
 from ssm_study.table.columns import text
 from ssm_study.table.rank import best_first
 
 
 class NothingToDraw(Exception):
     """Why a figure would be empty, in a sentence; that sentence is drawn."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordedCases:
-    """A recording by signal, `loop["output"] (N, T, c)` over its N cases; `about` is its metadata.
-
-    `closed_loop` has reference, input, output, uncontrolled (where the plant was left alone, too); `validation` has
-    input, measured, simulated. Raises `BadRequest` for a signal that it lacks.
-    """
-
-    path: Path
-    cases: list[Case]
-    about: dict[str, str]
-
-    def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
-        return stacked(self.cases, name, self.path)
-
-    def __contains__(self, name: str) -> bool:
-        return all(name in case for case in self.cases)
-
-    def time_s(self, name: str) -> Float[np.ndarray, "T"]:
-        return signal(self.cases[0], name, self.path).time_s
-
-    def step_s(self, name: str) -> float:
-        return float(self.time_s(name)[1] - self.time_s(name)[0])
-
-    def label(self, name: str) -> str:
-        """The first channel with its unit: `load_speed`, `rad/s` -> `Load speed (rad/s)`."""
-        channel = signal(self.cases[0], name, self.path).channels[0]
-        return f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
-
-    @property
-    def settling_band(self) -> float | None:
-        """What counts as settled, in the output's unit; of a closed loop."""
-        return float(self.about["settling_band"]) if "settling_band" in self.about else None
-
-    @property
-    def rest_s(self) -> float:
-        """A little after the last response of a closed loop has come to rest in the band, else the whole horizon."""
-        time_s, names = self.time_s("output"), [name for name in ("output", "uncontrolled") if name in self]
-        responses = np.concatenate([self[name][:, :, 0] for name in names])
-        if self.settling_band is None:
-            return float(time_s[-1])
-        outside = (np.abs(responses - self["reference"][0, :, 0]) > self.settling_band).any(axis=0)
-        last = int(np.flatnonzero(outside).max(initial=0))  # the last sample at which any of them is outside
-        return float(min(1.4 * time_s[last] + 5 * self.step_s("output"), time_s[-1]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +45,8 @@ class RunFolder:
         path = self.path / f"{name}.mcap"
         if not path.is_file():
             return None
-        cases, about = read_cases(path)
-        return RecordedCases(path=path, cases=list(cases.values())[:most], about=about)
+        kept = RecordedCases.of(path)
+        return replace(kept, cases=dict(islice(kept.cases.items(), most)))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -136,8 +89,8 @@ class RunFolder:
 
     @cached_property
     def excitation(self) -> RecordedCases | None:
-        """The training records' input; the validation record's where those were not kept."""
-        return self._recording("excitation") or self.validation
+        """The training records' input."""
+        return self._recording("excitation")
 
     @cached_property
     def closed_loop(self) -> RecordedCases | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from ssm_study.report import style
-from ssm_study.table.columns import label
+from ssm_study.table.columns import column, label
 from ssm_study.table.rank import standing
 
 if TYPE_CHECKING:
@@ -15,9 +15,8 @@ if TYPE_CHECKING:
 # Columns that the report adds to the table.
 DERIVED = {"verdict": "Outcome", "slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)"}
 CHOICES: dict[str, str] = {
-    "pi": "PI", "lqg": "LQG", "mpc": "MPC", "lmi": "LMI", "paper_lmi": "paper's LMI", "modal_lmi": "modal LMI",
-    "auto_integral": "auto, integral",
-    "own_pi": "own PI",
+    "pi": "PI", "lqg": "LQG", "mpc": "MPC", "lmi": "LMI", "paper_lmi": "paper's LMI",
+    "auto_integral": "auto, integral", "own_pi": "own PI",
     "load_periodic": "load sine", "noise_free": "no noise", "noise_4x": "noise × 4", "spread": "off-nominal",
     "dc_motor": "DC motor", "dc_motor_limited": "DC motor, limited", "stribeck_drive": "Stribeck drive",
     "DCMotor": "DC motor", "StribeckDrive": "Stribeck drive", "CascadedTanks": "cascaded tanks",
@@ -30,9 +29,9 @@ def spoken(choice: object) -> str:
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
-def words(column: object) -> str:
+def words(name: object) -> str:
     """The printed name of a column, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
-    return DERIVED.get(str(column)) or label(str(column))
+    return DERIVED.get(str(name)) or label(str(name))
 
 
 def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
@@ -66,6 +65,10 @@ LOST = Verdict(
     "certified, does not settle", "both certificates hold for the model, yet some start does not settle",
     style.VERMILLION, "^", "triangle-up", "bold yellow",
 )  # fmt: skip
+UNTRIED = Verdict(
+    "certified, not tried", "both certificates hold; the model answers its input at once, so no loop is closed on it",
+    style.SKY, "<", "triangle-left", "bold yellow",
+)  # fmt: skip
 UNCERTIFIED = Verdict(
     "not certified", "a design exists, but a certificate did not pass", style.ORANGE, "s", "square", "bold yellow"
 )
@@ -77,12 +80,19 @@ INFEASIBLE = Verdict(
     "infeasible", "no certificate exists at the requested rate", style.GREY, "x", "cross", "bold magenta"
 )
 FAILED = Verdict("failed", "the run ended with an error", style.INK, "P", "diamond", "bold red")
-VERDICTS = (SETTLED, LOST, UNCERTIFIED, IDENTIFIED, INFEASIBLE, FAILED)  # in the order of `table.rank.standing`
+BY_STANDING = (SETTLED, LOST, UNCERTIFIED, IDENTIFIED, INFEASIBLE, FAILED)  # see `table.rank.standing`
+VERDICTS = (SETTLED, LOST, UNTRIED, *BY_STANDING[2:])
+
+
+def judged(table: pd.DataFrame) -> pd.Series:
+    """A `Verdict` per row: its standing, where a run that is certified alone may have closed no loop."""
+    found = standing(table).map(lambda place: BY_STANDING[place]).astype(object)
+    return found.mask((found == LOST) & column(table, "stable_fraction").isna(), UNTRIED)
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
-    """One word per row, see `table.rank.standing`."""
-    return standing(table).map(lambda place: VERDICTS[place].word).astype(object).rename("verdict")
+    """The word of each row's verdict."""
+    return judged(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
 
 
 def counts(table: pd.DataFrame) -> str:

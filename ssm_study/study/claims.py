@@ -28,12 +28,11 @@ from ssm_study.loop.rollout import replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, input_limits
-from ssm_study.study import trials
+from ssm_study.study import recordings, trials
 from ssm_study.study.labels import mislabelled
 from ssm_study.study.line import STUDY
-from ssm_study.study.recordings import NOISE_FREE, TRIALS, closed_on, of_records, of_rollouts, read_experiment
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
-from ssm_study.study.stages import STAGES, read_judgement
+from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.synthesis.commanded import measured
 from ssm_study.synthesis.design import broken_claims
@@ -46,6 +45,7 @@ from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
 
 READ = frozenset({".csv", ".json", ".mcap"})  # the kinds of file that somebody reads as a run's
+STAGES_OF_A_BASELINE = (DATASET, MODEL, SCORE)
 MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them anew"
 NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
@@ -91,10 +91,9 @@ def files(run: RunFiles) -> Claims:
         return
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     needed |= {"certificate.json", "evidence.json"} if run.claims_certificate else set()
-    closed = run.claims_certificate and run.record["status"] == OK
-    needed |= {"closed_loop.mcap", "closed_loop_model.mcap"} if closed else set()
     there = {CONFIGURATION, *(path.name for path in run.path.iterdir() if path.suffix in READ)} - {MANIFEST, RECORD}
-    made = {CONFIGURATION, OVERRIDES, *(name for stage in (*STAGES, trials.TRIALS) for name in stage.files)}
+    stages = (*STAGES, trials.TRIALS) if run.claims_certificate else STAGES_OF_A_BASELINE
+    made = {CONFIGURATION, OVERRIDES, *(name for stage in stages for name in stage.files)}
     made -= {"comparison.csv"} if run.specification.loop.comparison is None else set()
     for found, names in {
         "is absent": {name for name in needed if not (run.path / name).is_file()},
@@ -107,6 +106,8 @@ def files(run: RunFiles) -> Claims:
     yield NotChecked(dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"})
     if run.specification.loop.comparison is not None:
         yield NotChecked({"comparison.csv": "its loops are not kept"})
+    if isinstance(run.specification.refine, int):
+        yield NotChecked({trials.TRIED: "its loops are made again; that these designs were chosen is not"})
 
 
 def requested(run: RunFiles) -> Claims:
@@ -128,7 +129,7 @@ def requested(run: RunFiles) -> Claims:
 
 def status(run: RunFiles) -> Claims:
     """A run is infeasible exactly if a part of its design is missing."""
-    yield Derived({"status": OK if run.closes_loop or not run.claims_certificate else INFEASIBLE})
+    yield Derived({"status": OK if not run.claims_certificate or run.design.feasible else INFEASIBLE})
 
 
 def data(run: RunFiles) -> Claims:
@@ -159,10 +160,17 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
         kept, made = getattr(run.simulated, split), getattr(records, split)
-        pairs = {"start_up_samples": (kept.start_up_samples, records.start_up_samples)} | of_records(kept.records, made)
+        pairs = {"start_up_samples": (kept.start_up_samples, records.start_up_samples)} | recordings.of_records(
+            kept.records, made
+        )
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
     if records.trials or run.trials:
-        yield agreement(f"{TRIALS} records", of_records(run.trials, records.trials), ITERATED, "made again alike")
+        yield agreement(
+            f"{recordings.TRIALS} records",
+            recordings.of_records(run.trials, records.trials),
+            ITERATED,
+            "made again alike",
+        )
     if run.claims_certificate:
         judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))
         found = f"records and model give {judged['evidence']}"
@@ -182,8 +190,8 @@ def model(run: RunFiles) -> Claims:
     """What is proved of the stored model, and that it runs at the records' sampling time."""
     if run.claims_certificate:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
-    steps = run.model.step_s, run.simulated.validation.records[0].step_s
-    yield agreement("model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records")
+        steps = run.model.step_s, run.simulated.validation.records[0].step_s
+        yield agreement("model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records")
     yield entries(run, "model.json", run.model)
 
 
@@ -249,51 +257,48 @@ def fits(run: RunFiles) -> Claims:
 
 def loop(run: RunFiles) -> Claims:
     """The recorded loops are those of the stored model and gains on the configured plant; the columns are theirs."""
+    there = {name for name in LOOPS if (run.path / name).is_file()}
+    needed = {"closed_loop.mcap", "closed_loop_model.mcap"} if run.closes_loop else set()
+    needed |= {"comparison.csv"} if run.closes_loop and run.specification.loop.comparison else set()
+    yield from (Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there))
     if not run.closes_loop:
+        said = "no loop of such a run was closed"
+        yield from (Checked(claim=name, holds=False, found=said) for name in sorted(there))
         return
     spec, design, plant = run.specification, run.design, run.plant
-    kept, loop_on = read_experiment(run.path)
+    kept, loop_on = recordings.read_experiment(run.path)
     controller = ObserverFeedback.of(run.model, design)
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    same = loop_on == closed_on(spec.plant)
+    same = loop_on == recordings.closed_on(spec.plant)
     yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
+    fitted = run.loop.fitted(run.model)
+    made = {"closed_loop_model.mcap": (kept.on_model, fitted.on_model(plant, controller, kept.controlled.y[:, 0]))}
     if plant.real:
-        return
-    again = run.loop.fitted(run.model).run(plant, run.model, design, spec.loop_seed)
-    pairs = of_rollouts(kept.controlled, again.controlled) | {
-        "settling_band": (kept.settling_band, again.settling_band),
-        "input_equilibrium": (kept.input_equilibrium, again.input_equilibrium),
-        "uncontrolled": (kept.uncontrolled.y, again.uncontrolled.y),
-    }
-    yield agreement("closed_loop.mcap", pairs, ITERATED, "the configured plant with the certified gains gives it")
-    on_model = "closed_loop_model.mcap", kept.on_model, again.on_model
-    for name, stored, made in (on_model, (NOISE_FREE, kept.noise_free, again.noise_free)):
-        if stored is not None or made is not None:
-            yield agreement(name, of_rollouts(stored, made), ITERATED, "stored model and gains give it")
+        yield NotChecked({"closed_loop.mcap output, states": "recorded on a device, which is not run again"})
+    else:
+        again = fitted.on_plant(plant, controller, spec.loop_seed)
+        pairs = recordings.of_rollouts(kept.controlled, again.controlled) | {
+            "settling_band": (kept.settling_band, again.settling_band),
+            "input_equilibrium": (kept.input_equilibrium, again.input_equilibrium),
+            "uncontrolled": (kept.uncontrolled.y, again.uncontrolled.y),
+        }
+        yield agreement("closed_loop.mcap", pairs, ITERATED, "the configured plant with the certified gains gives it")
+        made[recordings.NOISE_FREE] = kept.noise_free, again.noise_free
+    for name, pair in made.items():
+        if pair != (None, None):
+            yield agreement(name, recordings.of_rollouts(*pair), ITERATED, "stored model and gains give it")
 
 
 def agreement(claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str) -> Checked:
     """Whether each stored value is the one made again, to `tolerance` of its largest entry."""
-    apart = {name: distance(*pair) for name, pair in pairs.items()}
+    apart = {name: recordings.distance(*pair) for name, pair in pairs.items()}
     worst = max(apart, key=lambda name: apart[name])
     wrong = [name for name in apart if not apart[name] <= tolerance]  # so written that NaN is wrong
     found = f"{said} to {apart[worst]:.1e}" if not wrong else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
     return Checked(claim=claim, holds=not wrong, found=found)
-
-
-def distance(stored: Any, made: Any) -> float:
-    """`max |stored - made| / max |made|`; infinite for another shape, a missing side or a number that is none."""
-    if stored is None or made is None:
-        return 0.0 if stored is made else float("inf")
-    one, other = np.asarray(stored, dtype=float), np.asarray(made, dtype=float)
-    if one.shape != other.shape:
-        return float("inf")
-    apart = float(np.abs(one - other).max(initial=0.0))
-    largest = float(np.abs(other).max(initial=0.0))
-    return apart / largest if largest > 0 and apart > 0 else apart  # NaN passes through, and agrees with nothing
 
 
 SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (files, requested, status, data, model, certificate, fits, loop)

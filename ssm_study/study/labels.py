@@ -7,7 +7,7 @@ import numpy as np
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
-from ssm_study.study.recordings import LOOPS, NOISE_FREE, TRIALS, closed_on, read_cases
+from ssm_study.study.recordings import LOOPS, NOISE_FREE, TRIALS, RecordedCases, closed_on
 from ssm_study.study.run_files import RunFiles
 
 # Of the words of a recording those that are numbers: the signals are compared with them.
@@ -40,9 +40,10 @@ def in_loop(plant: Plant) -> Channels:
 def mislabelled(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
     """Each recording, and what of it is called otherwise than the run's `data` and plants call it."""
     for file, channels, words in recordings_of(run, data):
-        cases, said = read_cases(run.path / file)
+        kept = RecordedCases.of(run.path / file)
+        said = kept.about
         wrong = {word for word in {*said, *words} - NUMBERS if said.get(word) != words.get(word)}
-        for name, group in ((name, group) for case in cases.values() for name, group in case.items()):
+        for name, group in ((name, group) for case in kept.cases.values() for name, group in case.items()):
             clock = float(said["step_s"]) * np.arange(len(group.time_s))
             on_time = np.abs(group.time_s - clock).max(initial=0.0) <= NANOSECOND
             wrong |= set() if on_time else {f"times of {name}"}

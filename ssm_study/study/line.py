@@ -145,7 +145,7 @@ class Study(Task["Specification"]):
         auto = asked["rates_chosen"] == "auto"
         chosen = [side for side in ("controller", "observer") if auto and asked[f"rate_{side}"] == "auto"]
         return {name: value for name, value in asked.items() if isinstance(value, int | float | None)} | {
-            "model": (kind_of(model) or "").removesuffix("spec"),
+            "model": model.get("cell") or (kind_of(model) or "").removesuffix("spec"),  # gru and lstm share a class
             "scaffold_in": kind_of(model.get("scaffold_in")),
             "scaffold_out": kind_of(model.get("scaffold_out")),
             "plant": type(request.plant).__name__ if request.plant else None,

@@ -4,13 +4,12 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from safetensors.numpy import load_file, save_file
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.loop.regulation import LoopRuns
@@ -23,9 +22,7 @@ from ssm_study.synthesis.mismatch import Mismatch, View
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
-MISMATCH = "mismatch.safetensors"
-VIEW = tuple(field.name for field in fields(View))
-NO_BOUND = 1e300  # a recorded bound is finite
+MISMATCH = "mismatch.json"
 NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
 
 Case = dict[str, SignalGroup]
@@ -33,6 +30,73 @@ Outputs = Sequence[Float[np.ndarray, "T p"]]
 Shown = dict[str, tuple[tuple[Channel, ...], Float[np.ndarray, "T c"]]]
 # What is recorded of each closed loop, topic by field of `Rollouts`.
 TOPICS = {"u": "input", "y": "output", "measured": "measured", "estimate": "estimate", "states": "states"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedCases:
+    """A recording by signal, `loop["output"] (N, T, c)` over its N cases; `about` is its metadata.
+
+    Cases are named by what stands before the last `/` of their topics, in the order of its number: `/case_3/output` is
+    the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name. A closed loop has
+    reference, input, output, uncontrolled (the plant left alone); a record has input, measured, simulated.
+    Raises `BadRequest` for a signal that a case lacks.
+    """
+
+    path: Path
+    cases: dict[str, Case]
+    about: dict[str, str]
+
+    @classmethod
+    def of(cls, path: Path) -> "RecordedCases":
+        """Raises `BadRequest` for a damaged recording."""
+        groups, about = read_mcap(path)
+        cases: dict[str, Case] = defaultdict(dict)
+        for group in groups:
+            prefix, _, name = group.topic.rpartition("/")
+            cases[prefix][name] = group
+        # By number, not by text: case 10 comes after case 9.
+        numbered = sorted(cases.items(), key=lambda case: int((re.findall(r"\d+$", case[0]) or ["0"])[0]))
+        return cls(path=path, cases=dict(numbered), about=about)
+
+    def signals(self, name: str) -> list[SignalGroup]:
+        """One signal of every case; the cases may differ in length."""
+        there = all(name in case for case in self.cases.values())
+        require(there, "topic", name, f"{self.path.name} lacks it", "run the study again")
+        return [case[name] for case in self.cases.values()]
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
+        return np.stack([signal.values for signal in self.signals(name)])
+
+    def time_s(self, name: str) -> Float[np.ndarray, "T"]:
+        return self.signals(name)[0].time_s
+
+    def step_s(self, name: str) -> float:
+        return float(self.time_s(name)[1] - self.time_s(name)[0])
+
+    def label(self, name: str) -> str:
+        """The first channel with its unit: `load_speed`, `rad/s` -> `Load speed (rad/s)`."""
+        channel = self.signals(name)[0].channels[0]
+        return f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
+
+    @property
+    def settling_band(self) -> float:
+        """What counts as settled, in the output's unit; of a closed loop."""
+        return float(self.about["settling_band"])
+
+    @property
+    def rest_s(self) -> float:
+        """A little after the last response of a closed loop has come to rest in the band, else the whole horizon."""
+        time_s, responses = self.time_s("output"), np.concatenate([self["output"], self["uncontrolled"]])[:, :, 0]
+        outside = (np.abs(responses - self["reference"][0, :, 0]) > self.settling_band).any(axis=0)
+        last = int(np.flatnonzero(outside).max(initial=0))  # the last sample at which any of them is outside
+        return float(min(1.4 * time_s[last] + 5 * self.step_s("output"), time_s[-1]))
+
+    @property
+    def records(self) -> Trajectories:
+        """Input and measured output of every case."""
+        step_s, names = float(self.about["step_s"]), (prefix or self.path.stem for prefix in self.cases)
+        parts = zip(names, self.signals("input"), self.signals("measured"), strict=True)
+        return tuple(Trajectory(u=u.values, y=y.values, step_s=step_s, name=name) for name, u, y in parts)
 
 
 def groups(prefix: str, time_s: Float[np.ndarray, "T"], shown: Shown) -> list[SignalGroup]:
@@ -60,26 +124,16 @@ def read_trials(folder: Path) -> Trajectories:
     """The records for the mismatch alone, open loop first; none where the run has no such file."""
     found: list[Trajectory] = []
     for path in (folder / TRIALS, folder / LOOPS):
-        cases, about = read_cases(path) if path.is_file() else ({}, {})
-        found += [replace(one, closed_loop=path.name == LOOPS) for one in recorded(cases, about, path)]
-    return tuple(found)
-
-
-def recorded(cases: dict[str, Case], about: dict[str, str], path: Path) -> Trajectories:
-    """Input and measured output of every case; raises `BadRequest` if the file lacks one."""
-    found: list[Trajectory] = []
-    for prefix, case in cases.items():
-        u, y = (signal(case, name, path).values for name in ("input", "measured"))
-        found.append(Trajectory(u=u, y=y, step_s=float(about["step_s"]), name=prefix or path.stem))
+        records = RecordedCases.of(path).records if path.is_file() else ()
+        found += [replace(one, closed_loop=path.name == LOOPS) for one in records]
     return tuple(found)
 
 
 def read_simulation(path: Path) -> Simulation:
     """Raises `BadRequest` if the file lacks a topic."""
-    cases, about = read_cases(path)
-    simulated = tuple(signal(case, "simulated", path).values for case in cases.values())
-    start_up = int(about["start_up_samples"])
-    return Simulation(records=recorded(cases, about, path), simulated=simulated, start_up_samples=start_up)
+    kept = RecordedCases.of(path)
+    simulated = tuple(signal.values for signal in kept.signals("simulated"))
+    return Simulation(records=kept.records, simulated=simulated, start_up_samples=int(kept.about["start_up_samples"]))
 
 
 def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]) -> None:
@@ -99,24 +153,23 @@ def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Pla
         "settling_band": repr(plant.settling_band),
         "input_equilibrium": json.dumps(plant.equilibrium().u.tolist()),
         "left_at_sample": json.dumps(run.left_at_sample.tolist()),
-        "bound": json.dumps(np.minimum(run.bound, NO_BOUND).tolist()),
+        "bound": json.dumps(run.bound.tolist()),
     }
     write_mcap(path, tuple(written), about | facts)
 
 
-def read_rollouts(path: Path) -> tuple[Rollouts, list[Case], dict[str, str]]:
-    """The loops, and the cases and metadata that they were read from. Raises `BadRequest` if the file lacks a topic."""
-    found, about = read_cases(path)
-    cases = list(found.values())
-    signals: dict[str, Any] = {name: stacked(cases, topic, path) for name, topic in TOPICS.items()}
+def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
+    """The loops, and the recording that they were read from. Raises `BadRequest` if the file lacks a topic."""
+    kept = RecordedCases.of(path)
+    signals: dict[str, Any] = {name: kept[topic] for name, topic in TOPICS.items()}
     run = Rollouts(
-        step_s=float(about["step_s"]),
-        reference=stacked(cases, "reference", path)[0],
-        bound=np.array(json.loads(about["bound"]), dtype=float),
-        left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
+        step_s=float(kept.about["step_s"]),
+        reference=kept["reference"][0],
+        bound=np.array(json.loads(kept.about["bound"]), dtype=float),
+        left_at_sample=np.array(json.loads(kept.about["left_at_sample"]), dtype=int),
         **signals,
     )
-    return run, cases, about
+    return run, kept
 
 
 def closed_on(plant: Plant | None) -> str:
@@ -137,71 +190,36 @@ def write_experiment(folder: Path, closed: LoopRuns, on: Plant, twin: Plant, abo
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
     """What `write_experiment` kept, and what the loop was closed on. Raises `BadRequest` if a file lacks a topic."""
     path, on_model, noise_free = (folder / name for name in ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE))
-    run, cases, about = read_rollouts(path)
-    alone = stacked(cases, "uncontrolled", path)
+    run, kept = read_rollouts(path)
+    alone = kept["uncontrolled"]
     closed = LoopRuns(
         controlled=run,
-        uncontrolled=replace(run, y=alone, left_at_sample=np.full(len(cases), STAYED)),  # left alone, none is stopped
+        uncontrolled=replace(run, y=alone, left_at_sample=np.full(len(alone), STAYED)),  # left alone, none is stopped
         on_model=read_rollouts(on_model)[0] if on_model.is_file() else None,
-        settling_band=float(about["settling_band"]),
-        input_equilibrium=np.array(json.loads(about["input_equilibrium"]), dtype=float),
+        settling_band=kept.settling_band,
+        input_equilibrium=np.array(json.loads(kept.about["input_equilibrium"]), dtype=float),
         noise_free=read_rollouts(noise_free)[0] if noise_free.is_file() else None,
     )
-    return closed, about["loop_on"]
+    return closed, kept.about["loop_on"]
 
 
 def write_mismatch(folder: Path, shown: Mismatch) -> None:
-    """Every view bit for bit; complex numbers as pairs of real ones, for SafeTensors knows no others."""
-    views = {name: np.stack([getattr(view, name) for view in shown.everywhere]) for name in VIEW}
-    left_at_rest = np.nan if shown.left_at_rest is None else shown.left_at_rest
-    known = [shown.spread, left_at_rest, float(shown.loop is not None), shown.farthest]
-    lists = {name: np.array(getattr(shown, name), dtype=float) for name in ("unexcited", "stuck", "noise")}
-    save_file(views | {"linear": views["linear"].view(float), "known": np.array(known)} | lists, folder / MISMATCH)
+    """Every number as the text that reads back to the same float; a complex one as two."""
+    told = json.dumps(asdict(shown), default=lambda array: np.ascontiguousarray(array).view(float).tolist())
+    (folder / MISMATCH).write_text(told, encoding="utf-8")
 
 
 def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
-    arrays = load_file(folder / MISMATCH)
-    arrays["linear"] = arrays["linear"].view(complex)
-    views = []
-    for row in zip(*(arrays[name] for name in VIEW), strict=True):
-        told: dict[str, Any] = {name: one if one.ndim else float(one) for name, one in zip(VIEW, row, strict=True)}
-        views.append(View(**told))
-    spread, left_at_rest, looped, farthest = arrays["known"].tolist()
-    return Mismatch(
-        views=tuple(views[:-1] if looped else views),
-        loop=views[-1] if looped else None,
-        spread=spread,
-        left_at_rest=None if np.isnan(left_at_rest) else left_at_rest,
-        farthest=farthest,
-        **{name: tuple(arrays[name].tolist()) for name in ("unexcited", "stuck", "noise")},
-    )
+    told = json.loads((folder / MISMATCH).read_text(encoding="utf-8"))
+    views, loop = tuple(map(_view, told.pop("views"))), told.pop("loop")
+    others = {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+    return Mismatch(views=views, loop=loop and _view(loop), **others)
 
 
-def read_cases(path: Path) -> tuple[dict[str, Case], dict[str, str]]:
-    """Signals by what stands before the last `/` of their topic, in the order of its number, and the metadata.
-
-    `/case_3/output` is the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name.
-    """
-    groups, about = read_mcap(path)
-    cases: dict[str, Case] = defaultdict(dict)
-    for group in groups:
-        prefix, _, name = group.topic.rpartition("/")
-        cases[prefix][name] = group
-    # By number, not by text: case 10 comes after case 9.
-    numbered = sorted(cases.items(), key=lambda case: int((re.findall(r"\d+$", case[0]) or ["0"])[0]))
-    return dict(numbered), about
-
-
-def signal(case: Case, name: str, path: Path) -> SignalGroup:
-    """Raises `BadRequest` if the recording lacks it."""
-    require(name in case, "topic", name, f"{path.name} lacks it", "run the study again")
-    return case[name]
-
-
-def stacked(cases: list[Case], name: str, path: Path) -> Float[np.ndarray, "N T c"]:
-    """One signal of all cases; raises `BadRequest` if one of them lacks it."""
-    return np.stack([signal(case, name, path).values for case in cases])
+def _view(told: dict[str, Any]) -> View:
+    parts: dict[str, Any] = {name: np.array(one) if isinstance(one, list) else one for name, one in told.items()}
+    return View(**parts | {"linear": parts["linear"].view(complex)})
 
 
 def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
@@ -215,5 +233,16 @@ def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple
     """The signals of two sets of closed loops side by side; those that left their bound count up to there."""
     if kept is None or made is None:
         return {"recording": (kept is not None, made is not None)}
-    names = ("step_s", "reference", "u", "y", "measured", "estimate", "states", "bound", "left_at_sample")
-    return {name: (getattr(kept, name), getattr(made, name)) for name in names}
+    return {name: (stored, getattr(made, name)) for name, stored in vars(kept).items()}
+
+
+def distance(stored: Any, made: Any) -> float:
+    """`max |stored - made| / max |made|`; infinite for another shape, a missing side or a number that is none."""
+    if stored is None or made is None:
+        return 0.0 if stored is made else float("inf")
+    one, other = np.asarray(stored, dtype=float), np.asarray(made, dtype=float)
+    if one.shape != other.shape:
+        return float("inf")
+    apart = float(np.abs(one - other).max(initial=0.0))
+    largest = float(np.abs(other).max(initial=0.0))
+    return apart / largest if largest > 0 and apart > 0 else apart  # NaN passes through, and agrees with nothing

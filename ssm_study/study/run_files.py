@@ -13,12 +13,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.engine.durable import contents
 from ssm_study.evidence.judgement import Judgement, judge
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
-from ssm_study.study.recordings import read_cases, read_trials, signal
+from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated
 from ssm_study.study.trials import repeated
@@ -112,8 +112,7 @@ class RunFiles:
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
         """What the training records applied, as `excitation.mcap` has it."""
-        file = self.path / "excitation.mcap"
-        return [signal(case, "input", file).values for case in read_cases(file)[0].values()]
+        return [signal.values for signal in RecordedCases.of(self.path / "excitation.mcap").signals("input")]
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
@@ -148,8 +147,9 @@ class RunFiles:
 
     @property
     def closes_loop(self) -> bool:
-        """Whether a controller and an observer are there, certified or not."""
-        return self.claims_certificate and self.design.feasible
+        """Whether a controller and an observer are there, certified or not, and what they can be closed on."""
+        can = self.claims_certificate and self.design.feasible
+        return can and (self.specification.plant is not None or not answers_at_once(self.model))
 
 
 def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:

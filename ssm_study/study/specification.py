@@ -85,13 +85,14 @@ class Specification:
         return found
 
     def refuse_feedthrough(self) -> None:
-        """Raise `BadRequest` for a model that no loop can be closed with, before it is trained; a structured model of
-        recorded data is scored and certified without a loop."""
-        known = self.configuration["model"]
-        structured = str(known.get("_target_", "")).endswith(".StructuredSpec")
-        loops = self.model.gives_ssm and (self.plant is not None or not structured)
+        """Raise `BadRequest` for a model that no loop on the plant can be closed with, before it is trained.
+
+        Without a plant it is scored and certified, and no loop is closed.
+        """
+        loops = self.model.gives_ssm and self.plant is not None
         problem, remedy = "the loop samples the output before the input acts", "identify with model.feedthrough=false"
-        require(not (loops and known.get("feedthrough")), "model.feedthrough", True, problem, remedy)
+        asked = self.configuration["model"].get("feedthrough")
+        require(not (loops and asked), "model.feedthrough", True, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
         """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is known beforehand."""

@@ -21,9 +21,10 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.judgement import Judgement, judge
 from ssm_study.evidence.metrics import evidence_facts, withheld
 from ssm_study.loop.metrics import behaviour, certified
-from ssm_study.loop.regulation import Loop, LoopRuns
+from ssm_study.loop.peers.peer import Identified
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
-from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.models.structured import model_from_json
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
@@ -221,12 +222,12 @@ def compute_loop(
 ) -> Experiment | None:
     """The certified pair on the true plant, or on the identified model where there is no plant; none without a pair.
 
-    None either where a structured model, in the place of a plant, reads its input at once: it is scored and certified.
+    None either where the model, in the place of a plant, answers its input at once: it is scored and certified.
     """
-    from ssm_study.loop.regulation import IdentifiedPlant
+    import pandas as pd
 
     model = bounded.model
-    if not design.feasible or (plant is None and isinstance(model, StructuredSSM) and model.d.any()):
+    if not design.feasible or (plant is None and answers_at_once(model)):
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on, loop_on = plant or twin, recordings.closed_on(plant)
@@ -234,20 +235,10 @@ def compute_loop(
     closed = fitted.run(on, model, design, loop_seed)
     recordings.write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
     if fitted.comparison is not None:
-        write_comparison(folder, on, data, model, fitted, loop_seed)
+        rows = fitted.comparison.rows(on, Identified.of(model, certified_balls(model), data), fitted, loop_seed)
+        table = pd.DataFrame(rows, dtype=object)  # else whole numbers beside an empty field become fractions
+        table.to_csv(folder / "comparison.csv", index=False, lineterminator="\n")
     return closed, loop_on  # as `read_loop` reads it back, to the last bit
-
-
-def write_comparison(folder: Path, on: Plant, data: DataSet, model: Any, loop: Loop, loop_seed: int) -> None:
-    """The peers, or other situations, on the same plant: `comparison.csv`."""
-    import pandas as pd
-
-    from ssm_study.loop.peers.peer import Identified
-
-    assert loop.comparison is not None
-    rows = loop.comparison.rows(on, Identified.of(model, certified_balls(model), data), loop, loop_seed)
-    table = pd.DataFrame(rows, dtype=object)  # else whole numbers beside an empty field become fractions
-    table.to_csv(folder / "comparison.csv", index=False, lineterminator="\n")
 
 
 def read_loop(folder: Path) -> Experiment | None:

@@ -29,9 +29,6 @@ class Verification:
     def __iter__(self) -> Iterator[Checked]:
         return iter(self.findings)
 
-    def __len__(self) -> int:
-        return len(self.findings)
-
     @property
     def holds(self) -> bool:
         return all(finding.holds for finding in self.findings)

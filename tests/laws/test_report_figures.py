@@ -1,5 +1,6 @@
 """Every figure draws on the smoke study, on runs of every kind, on an empty study and on one with failures only."""
 
+import json
 import os
 import shutil
 import time
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import report_tables
+import structured_cases
 from matplotlib.figure import Figure
 from report_runs import random_run, write_recordings
 
@@ -125,6 +127,25 @@ def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(studies: dict[
         lowest = place and (place.is_last_row() or not axes.get_shared_x_axes().joined(axes, figure.axes[-1]))
         for label in [axes.get_ylabel()] + ([axes.get_xlabel()] if lowest else []):
             assert "(" in label or label in UNITLESS or (label == "" and name == "peers"), f"{label!r} has no unit"
+
+
+def test_a_rate_without_certificate_is_no_bound(studies: dict[str, Path], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
+    path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "certificate.json"
+    content = json.loads(path.read_text())
+    content["state_feedback"]["certified"] = False
+    path.write_text(json.dumps(content))
+    said = [axes.lines[0].get_label() for axes in drawn("certified_decay", folder).axes]
+    assert said == ["not certified, r = 0.894", "bound, r = 0.894"]
+
+
+def test_of_a_model_with_neurons_it_is_not_said_that_there_is_none(studies: dict[str, Path], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
+    path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "model.json"
+    path.write_text(json.dumps(structured_cases.model().to_json()))
+    told: list[str] = []
+    assert figures.draw(["certified_decay", "hankel_spectrum", "learned_dead_zone"], folder, told.append) == []
+    assert all(sentence.endswith("model without neurons.") for sentence in told)
 
 
 UNITLESS = {"Sample", "Epoch", "Balanced state", "Controller", "Situation"}

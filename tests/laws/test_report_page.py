@@ -230,6 +230,39 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     assert browser.execute_script(hidden), "a single run has nothing to compare"
 
 
+@pytest.mark.parametrize(
+    ("loop_on", "said"), [("plant", "simulated plant"), ("device", "device"), ("identified model", "model")]
+)
+def test_the_first_screen_says_what_the_loop_was_closed_on(
+    browser: Any, tmp_path: Path, loop_on: str, said: str
+) -> None:
+    """A trial on a device was said to have settled on the model."""
+    table = report_tables.table(60).assign(loop_on=loop_on)
+    table = table[table["stable_count"] > 0].head(1)
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    text = browser.execute_script("return document.getElementById('lead').innerText")
+    assert f"starts settle on the {said}\n" in text
+    assert f"Seen on the {said}\n" in text
+    assert f"Predicted for the {'model' if said == 'model' else 'plant'}\n" in text
+
+
+def test_every_run_that_came_to_less_than_a_certified_loop_is_listed_with_its_reason(
+    browser: Any, tmp_path: Path
+) -> None:
+    """Of a run without certificate the page said that nothing failed and that every certified controller settled."""
+    table = report_tables.table(60)
+    table = pd.concat([table[table["status"] == "ok"].head(1)] * 2, ignore_index=True).assign(run=["bare", "untried"])
+    table["uncertified_reason"] = ["observer: not positive definite", None]
+    table["observer_certified"], table["stable_fraction"] = [False, True], [1.0, None]
+    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    text = browser.execute_script("return document.getElementById('failures').textContent")
+    assert "not certified: observer: not positive definite" in text
+    assert "certified, not tried: both certificates hold; the model answers its input at once" in text
+    assert "Nothing failed" not in text
+
+
 def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
     boxes = opened.find_elements("css selector", "#body input[type=checkbox]")
     for box in boxes[:2]:
@@ -322,6 +355,16 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
             assert shown == "none", "the digits alone tell runs apart"
             assert driver.execute_script("return arguments[0].nextSibling.textContent", told) == "0123456789"
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+
+
+def test_an_error_without_a_place_to_break_fits_on_a_phone(tmp_path: Path) -> None:
+    """The path of a file widened the whole page to 581 pixels."""
+    table = report_tables.table(20)
+    table["error_message"] = table["status"].map({"failed": f"no such file: /{'folder/' * 12}log.csv"})
+    with chromium(tmp_path / "profile", phone=True) as driver:
+        driver.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+        wait_for(driver, "document.body.dataset.ready === 'yes'")
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 
 def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:

@@ -26,6 +26,12 @@ def test_a_baseline_that_is_only_scored_is_identified_not_uncertified() -> None:
     assert words.verdicts(pd.DataFrame([baseline, row(run="ours")])).tolist() == ["identified", "certified, settles"]
 
 
+def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
+    untried = {"status": "ok", "controller_certified": True, "observer_certified": True, "fit_test_percent": 95.0}
+    assert words.verdicts(pd.DataFrame([untried])).tolist() == ["certified, not tried"]
+    assert words.verdicts(pd.DataFrame([untried, row(stable_fraction=0.5)])).tolist()[1] == words.LOST.word
+
+
 def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
     for status in ("failed", "lost", "corrupt", "running", None):
         assert words.verdicts(pd.DataFrame([row(status=status)])).tolist() == [words.FAILED.word]

@@ -9,9 +9,9 @@ from loop_cases import BALLS, motor, motor_design, motor_model, motor_record, ra
 
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.design_grid import DesignGrid, GainGrid
+from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.metrics import behaviour
-from ssm_study.loop.peers.lqg import LQGWeights, linearised, lqg
+from ssm_study.loop.peers.lqg import linearised, lqg
 from ssm_study.loop.peers.mpc import MPC
 from ssm_study.loop.peers.peer import Identified, compared
 from ssm_study.loop.peers.pi import tyreus_luyben, ultimate
@@ -23,10 +23,12 @@ from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.prediction import predict
+from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Pair
 
 KNOWN = Identified(model=motor_model(), balls=BALLS, validation=(motor_record(),))
 SHORT = Loop(horizon_s=0.4, measurement_noise_variance=0.02, initial_conditions=3)
+WEIGHTS = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
 SMALL = Auto(stretch_shares=(0.3,), observer_rates=(0.1, 0.3), input_weights=(1e-4, 0.1), output_noises=(1e-4, 0.1))
 
 
@@ -56,7 +58,7 @@ def test_pi_leaves_no_error_under_a_load():
 
 def test_lqg_is_optimal_for_the_linear_part():
     """Policy iteration as the second route: the gain's own cost cannot be improved by one greedy step."""
-    model, weights = random_model(1), LQGWeights(input_weight=0.3)
+    model, weights = random_model(1), replace(WEIGHTS, input_weight=0.3)
     law = lqg(model, weights)
     a, b = law.model.linear.a, law.model.linear.b @ law.model.scaffold_in.jacobian(np.zeros(1))
     q = model.linear.c.T @ model.linear.c + weights.state_weight * np.eye(4)
@@ -71,7 +73,7 @@ def mpc(model, weights, low, high):
 
 
 def test_mpc_without_active_limits_is_the_riccati_law():
-    model, weights = motor_model(), LQGWeights(input_weight=0.1)
+    model, weights = motor_model(), replace(WEIGHTS, input_weight=0.1)
     law = mpc(model, weights, -1e3, 1e3)
     a, b, c = model.linear.a, model.linear.b, model.linear.c
     slope = float((model.scaffold_in(np.ones((1, 1))) - model.scaffold_in(-np.ones((1, 1))))[0, 0] / 2)
@@ -84,7 +86,7 @@ def test_mpc_without_active_limits_is_the_riccati_law():
 
 
 def test_mpc_keeps_its_limits():
-    law = mpc(motor_model(), LQGWeights(), -1.0, 0.7)
+    law = mpc(motor_model(), WEIGHTS, -1.0, 0.7)
     run = SHORT.on_plant(motor(), law, seed=0).controlled
     assert run.u.min() >= -1.0 - 1e-9
     assert run.u.max() <= 0.7 + 1e-9
@@ -96,7 +98,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     k, l_ = design.pair.k, design.pair.l
     gains = Pair(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
     y0, noise = SHORT.draw(motor(), seed=2)
-    grid = GainGrid(model=model, gains=gains, cases_each=3)
+    grid = ObserverFeedback(model=model, gains=gains.at(np.repeat([0, 1], 3)))
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
     for i in range(2):
         alone = SHORT.simulate(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ssm_study.loop.metrics import COLUMNS
 from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
 
 
@@ -22,6 +23,11 @@ def rollouts(
         bound=np.array([100.0]),
         left_at_sample=np.array(left or (STAYED,) * len(y)),
     )
+
+
+def test_every_number_of_the_loop_is_printed_with_its_unit():
+    """The integral of the squared error had none."""
+    assert [column.name for column in COLUMNS if column.kind == "Float64" and not column.unit] == []
 
 
 def test_settled_is_entering_and_staying():

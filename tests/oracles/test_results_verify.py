@@ -25,9 +25,11 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
+from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.study.claims import SECTIONS, Checked, Derived, NotChecked
 from ssm_study.study.claims import data as section_data
+from ssm_study.study.claims import loop as section_loop
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compared, judge, verify
@@ -484,6 +486,69 @@ def test_a_log_is_found_from_another_folder(place: str, tmp_path: Path, monkeypa
     vars(files)["specification"] = SimpleNamespace(plant=None, seed=0, refine=None, data=source)
     assert sum(map(len, (*files.data.training, *files.data.validation, *files.data.test))) == 200
     assert Path.cwd() == elsewhere
+
+
+class Rig(Wrapper):
+    """A device, for `verify` alone."""
+
+    real = True  # type: ignore[assignment]
+
+
+def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> None:
+    """Its violations of the certified bound are a claim on the model, whatever the loop was closed on."""
+
+    def found() -> tuple[set[str], dict[str, str]]:
+        run = RunFiles(path=copied_run, record=read_record(copied_run) or {})
+        vars(run)["specification"] = replace(run.specification, plant=Rig(plant=run.specification.plant))
+        told = list(section_loop(run))
+        wrong = {one.claim for one in told if isinstance(one, Checked) and not one.holds}
+        return wrong, {name: why for one in told if isinstance(one, NotChecked) for name, why in one.reasons.items()}
+
+    recorded_on = "closed_loop.mcap loop_on"  # here the plant that was simulated
+    assert found() == (
+        {recorded_on},
+        {"closed_loop.mcap output, states": "recorded on a device, which is not run again"},
+    )
+    lie_about_loop(copied_run, "/states", MODEL_LOOP)
+    assert found()[0] == {recorded_on, MODEL_LOOP}
+
+
+def logged(folder: Path) -> list[str]:
+    """The words for a log of a system that answers its input at once."""
+    u = np.random.default_rng(0).uniform(-3, 3, 300).repeat(5)
+    x = np.zeros(len(u) + 1)
+    for k in range(len(u)):
+        x[k + 1] = 0.9 * x[k] + 0.2 * np.tanh(u[k])
+    pd.DataFrame({"u": u, "y": x[:-1] + 0.1 * u}).to_csv(folder / "log.csv", index=False)
+    return ["data=recorded", f"data.path={folder}/log.csv", "data.input=u", "data.output=y", "data.step_s=0.1"]
+
+
+def test_a_run_without_controller_has_no_certificate_and_no_loop(copied_run: Path, tmp_path: Path) -> None:
+    """Invented beside an infeasible run or a baseline, they would be drawn as its own."""
+    beyond = ["experiment=smoke", "+data.trials=false", "synthesis=riccati", "synthesis.rate_controller=0.999"]
+    baseline = [*logged(tmp_path), "model=gru", "training.max_epochs=1"]
+    for study, asked in {"none": beyond, "baseline": baseline}.items():
+        assert main(["run", *asked, "progress=false", f"results_dir={tmp_path}", f"study={study}"]) == 0
+        (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
+        assert failing(run) == set()
+        assert (read_record(run) or {})["model"] == {"none": "ssm", "baseline": "gru"}[study]
+        for name in ("certificate.json", "closed_loop.mcap")[study == "none" :]:
+            shutil.copy(copied_run / name, run / name)
+        sealed_anew(run)
+        assert failing(run) == {"certificate.json", "closed_loop.mcap"} - {"certificate.json" * (study == "none")}
+
+
+def test_a_model_that_answers_at_once_is_certified_without_a_loop(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`verify` missed its loops, the outcome spoke of starts, and where every neuron was idle the run had failed."""
+    log = [*logged(tmp_path), "progress=false", f"results_dir={tmp_path}"]
+    shape = ["model.feedthrough=true", "model.order=2", "model.starts=1"]
+    for study, path in {"idle": [], "neurons": ["model.input_path=free", "model.output_path=free"]}.items():
+        assert main(["run", *log, *shape, *path, f"study={study}", f"model.neurons={1 + len(path)}"]) == 0
+        assert "certified, not tried: both certificates hold" in " ".join(capsys.readouterr().out.split())
+        (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
+        assert failing(run) == set()
 
 
 def test_sealing_anew_alone_is_no_lie(copied_run: Path) -> None:

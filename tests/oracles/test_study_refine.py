@@ -93,6 +93,7 @@ def test_a_refined_run_names_its_parent_and_trains_nothing(first, second):
 
 def test_a_refined_run_is_verified_from_its_files(second, tmp_path):
     assert failing(second) == set()
+    assert "chosen is not" in verify(second).unchecked[TRIED]
     run = shutil.copytree(second, tmp_path / second.name)
     tried = json.loads((run / TRIED).read_text())
     tried[0]["state_feedback"]["k"][0][0] *= 0.9

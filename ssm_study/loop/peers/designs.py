@@ -2,7 +2,6 @@
 
 # ruff: noqa: ARG002 - every peer is shown everything; these need less
 from ssm_study.loop.controller import Uncontrolled
-from ssm_study.loop.peers.lqg import LQGWeights
 from ssm_study.loop.peers.peer import Identified, Peer
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.auto import Auto
@@ -30,8 +29,7 @@ class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
     """Riccati, with the weights of `synthesis=riccati`."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        asked = RiccatiSynthesis(rate_controller=rate, rate_observer=rate, **vars(LQGWeights()))
-        return asked.design(known.model, known.balls)
+        return RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(known.model, known.balls)
 
 
 class ChosenPeer(Peer, names=("auto",)):

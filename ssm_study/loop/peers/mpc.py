@@ -10,12 +10,13 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.loop.controller import EstimateFeedback, Inputs, Memory, Outputs, Target
-from ssm_study.loop.peers.lqg import LQGWeights, lqg
-from ssm_study.loop.peers.peer import Identified, Peer, sensor_variance
+from ssm_study.loop.peers.lqg import LINEAR, lqg, weights_of
+from ssm_study.loop.peers.peer import Identified, Peer
 from ssm_study.loop.peers.pi import mean_slope
 from ssm_study.loop.trajectory import inverse
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
+from ssm_study.synthesis.design import Synthesis
 
 HORIZON = 20  # samples; the Riccati terminal cost stands for all later ones
 SOLVER_TOLERANCE = 1e-5  # of OSQP, in scaled input: far below what the noise moves
@@ -31,7 +32,7 @@ class MPC(EstimateFeedback):
     """
 
     model: SSM
-    weights: LQGWeights
+    weights: Synthesis
     input_lower: Float[np.ndarray, "m"]
     input_upper: Float[np.ndarray, "m"]
 
@@ -55,9 +56,9 @@ class MPC(EstimateFeedback):
     @cached_property
     def _program(self) -> tuple["osqp.OSQP", Float[np.ndarray, "Hk n"]]:
         """Condensed: `x_i = A^i x + sum_j A^(i-1-j) B v_j`, so the cost is `v^T H v / 2 + (F x)^T v`."""
-        a, b, c = self.model.linear.a, self.model.linear.b, self.model.linear.c
+        a, b, q = self.model.linear.a, self.model.linear.b, self.weights.problem(self.model.linear, LINEAR).state_weight
         (n, k), slope = b.shape, np.linalg.norm(mean_slope(self.model), 2)
-        r, q = self.weights.input_weight / slope**2 * np.eye(k), c.T @ c + self.weights.state_weight * np.eye(n)
+        r = self.weights.input_weight / slope**2 * np.eye(k)
         powers, steps = [np.linalg.matrix_power(a, i) for i in range(HORIZON + 1)], range(HORIZON)
         forced = np.block([[powers[i - j] @ b if j <= i else np.zeros((n, k)) for j in steps] for i in steps])
         cost = scipy.linalg.block_diag(*[q] * (HORIZON - 1), scipy.linalg.solve_discrete_are(a, b, q, r))
@@ -73,7 +74,7 @@ class MpcPeer(Peer, names=("mpc",)):
     """LQG's weights and Kalman gain, horizon 20, S_u inverted, within the inputs of the validation record."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> MPC:
-        weights = LQGWeights(output_noise=sensor_variance(plant, known))
+        weights = weights_of(plant, known, rate)
         moved, gains = np.concatenate([record.u for record in known.validation]), lqg(known.model, weights).gains
         limits = {"input_lower": moved.min(axis=0), "input_upper": moved.max(axis=0)}
         return MPC(model=known.model, gains=gains, weights=weights, **limits)

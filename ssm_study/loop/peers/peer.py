@@ -1,18 +1,15 @@
 """The controllers compared on one plant, one file each: left alone, textbook, the paper's, ours; what each may know."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ssm_study.family import Family
-from ssm_study.loop import peers
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import BadRequest, one_of
+from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
@@ -20,7 +17,6 @@ from ssm_study.synthesis.prediction import predict
 from ssm_study.systems import Balls
 
 if TYPE_CHECKING:
-    from ssm_study.loop.regulation import Loop
     from ssm_study.synthesis.auto import Auto
 
 Row = dict[str, Any]
@@ -55,14 +51,6 @@ class Identified:
         return synthesis.design(self.model, self.balls, self.validation, self.shown)
 
 
-class ComparisonTable(ABC):
-    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values None."""
-
-    @abstractmethod
-    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """The same columns in every row."""
-
-
 class Peer(Family):
     """A way to a controller; `names` is what the comparison calls it."""
 
@@ -73,11 +61,7 @@ class Peer(Family):
 
 
 def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> tuple[Controller | None, Row]:
-    """One of the peers, None where it has no controller, and what is proved and predicted of it, or the reason.
-
-    Raises `BadRequest` for another name.
-    """
-    one_of(Peer.members(peers), "loop.comparison.controllers", name)
+    """One of the peers, None where it has no controller, and what is proved and predicted of it, or the reason."""
     said = UNSAID | {"controller": name}
     try:
         built = Peer.known[name]().build(plant, known, rate)
@@ -87,8 +71,3 @@ def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> 
     if isinstance(controller, ObserverFeedback):
         said |= vars(predict(known.model, controller.gains, known.balls, known.shown))
     return controller, said | {"certified": isinstance(built, Design) and built.certified}
-
-
-def sensor_variance(plant: Plant, known: Identified) -> float:
-    """The sensor's own noise in scaled units, mean over the outputs."""
-    return max(float(np.mean(np.array(plant.noise_variance) / known.model.scale.output_scale**2)), 1e-6)

@@ -2,7 +2,8 @@
 relative to its start (worst and median of many pairs), under the bound r^k that is proved of the gains. Left the
 feedback, right the observer."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +19,9 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
 def draw(study: StudyFolder) -> Figure:
-    model, certificate = study.of_best("model", "certificate", otherwise="No run left a certificate.")
+    model, certificate = study.of_best(
+        "model", "certificate", otherwise="No run left a certificate for a model without neurons."
+    )
     fig = style.canvas(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
     feedback, observer = (  # with what is proved of the gains where the run knows it
@@ -28,10 +31,10 @@ def draw(study: StudyFolder) -> Figure:
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         d = distances(controlled(model, a, b, k), np.linalg.inv(p))  # the dual form: M = P^-1
-        _panel(control, d, feedback["rate"], "State feedback")
+        _panel(control, d, feedback, "State feedback")
     if "l" in observer:
         d = distances(observed(model, np.array(observer["l"])), np.array(observer["q"]))  # the primal form: M = Q
-        _panel(observe, d, observer["rate"], "Observer error")
+        _panel(observe, d, observer, "Observer error")
     return fig
 
 
@@ -59,9 +62,10 @@ def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray,
     return d / d[:, :1]
 
 
-def _panel(axes: Axes, d: Float[np.ndarray, "N T"], rate: float, title: str) -> None:
-    k, r, median = np.arange(d.shape[1]), np.sqrt(1 - rate), np.median(d, axis=0)
-    axes.plot(k, r**k, color=style.VERMILLION, ls="--", zorder=3, label=f"bound, r = {r:.3f}")
+def _panel(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any], title: str) -> None:
+    k, r, median = np.arange(d.shape[1]), np.sqrt(1 - part["rate"]), np.median(d, axis=0)
+    said = "bound" if part["certified"] else "not certified"
+    axes.plot(k, r**k, color=style.VERMILLION, ls="--", zorder=3, label=f"{said}, r = {r:.3f}")
     axes.plot(k, d.max(axis=0), color=style.BLUE, label="worst pair")
     axes.plot(k, median, color=style.SKY, label="median pair")
     axes.set(yscale="log", ylim=(max(1e-12, 0.3 * float(np.nanmin(median))), 3))  # below lies only rounding

@@ -17,14 +17,10 @@ def draw(study: StudyFolder) -> Figure:
     colours = [mpl.colormaps[style.SEQUENCE](0.9 * value / max(len(rank) - 1, 1)) for value in rank]
     goal, band, time_s = loop["reference"][0, -1, 0], loop.settling_band, loop.time_s("output")
     for axes, name, title in ((controlled, "output", "Controlled"), (alone, "uncontrolled", "Uncontrolled")):
-        for response, colour in zip(loop[name][:, :, 0] if name in loop else (), colours, strict=name in loop):
+        for response, colour in zip(loop[name][:, :, 0], colours, strict=True):
             axes.plot(time_s, response, color=colour, lw=0.9)
-        if band is not None and name in loop:
-            axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)
+        axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)
         axes.set(title=title, xlabel="Time (s)", ylabel=loop.label("output"))
-    if "uncontrolled" not in loop:
-        said = "no plant to leave alone:\nthe loop ran on the model"
-        alone.text(0.5, 0.5, said, ha="center", transform=alone.transAxes)
     alone.sharey(controlled)
     for u, colour in zip(loop["input"][:, :, 0], colours, strict=True):
         given.step(time_s, u, where="post", color=colour, lw=0.8)

@@ -22,18 +22,18 @@ def draw(study: StudyFolder) -> Figure:
     kept, record = study.of_best("excitation", "record", otherwise="No run left an excitation to draw.")
     fig = style.canvas(style.PAGE_IN, 2.2)
     amplitude, spectrum = fig.subplots(1, 2)
-    records, label = [case["input"].values[:, 0] for case in kept.cases], kept.label("input")
+    inputs, label = kept.signals("input"), kept.label("input")
+    records = [signal.values[:, 0] for signal in inputs]
     u = np.concatenate(records)
     counts, edges = np.histogram(u, bins=40)
     amplitude.stairs(100 * counts / len(u), edges, fill=True, color=style.BLUE)
-    source = "Training records" if kept.path.stem == "excitation" else "Validation record"
-    amplitude.set(xlabel=label, ylabel="Share of samples (%)", title=f"{source}{_covered(record)}")
+    amplitude.set(xlabel=label, ylabel="Share of samples (%)", title=f"Training records{_covered(record)}")
     segment = min(LONGEST_SEGMENT, *map(len, records))  # equal for all, so that the densities can be averaged
     powers = [welch(own - u.mean(), fs=1 / kept.step_s("input"), nperseg=segment) for own in records]
     frequency, power = powers[0][0], np.mean([density for _, density in powers], axis=0)
     spectrum.loglog(frequency[1:], power[1:], color=style.BLUE)  # the mean was taken out
     spectrum.yaxis.set_minor_formatter(NullFormatter())
-    unit = kept.cases[0]["input"].channels[0].unit or "–"
+    unit = inputs[0].channels[0].unit or "–"
     order = record.get("excitation_order")
     exciting = f"Persistently exciting of order {order}{' or more' if order >= HIGHEST_ORDER else ''}" if order else ""
     spectrum.set(xlabel="Frequency (Hz)", ylabel=f"Power density ({unit}²/Hz)", title=exciting)

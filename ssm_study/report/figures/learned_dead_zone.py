@@ -20,7 +20,7 @@ Range = Float[np.ndarray, "N"]
 
 
 def draw(study: StudyFolder) -> Figure:
-    model, record, config = study.of_best("model", "record", "config", otherwise="No run left a model.")
+    model, record, config = study.of_best("model", "record", "config", otherwise="No run left a model without neurons.")
     if model.scaffold_in.inputs != 1:
         raise NothingToDraw("S$_u$ has several inputs: there is no curve to draw.")
     fig = style.canvas(style.PAGE_IN, 2.5)

@@ -9,12 +9,10 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 
 def draw(study: StudyFolder) -> Figure:
-    run, record = study.of_best("validation", "record", otherwise="No run left a validation record.")
-    test = study.best.test if study.best is not None else None
-    shown = [(name, part) for name, part in (("test", test), ("validation", run)) if part is not None]
-    fig = style.canvas(style.COLUMN_IN, 1.0 + 1.7 * len(shown))
-    panels = fig.subplots(1 + len(shown), 1, height_ratios=[1.6] * len(shown) + [1.2])
-    for panel, (name, part) in zip(panels, shown, strict=False):
+    *parts, record = study.of_best("test", "validation", "record", otherwise="No run left a validation record.")
+    fig = style.canvas(style.COLUMN_IN, 4.4)
+    panels = fig.subplots(3, 1, height_ratios=[1.6, 1.6, 1.2])
+    for panel, name, part in zip(panels, ("test", "validation"), parts, strict=False):
         time_s, fit = part.time_s("measured")[:LONGEST], record.get(f"fit_{name}_percent")
         y, simulated = (part[signal][0, :LONGEST, 0] for signal in ("measured", "simulated"))
         panel.plot(time_s, y, color=style.GREY, lw=0.7, label=f"{name} record")

@@ -34,10 +34,10 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     return {
         "study": study.name,
         "folder": study.folder.resolve().name,
-        "question": str((best.config if best else {}).get("question") or question(table)),
+        "question": question(table),
         "swept": f"{subject}{counts(table)}. {parameters_line(table)}",
         "answers": [vars(answer) for answer in answers(table)],
-        "verdicts": [{"word": v.word, "sentence": v.sentence, "colour": v.colour} for v in VERDICTS],
+        "verdicts": [vars(verdict) for verdict in VERDICTS],
         "columns": {str(name): coded(table[name]) for name in table},
         "words": {str(name): words(name) for name in table},
         "menus": by_part(map(str, table)),
@@ -121,8 +121,7 @@ def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any
     """The first channel of these signals and what is printed of them."""
     y, u = names["y"], names["u"]
     about = {"step_s": recording.step_s(y), "input": recording.label(u), "output": recording.label(y)}
-    there = {short: recording[name] for short, name in names.items() if name in recording}
-    return about | {short: packed(values[:, :until, 0]) for short, values in there.items()}
+    return about | {short: packed(recording[name][:, :until, 0]) for short, name in names.items()}
 
 
 def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ function responses(title, rows, { step_s, band, goal, output }, [low, high]) {
   const end = (rows[0].length - 1) * step_s || 1, span = high - low || 1;
   const x = (t) => left + (t / end) * (width - left - right), y = (v) => top + ((high - v) / span) * (height - top - bottom);
   const svg = shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title}: ${output} against time, ${rows.length} starts` });
-  if (band) svg.append(shape("rect", { x: left, width: width - left - right, y: y(goal + band), height: Math.max(1, y(goal - band) - y(goal + band)), class: "band" }));
+  svg.append(shape("rect", { x: left, width: width - left - right, y: y(goal + band), height: Math.max(1, y(goal - band) - y(goal + band)), class: "band" }));
   for (const [value, text] of ticks) svg.append(shape("text", { x: left - 4, y: y(value) + 4, class: "tick end" }, text));
   for (const t of [0, end / 2, end]) svg.append(shape("text", { x: x(t), y: height - 12, class: t === end ? "tick end" : "tick" }, `${Number(t.toPrecision(2))}${t === end ? " s" : ""}`));
   const order = rows.map((row, n) => [row[0], n]).sort((a, b) => a[0] - b[0]).map(([, n]) => n);
@@ -30,9 +30,8 @@ function responses(title, rows, { step_s, band, goal, output }, [low, high]) {
 }
 
 function bestResponses(loop) {
-  const own = unpack(loop.y), alone = loop.alone ? unpack(loop.alone) : null;
-  const range = rangeOf([[...own, ...(alone || [])]], [loop.goal]);
-  return [responses("Under control", own, loop, range), ...(alone ? [responses("Left alone, same starts", alone, loop, range)] : [])];
+  const own = unpack(loop.y), alone = unpack(loop.alone), range = rangeOf([[...own, ...alone]], [loop.goal]);
+  return [responses("Under control", own, loop, range), responses("Left alone, same starts", alone, loop, range)];
 }
 
 /** What all lines visit, at most as far again as the starts reach: one that diverges leaves the picture. */
@@ -40,6 +39,11 @@ function rangeOf(loops, goals) {
   const starts = loops.flat().map((row) => row[0]).concat(goals), low = Math.min(...starts), high = Math.max(...starts), span = high - low || 1;
   const seen = loops.flat(2), least = Math.max(seen.reduce((a, b) => Math.min(a, b), low), low - span), most = Math.min(seen.reduce((a, b) => Math.max(a, b), high), high + span);
   return [least - 0.1 * span, most + 0.1 * span];
+}
+
+/** What the loop of run i was closed on. */
+function loopOn(i) {
+  return { "identified model": "model", device: "device" }[(COLUMNS.loop_on || [])[i]] || "simulated plant";
 }
 
 /** The four numbers of run i; a number that the run has not is left out. */
@@ -52,7 +56,7 @@ function headline(i) {
   const rate = value("controller_certified_rate") ?? value("rate_controller"), limit = value("controller_rate_limit");
   if (both && rate !== null) add(printed(Number(rate.toPrecision(2))), `certified rate${value("rate_controller") === null ? "" : `, designed for ${printed(Number(value("rate_controller").toPrecision(2)))}`}: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample`);
   else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified${value("rate_controller") === null ? "" : `; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`}`);
-  add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, value("loop_on") === "plant" || !value("loop_on") ? "starts settle on the simulated plant" : "starts settle on the model");
+  add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, `starts settle on the ${loopOn(i)}`);
   add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
   return told;
 }
@@ -64,11 +68,11 @@ function evidence(i) {
   const value = (name) => (COLUMNS[name] ? COLUMNS[name][i] : null), digits = (name) => printed(Number(value(name).toPrecision(2)));
   const seconds = (name) => `${printed(value(name))}\u00a0s`;
   const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]), lines = word === "certified, settles" ? [] : [["Outcome", [`${word}: ${sentence}.`, ...reasons(i).map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`)].join(" ")]];
-  const on = value("loop_on") === null || value("loop_on") === "plant" ? "plant" : "model";
+  const on = loopOn(i) === "model" ? "model" : "plant";
   if (value("certified_tolerance") && value("mismatch_seen")) lines.push(["Proved for the model", `any two motions under control approach each other, also with a mismatch of gain up to ${digits("certified_tolerance")}; the records show ${digits("mismatch_seen")}, ${value("mismatch_seen") > value("certified_tolerance") ? "so the proof alone does not cover the plant" : "which is less"}.`]);
   if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? "it stays stable" : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
   else if (value("evidence") === "cannot judge") lines.push(["Predicted for the plant", "nothing: the records allow no judgement."]);
-  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${on === "plant" ? "simulated plant" : on}`, `it settles in ${seconds("settling_time_mean_s")} on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${seconds("settling_time_open_loop_s")}`}.`]);
+  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${loopOn(i)}`, `it settles in ${seconds("settling_time_mean_s")} on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${seconds("settling_time_open_loop_s")}`}.`]);
   const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean), isNote = (reason) => reason.startsWith("note: ");
   const first = told.filter((reason) => !isNote(reason)).map((reason) => reason.replace(/^[a-z ]+: /, "")), notes = told.filter(isNote).map((note) => `N${note.slice(1)}`);
   if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, [`${SUPPORT[value("evidence")]}.`, ...first, ...notes].join(" ")]);
@@ -78,7 +82,7 @@ function evidence(i) {
 /** The two numbers that a prediction rests on, each with its bound. */
 function decides(margin, radius) {
   const digits = (number) => printed(Number(number.toPrecision(2)));
-  return [margin === null ? "" : `the prediction margin is ${digits(margin)} (above 1 is needed)`, radius === null ? "" : `the controller's own radius ${margin === null ? "is " : ""}${digits(radius)} (below 1 is needed)`].filter(Boolean).join(" and ") || "of an older rule, which left no numbers";
+  return [margin === null ? "" : `the prediction margin is ${digits(margin)} (above 1 is needed)`, radius === null ? "" : `the controller's own radius ${margin === null ? "is " : ""}${digits(radius)} (below 1 is needed)`].filter(Boolean).join(" and ");
 }
 
 /** What the first run of the table is, and the rule by which it is the best as far as it applied. */

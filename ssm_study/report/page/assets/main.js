@@ -71,6 +71,7 @@ function listen() {
 }
 
 function why(i, word) {
+  if (word === "certified, not tried") return DATA.verdicts.find((v) => v.word === word).sentence;
   if (word === "certified, does not settle") return `${printed(COLUMNS.stable_count[i])} of ${printed(COLUMNS.initial_conditions[i])} starts settle`;
   return reasons(i).join(" ") || "no reason was recorded";
 }
@@ -93,13 +94,14 @@ function drawFailures() {
   const groups = new Map();
   for (let i = 0; i < RUNS; i += 1) {
     const word = COLUMNS.verdict[i];
-    if (!["failed", "infeasible", "certified, does not settle"].includes(word)) continue;
+    if (["certified, settles", "identified"].includes(word)) continue;
     const key = `${word}: ${why(i, word)}`.replace(NUMBER, "#");
     groups.set(key, [...(groups.get(key) || []), i]);
   }
   const box = document.getElementById("failures");
-  if (!groups.size) box.append(element("p", {}, "Nothing failed, every request was feasible, and every certified controller settled."));
-  const severity = ([key]) => ["failed", "certified", "infeasible"].findIndex((word) => key.startsWith(word));
+  const settled = tally("certified, settles") ? ", every request was feasible, and every controller is certified and settles" : "";
+  if (!groups.size) box.append(element("p", {}, `Nothing failed${settled}.`));
+  const severity = ([key]) => ["failed", "certified", "not certified", "infeasible"].findIndex((word) => key.startsWith(word));
   const ordered = [...groups].sort((a, b) => severity(a) - severity(b) || a[0].localeCompare(b[0]));
   for (const [key, runs] of ordered.slice(0, 40)) {
     const said = runs.map((i) => `${COLUMNS.verdict[i]}: ${why(i, COLUMNS.verdict[i])}`), reason = key.includes("#") ? withRanges(said) : said[0];

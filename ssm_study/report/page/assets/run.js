@@ -40,7 +40,7 @@ function drawRun(i) {
   content.replaceChildren(element("p", {}, `${word}: ${verdict.sentence}.`), ...reasons(i).map((text) => element("p", { class: "reason" }, text)));
   const found = DATA.trajectories[name], charts = [];
   if (found) charts.push(...trajectoryCharts(content, found));
-  else content.append(element("p", { class: "quiet" }, `No trajectories here; if the run left any they are in ${DATA.study}/${name}/closed_loop.mcap.`));
+  else content.append(element("p", { class: "quiet" }, `No trajectories here; if the run left any they are in ${DATA.folder}/${name}/closed_loop.mcap.`));
   const compared = DATA.comparisons[name];
   if (compared && compared.controller) content.append(controllersTable(compared));
   if (compared && compared.design) charts.push(designsChart(content, compared));
@@ -103,7 +103,7 @@ function trajectoryCharts(content, { loop, validation }, responses = true) {
   if (loop) {
     const speeds = { y: loop.output, band: loop.band, goal: loop.goal };
     if (responses) charts.push(chartOf(content, "Under control", () => lines(loop.y, loop.step_s), speeds));
-    if (responses && loop.alone) charts.push(chartOf(content, "Left alone, same starts", () => lines(loop.alone, loop.step_s), speeds));
+    if (responses) charts.push(chartOf(content, "Left alone, same starts", () => lines(loop.alone, loop.step_s), speeds));
     charts.push(chartOf(content, "Input of the controlled runs", () => lines(loop.u, loop.step_s), { y: loop.input, held: true }));
   }
   if (validation) {

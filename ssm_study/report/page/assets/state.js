@@ -107,13 +107,14 @@ function columnOptions(selected) {
     element("optgroup", { label: title }, ...names.map((name) => element("option", { value: name, selected: name === selected }, DATA.words[name]))));
 }
 
-const SHAPES = {
-  "certified, settles": "M7 1a6 6 0 1 0 .01 0z",
-  "certified, does not settle": "M7 1l6 11H1z",
-  "not certified": "M2 2h10v10H2z",
-  "identified": "M7 13L1 2h12z",
-  "infeasible": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
-  "failed": "M7 0l5 7-5 7-5-7z",
+const SHAPES = { // by Vega's names for them
+  "circle": "M7 1a6 6 0 1 0 .01 0z",
+  "triangle-up": "M7 1l6 11H1z",
+  "triangle-left": "M1 7l11-6v12z",
+  "square": "M2 2h10v10H2z",
+  "triangle-down": "M7 13L1 2h12z",
+  "cross": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
+  "diamond": "M7 0l5 7-5 7-5-7z",
 };
 
 function marker(word) {
@@ -121,8 +122,9 @@ function marker(word) {
   const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
   svg.setAttribute("viewBox", "0 0 14 14");
   svg.setAttribute("aria-hidden", "true");
-  path.setAttribute("d", SHAPES[word]);
-  path.setAttribute("fill", shade(DATA.verdicts.find((v) => v.word === word).colour));
+  const { shape: mark, colour } = DATA.verdicts.find((v) => v.word === word);
+  path.setAttribute("d", SHAPES[mark]);
+  path.setAttribute("fill", shade(colour));
   svg.append(path);
   return svg;
 }
