@@ -24,7 +24,7 @@ from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_facts, withheld
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
-from ssm_study.loop.rollout import replay_error
+from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, input_limits
@@ -275,7 +275,8 @@ def loop(run: RunFiles) -> Claims:
     yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
     fitted = run.loop.fitted(run.model)
-    made = {"closed_loop_model.mcap": (kept.on_model, fitted.on_model(plant, controller, kept.controlled.y[:, 0]))}
+    on_model = fitted.on_model(plant, controller, kept.controlled.y[:, 0])
+    made: dict[str, tuple[Rollouts | None, Rollouts | None]] = {"closed_loop_model.mcap": (kept.on_model, on_model)}
     if plant.real:
         yield NotChecked({"closed_loop.mcap output, states": "recorded on a device, which is not run again"})
     else:

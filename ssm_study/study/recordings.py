@@ -213,7 +213,7 @@ def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
     told = json.loads((folder / MISMATCH).read_text(encoding="utf-8"))
     views, loop = tuple(map(_view, told.pop("views"))), told.pop("loop")
-    others = {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+    others: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in told.items()}
     return Mismatch(views=views, loop=loop and _view(loop), **others)
 
 
