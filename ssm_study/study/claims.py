@@ -154,23 +154,17 @@ def data(run: RunFiles) -> Claims:
 
 def data_read(run: RunFiles, records: DataSet) -> Claims:
     """The columns and recordings that follow from the records."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the warning is a column
+    with warnings.catch_warnings(action="ignore"):  # the warning is a column
         yield Derived(data_metrics.data_facts(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
         kept, made = getattr(run.simulated, split), getattr(records, split)
-        pairs = {"start_up_samples": (kept.start_up_samples, records.start_up_samples)} | recordings.of_records(
-            kept.records, made
-        )
+        pairs = recordings.of_records(kept.records, made)
+        pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
     if records.trials or run.trials:
-        yield agreement(
-            f"{recordings.TRIALS} records",
-            recordings.of_records(run.trials, records.trials),
-            ITERATED,
-            "made again alike",
-        )
+        pairs = recordings.of_records(run.trials, records.trials)
+        yield agreement(f"{recordings.TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
         judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))
         found = f"records and model give {judged['evidence']}"
@@ -262,8 +256,9 @@ def loop(run: RunFiles) -> Claims:
     needed |= {"comparison.csv"} if run.closes_loop and run.specification.loop.comparison else set()
     yield from (Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there))
     if not run.closes_loop:
-        said = "no loop of such a run was closed"
-        yield from (Checked(claim=name, holds=False, found=said) for name in sorted(there))
+        yield from (
+            Checked(claim=name, holds=False, found="no loop of such a run was closed") for name in sorted(there)
+        )
         return
     spec, design, plant = run.specification, run.design, run.plant
     kept, loop_on = recordings.read_experiment(run.path)

@@ -29,6 +29,9 @@ class Verification:
     def __iter__(self) -> Iterator[Checked]:
         return iter(self.findings)
 
+    def __len__(self) -> int:
+        return len(self.findings)
+
     @property
     def holds(self) -> bool:
         return all(finding.holds for finding in self.findings)

@@ -186,10 +186,7 @@ BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Controller and observer of one model; either may be missing, with its reason.
-
-    `beside` holds what is proved of the pair as deployed.
-    """
+    """Controller and observer; either may be missing, with its reason. `beside`: proved of the pair as deployed."""
 
     state_feedback: StateFeedback | Infeasible
     observer: Observer | Infeasible
