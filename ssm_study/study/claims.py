@@ -256,9 +256,7 @@ def loop(run: RunFiles) -> Claims:
     needed |= {"comparison.csv"} if run.closes_loop and run.specification.loop.comparison else set()
     yield from (Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there))
     if not run.closes_loop:
-        yield from (
-            Checked(claim=name, holds=False, found="no loop of such a run was closed") for name in sorted(there)
-        )
+        yield from (Checked(claim=name, holds=False, found="such a run closes no loop") for name in sorted(there))
         return
     spec, design, plant = run.specification, run.design, run.plant
     kept, loop_on = recordings.read_experiment(run.path)
@@ -276,11 +274,9 @@ def loop(run: RunFiles) -> Claims:
         yield NotChecked({"closed_loop.mcap output, states": "recorded on a device, which is not run again"})
     else:
         again = fitted.on_plant(plant, controller, spec.loop_seed)
-        pairs = recordings.of_rollouts(kept.controlled, again.controlled) | {
-            "settling_band": (kept.settling_band, again.settling_band),
-            "input_equilibrium": (kept.input_equilibrium, again.input_equilibrium),
-            "uncontrolled": (kept.uncontrolled.y, again.uncontrolled.y),
-        }
+        pairs = recordings.of_rollouts(kept.controlled, again.controlled)
+        pairs |= {name: (getattr(kept, name), getattr(again, name)) for name in ("settling_band", "input_equilibrium")}
+        pairs["uncontrolled"] = kept.uncontrolled.y, again.uncontrolled.y
         yield agreement("closed_loop.mcap", pairs, ITERATED, "the configured plant with the certified gains gives it")
         made[recordings.NOISE_FREE] = kept.noise_free, again.noise_free
     for name, pair in made.items():
