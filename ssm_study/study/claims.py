@@ -258,15 +258,14 @@ def loop(run: RunFiles) -> Claims:
     if not run.closes_loop:
         yield from (Checked(claim=name, holds=False, found="such a run closes no loop") for name in sorted(there))
         return
-    spec, design, plant = run.specification, run.design, run.plant
+    spec, plant, controller = run.specification, run.plant, ObserverFeedback.of(run.model, run.design)
     kept, loop_on = recordings.read_experiment(run.path)
-    controller = ObserverFeedback.of(run.model, design)
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
     same = loop_on == recordings.closed_on(spec.plant)
     yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
-    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, design))
+    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, run.design))
     fitted = run.loop.fitted(run.model)
     on_model = fitted.on_model(plant, controller, kept.controlled.y[:, 0])
     made: dict[str, tuple[Rollouts | None, Rollouts | None]] = {"closed_loop_model.mcap": (kept.on_model, on_model)}
