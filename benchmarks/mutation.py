@@ -59,6 +59,7 @@ LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthe
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
+CHOSEN += " tests/oracles/test_loop_trials.py"
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
 NEURONS += " tests/laws/test_training_structured.py"
 INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
@@ -125,7 +126,7 @@ GROUPS = {
         + _synthesis(*(f"theorems/{name}" for name in ("inverted_input", "structured_inverted_input"))),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
-        "tests/oracles/test_synthesis_deployed.py tests/oracles/test_loop_views.py",
+        "tests/oracles/test_synthesis_deployed.py tests/oracles/test_loop_views.py tests/oracles/test_loop_trials.py",
         planted=20,
     ),
     "data": Group(

@@ -73,7 +73,7 @@ def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: Jac
     while low < (middle := float(np.sqrt(low * high))) < high:  # the largest ball grows with r: until doubles run out
         feasible = 1 / np.sqrt(1 + largest_energy(a, b, middle)) > ball.relative_radius
         low, high = (low, middle) if feasible else (middle, high)
-    return Frontier(contraction_limit=high, decided_by="the slopes" if high > unreached else "a mode out of reach")
+    return Frontier(contraction_limit=high, decided_by="the slopes" if low > unreached else "a mode out of reach")
 
 
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:

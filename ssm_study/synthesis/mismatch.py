@@ -256,7 +256,7 @@ def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
     what exceeds `SURE` of its standard deviations counts.
     """
     both, drive, said = record.spectra()
-    drawn, (_, lines) = noise * float(record.period or 1), bands_of(len(drive))
+    drawn, (_, lines) = noise * record.period, bands_of(len(drive))
     power_u, power_said = banded(power(drive)), banded(power(said))
     repeats = banded((both[0] * both[1].conj()).real.sum(axis=1))  # noise averages out, see above
     doubt = 0.0 if sure else SURE * np.sqrt((drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines)

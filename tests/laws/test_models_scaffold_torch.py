@@ -73,6 +73,14 @@ def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
     assert ((below > 0) & (below < 1)).all()
 
 
+def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
+    rng = np.random.default_rng(0)
+    frame = Frame(width=6, slopes=(LOWER, UPPER), samples=rng.normal(size=(50, 1)))
+    w, b, *_ = (p.detach() for p in Mlp(depth=1, train_slopes=True, certified=False).build(frame, rng).explicit()[0])
+    bends = torch.sign(w[torch.argsort(-b / w[:, 0]), 0])
+    assert (bends[1:] == -bends[:-1]).all()
+
+
 @pytest.mark.parametrize("name", SPECS)
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
 def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:

@@ -91,6 +91,8 @@ def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
     core = explicit(free._replace(x_e=0.2 * free.x_e, x_g=0.3 * free.x_g), 0.9)
     assert metric(core, 0.9) is not None
     np.testing.assert_allclose(projected(core, np.full(2, 0.5), 0.9).core.f, core.f)
+    assert metric(core._replace(f=0.0 * core.f), 0.9) is not None  # neurons that see nothing
+    assert metric(Core(core.a, core.e[:, :0], core.f[:0]), 0.9) is not None  # no neurons
     assert metric(replace_a(core, 1.5 / np.abs(np.linalg.eigvals(core.a)).max()), 0.9) is None
 
 

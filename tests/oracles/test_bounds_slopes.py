@@ -67,6 +67,18 @@ def test_both_ends_of_the_exact_interval_are_attained() -> None:
     assert (bound.lower, bound.upper, bound.method) == (1.25, 2.0, "break_points")
 
 
+def test_neurons_that_bend_at_one_point_are_never_both_active() -> None:
+    """`relu(w) - relu(-w)` of `w = relu(v) - relu(-v)`: the identity, whose only break point lies on an edge."""
+    turned = np.array([[1.0, -1.0]])
+    net = Network(
+        weights=(turned.T, np.vstack([turned, -turned]), turned),
+        biases=(np.zeros(2),) * 2,
+        negative_slopes=(np.zeros(2),) * 2,
+        positive_slopes=(np.ones(2),) * 2,
+    )
+    assert slope_interval(net) == (1, 1)
+
+
 def test_the_papers_lower_bound_is_unsound() -> None:
     """`W1 = [1, 1]^T, W2 = [1, -1]`: the zero map, whose "smallest slope" the norm product puts at 0.02."""
     net = Network(
@@ -104,6 +116,15 @@ def test_lipsdp_is_tighter_than_the_norm_product_and_the_search_comes_close() ->
     ball = lipsdp_bound(scaffold.network).ball
     assert ball.upper < spectral_norm_bound(scaffold.network)[1]
     assert 0.5 < worst_jacobian(scaffold, ball, starts=12).tightness(ball) <= 1
+
+
+def test_lipsdp_of_one_neuron_is_tight_and_holds_both_slopes() -> None:
+    one = np.ones((1, 1))
+    net = Network(
+        weights=(one, one), biases=(np.zeros(1),), negative_slopes=(np.full(1, 0.1),), positive_slopes=(np.ones(1),)
+    )
+    centre, radius = lipsdp_ball(net)
+    assert max(1 - centre[0, 0], centre[0, 0] - 0.1) <= radius <= 0.45 * (1 + 1e-5)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.splits import by_fold, by_intervals, by_time, end_is_unlike, in_blocks
+from ssm_study.data.splits import by_fold, by_intervals, by_time, end_is_unlike, in_blocks, repeats, without_fold
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -43,6 +43,25 @@ def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
     np.testing.assert_array_equal(tested, np.arange(samples))
     assert all(len(test) == len(validation) == 1 for _, validation, test in cuts)
     assert all(abs(len(test[0]) - samples / folds) < 1 for _, _, test in cuts)
+
+
+@given(st.integers(40, 400), st.integers(2, 8))
+def test_what_a_fold_leaves_and_holds_out_is_the_record(samples, folds):
+    for fold in range(folds):
+        kept, out = without_fold(record(samples), fold, folds)
+        pieces = np.sort(np.concatenate([piece.u[:, 0] for piece in (*kept, out)]))
+        np.testing.assert_array_equal(pieces, np.arange(samples))
+        assert abs(len(out) - samples / folds) <= 1
+
+
+def test_stretches_between_rests_count_where_each_repeats_itself():
+    rest, period = np.zeros(40), np.random.default_rng(0).uniform(-1, 1, size=40)
+    twice = np.concatenate([rest, period, period, rest, 2 * period, 2 * period, rest])
+    moved = Trajectory(u=twice[:, None], y=twice[:, None], step_s=0.1)
+    assert [len(piece) for piece in repeats(moved, 0)] == [140, 141]  # half a rest, two periods, a rest
+    once = np.concatenate([rest, period, rest, 2 * period, 2 * period, rest])
+    assert not repeats(Trajectory(u=once[:, None], y=once[:, None], step_s=0.1), 0)
+    assert not repeats(moved[40:], 0)  # begins in motion
 
 
 def test_the_last_of_five_folds_is_the_cut_in_time():

@@ -30,6 +30,13 @@ def test_inverse_of_a_map_with_several_channels():
     np.testing.assert_allclose(inverse(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("inputs", [1, 3])
+@pytest.mark.parametrize("size", [1e-13, 1e-17])
+def test_what_is_left_of_zero_by_rounding_is_reached(inputs, size):
+    scaffold = random_model(3, inputs=inputs, outputs=1).scaffold_in
+    assert np.abs(inverse(scaffold, np.full((1, inputs), size))).max() < 1e-11
+
+
 def test_a_value_the_map_does_not_reach_is_refused():
     flat = Network(
         weights=(np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]])),

@@ -121,6 +121,14 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
     assert not type(bold).holds(**bold.numbers)
 
 
+@pytest.mark.parametrize("slow", [0.1, 0.11, 0.18, 0.2, 0.22, 0.5])  # some exceed themselves as exp(log(slow))
+def test_a_mode_that_the_gain_does_not_reach_does_not_hide_what_the_ball_costs(slow: float) -> None:
+    """Beside it `x+ = (slow - 0.1) x`, a gain of 0.5 and slopes 1 -+ 0.3: `0.15 / (r - slow + 0.1) = 1`."""
+    a, b, k = np.diag([slow, slow + 0.4]), np.array([[0.0], [1.0]]), np.array([[0.0, -0.5]])
+    found = largest_rate(a, b, k, JacobianBall(alpha=1.0, beta=0.3))
+    assert found == pytest.approx(1 - (slow + 0.05) ** 2, abs=1e-5)
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     """`1 / ||T_ue||_inf`, to the 0.1 % by which what is stored lies inside."""

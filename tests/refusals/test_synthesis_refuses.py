@@ -189,6 +189,17 @@ def test_an_unobservable_slow_mode_is_refused_by_its_modulus() -> None:
     assert part.rate_limit == pytest.approx(1 - 0.9**2)
 
 
+@pytest.mark.parametrize(
+    ("lower", "limit", "by"), [(0.1, 1.2 * 9 / 11, "the slopes"), (0.2, 0.9, "a mode out of reach")]
+)
+def test_what_sets_the_limit_of_several_inputs_is_named(lower: float, limit: float, by: str) -> None:
+    """One mode at 0.9 that no input reaches; each of two inputs holds a mode at 1.2, down to `1.2 beta/alpha`."""
+    b = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    found = frontier(np.diag([0.9, 1.2, 1.2]), b, JacobianBall.from_slopes(lower, 1.0))
+    assert found.contraction_limit == pytest.approx(limit)
+    assert found.decided_by == by
+
+
 def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None:
     plant = system([[0.9, 0.0], [0.0, 0.9]], [1.0, 2.0], [1.0, 1.0])
     assert unreached_modulus(plant.a, plant.b) == pytest.approx(0.9)
