@@ -30,7 +30,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings, trials
 from ssm_study.study.labels import mislabelled
-from ssm_study.study.line import STUDY
+from ssm_study.study.line import STUDY, further
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
@@ -40,7 +40,7 @@ from ssm_study.synthesis.metrics import design_facts
 from ssm_study.synthesis.theorem import UNFIT, Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
-from ssm_study.table.columns import BY_NAME
+from ssm_study.table.columns import BY_NAME, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
 
@@ -118,7 +118,9 @@ def requested(run: RunFiles) -> Claims:
     alone = folder == name or not ((study / PARQUET).exists() or (study / name).exists())
     told = "stands once" if alone else f"counts as one more run of its study: delete it, or name it {name}"
     yield Checked(claim="folder", holds=alone, found=f"{folder} {told}")
-    asked = STUDY.parameters(run.specification)
+    configuration = run.specification.configuration
+    named = [setting_of(name) for name in run.record if "__" in name]
+    asked = STUDY.parameters(run.specification) | further(configuration, named)
     # The record holds the rates of the design, which the theorem may have chosen itself.
     designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()
     yield Derived({name: value for name, value in asked.items() if name not in designed})

@@ -5,7 +5,7 @@ of the store, so that what is computed and what is reused are the same bits.
 """
 
 import warnings
-from collections.abc import Set
+from collections.abc import Iterable, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,6 +140,7 @@ class Study(Task["Specification"]):
         from ssm_study.study.trials import lineage
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
+        words = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
         model = request.configuration["model"]
         asked = {column.name: entry(request.configuration, column.setting) for column in SETTINGS}
         auto = asked["rates_chosen"] == "auto"
@@ -153,6 +154,7 @@ class Study(Task["Specification"]):
             "synthesis_method": type(request.synthesis).method,
             **lineage(request.configuration),
             "rates_chosen": ", ".join(chosen) or "neither",
+            **further(request.configuration, {word.partition("=")[0] for word in words}),
         }
 
     def warm(self, again: Set[str]) -> None:
@@ -175,6 +177,23 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     there = any(study.glob(f"{run}/{RECORD}"))
     problem, remedy = f"there is nothing in {study} to run again", "leave it out the first time"
     require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
+
+
+def further(configuration: Settings, keys: Iterable[str]) -> Facts:
+    """What the configuration has at `plant.step_s`, as `plant__step_s`; no key of which a column is declared.
+
+    Of a part, `training/optimiser` or `peer@loop.peer`, its kind.
+    """
+    from ssm_study.table.columns import SETTINGS
+
+    paths = {key.lstrip("+~").rpartition("@")[-1].replace("/", ".") for key in keys}
+    facts: Facts = {}
+    for path in sorted(path for path in paths - {column.setting for column in SETTINGS} if "." in path):
+        value = entry(configuration, path)
+        facts[path.replace(".", "__")] = (
+            value if isinstance(value, int | float | None) else kind_of(value) or str(value)
+        )
+    return facts
 
 
 def kind_of(scaffold: Any) -> str | None:

@@ -24,7 +24,9 @@ PARTS = {"Plant": plants, "Data": data, "Model": models, "Training": training, "
 OF_THE_LINE = tuple(column for room in PARTS.values() for column in room.COLUMNS)
 SETTINGS = tuple(column for column in OF_THE_LINE if column.setting)
 RESULTS = tuple(column for column in OF_THE_LINE if not column.setting)
-DECLARED = (*engine.IDENTITY, *SETTINGS, *RESULTS, *engine.CIRCUMSTANCES)
+# `plant__step_s`: what no other column repeats
+FURTHER = Column("*__*", None, word="Any other setting of the command", setting="*")
+DECLARED = (*engine.IDENTITY, *SETTINGS, FURTHER, *RESULTS, *engine.CIRCUMSTANCES)
 COLUMNS = tuple(column for column in DECLARED if not column.is_pattern)
 BY_NAME = {column.name: column for column in COLUMNS}
 PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
@@ -37,13 +39,27 @@ def declared(name: str) -> Column | None:
 
 def label(name: str) -> str:
     """The printed name of a column with its unit, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
-    column = declared(name)
-    return column.label if column and not column.is_pattern else name.replace("_", " ")
+    if column := BY_NAME.get(name):
+        return column.label
+    return setting_of(name) or name.replace("_", " ")
+
+
+def setting_of(name: str) -> str:
+    """The entry of the configuration that the column repeats, `plant.step_s`; empty where it is none."""
+    return name.replace("__", ".") if FURTHER.covers(name) else BY_NAME[name].setting if name in BY_NAME else ""
+
+
+def settings(table: pd.DataFrame) -> list[str]:
+    """The columns that repeat settings, those of the command last; not what says who chose a rate."""
+    names = [*(column.name for column in SETTINGS), *sorted(filter(FURTHER.covers, map(str, table)))]
+    return [name for name in names if name in table and name != "rates_chosen"]
 
 
 def by_part(names: Iterable[str]) -> dict[str, list[str]]:
     """The names by the part of the study that they describe: settings first, what no part declares last."""
-    titles = {c.name: "Settings" if c.setting else title for title, room in PARTS.items() for c in room.COLUMNS}
+    titles = {FURTHER.name: "Settings"} | {
+        c.name: "Settings" if c.setting else title for title, room in PARTS.items() for c in room.COLUMNS
+    }
     found: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
     for name in names:
         found[titles.get(getattr(declared(name), "name", name), "Circumstances")].append(name)
@@ -75,8 +91,8 @@ def requested(table: pd.DataFrame, name: str) -> pd.Series:
 
 def swept(table: pd.DataFrame) -> list[str]:
     """The settings in which the runs differ, most values first, the seed last."""
-    names = [name for name in ("study", *(column.name for column in SETTINGS)) if name in table]
-    counts = {name: requested(table, name).nunique() for name in names if name != "rates_chosen"}
+    names = [name for name in ("study", *settings(table)) if name in table]
+    counts = {name: requested(table, name).nunique() for name in names}
     return sorted(
         (name for name, count in counts.items() if count > 1), key=lambda name: (name == "seed", -counts[name])
     )

@@ -82,7 +82,7 @@ def contradicted(study: Path, rows: pd.DataFrame) -> bool:
     for run, row in _records(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
         known = ((name, column) for name in row if (column := declared(name)) is not None)
-        if any(row[name] != _fitting(record.get(name), column.kind) for name, column in known):
+        if any(row[name] != _fitting(record.get(name), column.kind or str(rows[name].dtype)) for name, column in known):
             return True
     return False
 
@@ -110,8 +110,8 @@ def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def _typed(values: list[Any], column: Column | None) -> pd.Series:
-    kind = column.kind if column else KINDS.get(infer_dtype([INFINITE.get(v, v) for v in values if v is not None]))
-    kind = kind or "string"
+    kind = column.kind if column else None
+    kind = kind or KINDS.get(infer_dtype([INFINITE.get(v, v) for v in values if v is not None])) or "string"
     if set(map(type, values)) <= {EXACT[kind], type(None)} and kind != "Int64":  # as records have them
         return pd.Series(values, dtype=kind)
     return pd.Series([_fitting(value, kind) for value in values], dtype=kind)

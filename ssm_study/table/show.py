@@ -12,7 +12,7 @@ from rich.text import Text
 
 from ssm_study.engine.plan import duration
 from ssm_study.refusal import printable
-from ssm_study.table.columns import BY_NAME, RESULTS, SETTINGS, listed, requested
+from ssm_study.table.columns import BY_NAME, RESULTS, listed, requested, setting_of, settings
 from ssm_study.table.filters import where as filtered
 from ssm_study.table.gather import contradicted, gather
 from ssm_study.table.rank import ranked
@@ -119,7 +119,9 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     first, outcomes = ["run", "status", *([by] if by else [])], [n for n in OUTCOMES if table[n].notna().any()]
     columns, taken = dict[str, list[str]](), 0
     for name in dict.fromkeys([*first, *telling, *outcomes, *varied]):  # what the table is sorted by stands once
-        head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name
+        head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name.rpartition(
+            "__"
+        )[-1]
         cells = [head, *map(cell, table[name])]
         room = max(map(len, cells))
         if taken + room + 2 > width and columns:  # a narrower one may still fit
@@ -132,9 +134,8 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """The settings in which the runs differ, and those of them that tell runs apart which the ones before do not."""
-    settings = [c.name for c in SETTINGS if c.name in table and c.name != "rates_chosen"]
-    values = {name: requested(table, name) for name in settings}
-    varied = [name for name in settings if values[name].nunique(dropna=False) > 1]
+    values = {name: requested(table, name) for name in settings(table)}
+    varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
     alike = pd.Series(0, index=table.index)  # a number for each group of runs that are not told apart yet
     for name in varied:
@@ -171,7 +172,7 @@ def over_folds(table: pd.DataFrame) -> list[str]:
     """Of each model's settings: mean and standard deviation of the fit on what the folds held out."""
     if "fold" not in table or table["fold"].nunique() < 2:
         return []
-    others = [c.name for c in SETTINGS if c.name in table and not c.setting.startswith(("synthesis", "data.fold"))]
+    others = [name for name in settings(table) if not setting_of(name).startswith(("synthesis", "data.fold"))]
     varied = [name for name in others if table[name].nunique(dropna=False) > 1]
     lines = []
     for values, runs in table.groupby(varied, dropna=False) if varied else [((), table)]:

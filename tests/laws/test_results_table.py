@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from ssm_study.engine.durable import json_bytes
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.table.columns import COLUMNS
+from ssm_study.report.page.data import question
+from ssm_study.table.columns import COLUMNS, swept
 from ssm_study.table.filters import where
 from ssm_study.table.gather import gather, table_of
 from ssm_study.table.rank import ranked
@@ -242,6 +243,26 @@ def test_what_was_swept_stands_before_what_came_of_it() -> None:
     heads, first = plain_table(sweep(6)).splitlines()[:2]
     assert heads.split()[:6] == ["run", "status", "order", "r", "ctl", "settled"]
     assert first.split() == ["0000000000", "ok", "0", "0", "9/10"]
+
+
+def test_settings_of_the_command_tell_runs_apart() -> None:
+    """Those that no column of their own repeats: in `show`, in filters and on the page."""
+    settings = [(step_s, undone) for step_s in (0.005, 0.02) for undone in (False, True)]
+    table = table_of(
+        {
+            "run": f"r-{i}",
+            "status": "ok",
+            "plant__step_s": step_s,
+            "synthesis__invert_input": undone,
+            "loop__peer": "pi",
+        }
+        for i, (step_s, undone) in enumerate(settings)
+    )
+    assert swept(table) == ["plant__step_s", "synthesis__invert_input"]
+    assert question(table) == "What changes with plant.step_s and synthesis.invert_input?"
+    assert where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"].tolist() == ["r-3"]
+    heads, *_, last = plain_table(table).splitlines()
+    assert (heads.split(), last.split()) == (["run", "status", "step_s", "invert_input"], ["3", "ok", "0.02", "yes"])
 
 
 def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:

@@ -16,6 +16,7 @@ from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, by_convolution
+from ssm_study.study.line import further
 from ssm_study.study.recordings import read_rollouts
 from ssm_study.study.reproduce import compared
 from ssm_study.study.verify import verify
@@ -144,9 +145,26 @@ def test_inputs_cut_at_limits_are_replayed(tmp_path: Path) -> None:
     u = read_rollouts(run / "closed_loop.mcap")[0].u
     assert u.min() == -0.2
     assert u.max() == 0.3
+    assert json.loads((run / "record.json").read_text())["loop__input_upper"] == 0.3
     assert [finding for finding in verify(run) if not finding.holds] == []
     edit_text(run / ".hydra" / "config.yaml", "input_upper: 0.3", "input_upper: 0.29")
-    assert {"run", "closed_loop.mcap input"} <= failing(run)
+    assert {"run", "closed_loop.mcap input", "loop__input_upper"} <= failing(run)
+
+
+def test_a_setting_that_no_column_repeats_has_one_under_its_key() -> None:
+    settings = {
+        "model": {"order": 4},
+        "plant": {"step_s": 0.01},
+        "synthesis": {"internal_model": ["step", "ramp"]},
+        "training": {"optimiser": {"_target_": "ssm_study.training.optimisers.Adam", "lr": 0.01}},
+    }
+    keys = ["study", "model.order", "+plant.step_s", "synthesis.internal_model", "training/optimiser", "a@loop.peer"]
+    assert further(settings, keys) == {
+        "loop__peer": None,
+        "plant__step_s": 0.01,
+        "synthesis__internal_model": "['step', 'ramp']",
+        "training__optimiser": "adam",
+    }
 
 
 def edit_text(path: Path, old: str, new: str) -> None:

@@ -57,7 +57,8 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 
 def question(table: pd.DataFrame) -> str:
     """What the sweep asks: `What changes with the model order and the controller rate?`."""
-    varied = [f"the {words(name).partition(' (')[0].partition(',')[0].lower()}" for name in swept(table)]
+    said = ((name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table))
+    varied = [word if "__" in name else f"the {word}" for name, word in said]  # a setting's key is a name
     varied = varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied  # what the mean is taken over
     return f"What changes with {' and '.join([', '.join(varied[:-1])] * (len(varied) > 1) + varied[-1:])}?"
 
