@@ -5,7 +5,7 @@ of the store, so that what is computed and what is reused are the same bits.
 """
 
 import warnings
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Mapping, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -179,7 +179,7 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
 
 
-def further(configuration: Settings, keys: Iterable[str]) -> Facts:
+def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
     """What the configuration has at `plant.step_s`, as `plant__step_s`; no key of which a column is declared.
 
     Of a part, `training/optimiser` or `peer@loop.peer`, its kind.

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pandas as pd
 from pandas.api.types import infer_dtype
@@ -81,8 +81,8 @@ def contradicted(study: Path, rows: pd.DataFrame) -> bool:
     """Whether a declared column of one of these rows is not what the record of its run says."""
     for run, row in _records(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
-        known = ((name, column) for name in row if (column := declared(name)) is not None)
-        if any(row[name] != _fitting(record.get(name), column.kind or str(rows[name].dtype)) for name, column in known):
+        kinds = {name: column.kind or cast(Kind, rows[name].dtype.name) for name in row if (column := declared(name))}
+        if any(row[name] != _fitting(record.get(name), kind) for name, kind in kinds.items()):
             return True
     return False
 
