@@ -38,13 +38,15 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
     part = np.zeros(len(record), dtype=int)
     for number, name in enumerate(("validation", "test"), start=1):
         for interval in named.get(name, ()):
-            ends = np.rint(np.array(interval, dtype=float) / record.step_s)
-            inside = len(ends) == 2 and 0 <= ends[0] < ends[1] <= len(record)
+            pair = np.asarray(interval)  # of a flat list: a number
+            is_pair = pair.shape == (2,) and pair.dtype.kind in "iuf"
+            remedy = "give a list of pairs [from, to] in seconds, within it: [[0,20]]"
             length = f"the log lasts {len(record) * record.step_s:g} s"
-            require(inside, f"data.{name}", list(interval), length, "give [from, to] in seconds, within it")
+            ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
+            require(0 <= ends[0] < ends[1] <= len(record), f"data.{name}", pair.tolist(), length, remedy)
             start, end = ends.astype(int)
             free = not part[start:end].any()
-            require(free, f"data.{name}", list(interval), "overlaps another interval", "give each sample to one part")
+            require(free, f"data.{name}", pair.tolist(), "overlaps another interval", "give each sample to one part")
             part[start:end] = number
     return _cut(record, part)
 

@@ -85,7 +85,8 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
     signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=len(gain) - 1)])
     corners = rest @ np.linalg.pinv(gain) @ signs.T  # states at rest where every scaled output is one or minus one
     corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
-    found[SETS] = within_reach(partial(unlimited, known, corners, limits))
+    if not model.linear.d.any():  # else the law moves the output of a start at once: no range of outputs tells starts
+        found[SETS] = within_reach(partial(unlimited, known, corners, limits))
     return {label: part for label, part in found.items() if part is not None}
 
 
@@ -108,7 +109,7 @@ class WithinLimits:
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
     """Both, for limits in physical units; `BadRequest` for an infeasible design, limits without room around rest, and
-    where nothing is proved: without a certificate, or of an output that no input holds.
+    where nothing is proved: without a certificate, or of an output that no input holds or that answers it at once.
     """
     design.parts()
     rest, limits = model.scale.input_equilibrium, (lower.tolist(), upper.tolist())

@@ -152,6 +152,19 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
         within_limits(blind, design, -LIMIT, LIMIT)
 
 
+def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
+    """a=0.9, b=0.1, c=1, D=-0.5: rest at an output of 0.161, the edge of the range without D, asks twice the limit."""
+    rest = Scale(input_scale=np.ones(1), output_scale=np.ones(1), input_equilibrium=np.zeros(1),
+                 output_equilibrium=np.zeros(1))  # fmt: skip
+    lag = StateSpace(a=np.array([[0.9]]), b=np.array([[0.1]]), c=np.eye(1), d=np.array([[-0.5]]))
+    model, ball = SSM.of(lag, 0.1, rest), JacobianBall(alpha=1.0, beta=0.0)
+    wanted = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
+    design = wanted.design(model, Balls(input=ball, output=ball))
+    assert set(with_limits(model, design, -LIMIT, LIMIT)) <= {"state_feedback_limited"}
+    with pytest.raises(BadRequest, match="nothing is proved within them"):
+        within_limits(model, design, -LIMIT, LIMIT)
+
+
 def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
     design = st.load(smoke_run)
     header = design.to_c(tmp_path / "controller.h").read_text()
