@@ -60,6 +60,11 @@ ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attemp
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
 CHOSEN += " tests/oracles/test_loop_trials.py"
+VIEWS = "tests/oracles/test_loop_views.py::test_no_phase_is_read_from_noise_below_the_largest_amplitude"
+VIEWS += " tests/oracles/test_evidence_rest.py::test_an_output_that_stays_off_after_the_last_motion_is_a_doubt"
+INVERSES = "tests/oracles/test_export_device.py::test_the_inverse_undoes_the_map"
+BATCH = "tests/laws/test_loop_batch.py::test_a_batch_is_its_rows"
+INSIDE = "tests/oracles/test_loop_within_limits.py::test_inside_no_limit_acts_and_far_outside_one_does"
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
 NEURONS += " tests/laws/test_training_structured.py"
 INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
@@ -71,7 +76,7 @@ GROUPS = {
     "verdict": Group(
         modules=_synthesis("exact", "theorem", "certificate", "design", "problem")
         + _synthesis("theorems/state_feedback", "theorems/observer"),
-        tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT}",
+        tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT} {BATCH}",
         planted=30,
     ),
     "methods": Group(
@@ -81,11 +86,13 @@ GROUPS = {
         planted=70,
     ),
     "bounds": Group(
-        modules=("bounds",), tests=f"{BOUNDS} {CONTRACTS} tests/oracles/test_loop_commanded.py", planted=30
+        modules=("bounds",),
+        tests=f"{BOUNDS} {INVERSES} {CONTRACTS} tests/oracles/test_loop_commanded.py",
+        planted=30,
     ),
     "choice": Group(
         modules=_synthesis("auto", "area", "mismatch", "theorems/integral_action", "sensitivity"),
-        tests=f"{CHOSEN} {INTEGRAL}",
+        tests=f"{CHOSEN} {VIEWS} {INTEGRAL}",
         planted=20,
     ),
     "claims": Group(modules=("study/verify.py", "study/claims.py"), tests=CLAIMS, planted=15),
@@ -126,7 +133,8 @@ GROUPS = {
         + _synthesis(*(f"theorems/{name}" for name in ("inverted_input", "structured_inverted_input"))),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
-        "tests/oracles/test_synthesis_deployed.py tests/oracles/test_loop_views.py tests/oracles/test_loop_trials.py",
+        f"tests/oracles/test_synthesis_deployed.py {INSIDE} "
+        "tests/oracles/test_loop_views.py tests/oracles/test_loop_trials.py",
         planted=20,
     ),
     "data": Group(

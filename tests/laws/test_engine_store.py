@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ssm_study.engine import plan as planning
 from ssm_study.engine.durable import is_locked
-from ssm_study.engine.plan import PlannedStages, forecast
+from ssm_study.engine.plan import PlannedStages, forecast, plan
 from ssm_study.engine.settings import canonical_json, digest
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, Store, intact_manifest
@@ -281,6 +282,19 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     after = forecast(store, [lambda s, r=r: line(s, r) for r in range(20)])
     assert {s.name: s.missing for s in after} == {"data": 0, "model": 0, "synthesis": 15}
     assert all(s.seconds_each is not None for s in after)
+
+
+def test_a_plan_reckons_with_the_mean_of_what_was_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three missing stages of 14 s, two at a time; a stage that was never timed makes of it a lower bound."""
+    store, known = Store(tmp_path), {"model": 14.0}
+    monkeypatch.setattr(planning, "each", lambda _, stage: known.get(stage))
+
+    def walk(name: str, number: int) -> object:
+        return lambda stages: stages.keyed(name, digest([name, number]), {}, write_content)
+
+    walks = [walk("model", k) for k in range(3)]
+    assert plan(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
+    assert plan(store, [*walks, walk("data", 0)], 3, 0, 2)[-1] == "estimated time: at least 21 s with 2 at a time"
 
 
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])

@@ -54,6 +54,14 @@ def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
     assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
 
 
+def test_a_run_that_settles_on_the_model_alone_is_not_said_to_settle_on_the_plant() -> None:
+    settled = a_run("ok") | {"controller_certified": True, "observer_certified": True, "stable_fraction": 1.0}
+    for loop_on, more in (("identified model", ", on the identified model"), ("plant", ""), (None, "")):
+        for fraction in (1.0, 0.5):
+            text = printed(settled | {"loop_on": loop_on, "stable_fraction": fraction}).split("Fit on")[0]
+            assert (", on the identified model" in " ".join(text.split())) is (bool(more) and fraction == 1.0)
+
+
 def test_the_prediction_says_what_it_rests_on() -> None:
     known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
     for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):

@@ -141,6 +141,19 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
     np.testing.assert_allclose(2 * j.T @ r, np.concatenate([by_adjoint[name].ravel() for name in free]), rtol=1e-9)
 
 
+def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None:
+    one, theta = problem(0, None)
+    free, bare = ("a", "b", "bias", "x0"), loss(one, theta, ())
+    squares = float(np.square(theta["b"]).sum() + np.square(theta["bias"]).sum())  # coordinates and starts are free
+    weighed = replace(one, ridge=0.3)
+    assert loss(one, theta, free) == pytest.approx(bare)
+    assert loss(weighed, theta, free) == pytest.approx(bare + 0.3 * squares)
+    at = Descent(theta=theta, loss=loss(weighed, theta, free), damping=1e-2)
+    after = step(weighed, at, free)
+    assert after.loss == pytest.approx(loss(weighed, after.theta, free))
+    assert after.loss < at.loss
+
+
 def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
     """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a damping."""
     maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}

@@ -9,7 +9,7 @@ from structured_cases import model
 from test_loop_prediction import linear_model
 
 from ssm_study.data.assembly import assemble
-from ssm_study.evidence import feedback
+from ssm_study.evidence import feedback, records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
 from ssm_study.evidence.judgement import judge
@@ -115,6 +115,19 @@ def test_pieces_shorter_than_the_model_s_response_say_nothing():
 def test_a_band_that_is_not_excited_is_a_doubt():
     slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), RNG.standard_normal(6000))
     assert any("excite it there" in found.sentence for found in findings(case(slow, answer(slow, noise=0.02))))
+
+
+def test_a_test_input_where_training_has_no_power_is_a_doubt():
+    """White over the frequencies after training on the lowest; the share is that of the test record's power."""
+    b, a = scipy.signal.butter(8, 0.25)
+    slow = scipy.signal.lfilter(b, a, WHITE)
+    for scale in (0.1, 1.0):  # a share knows no unit
+        u = scale * np.where(np.arange(6000) < 4500, slow, WHITE)
+        told = records.findings(made := case(u, answer(u)), mismatch(made.model, made.data.validation))
+        (said,) = (found.sentence for found in told if "lies where training has none" in found.sentence)
+        assert 60 < float(said.split(" %")[0]) < 80
+    told = records.findings(made := case(WHITE, answer(WHITE)), mismatch(made.model, made.data.validation))
+    assert not any("lies where training has none" in found.sentence for found in told)
 
 
 def test_coherence_is_the_share_of_power_that_the_inputs_explain():

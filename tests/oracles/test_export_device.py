@@ -151,6 +151,18 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     assert deployed_rates(spoilt, design)["state_feedback"] is None
 
 
+def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path) -> None:
+    """As if 0.99 were stored, which its matrices do not prove: what they do prove, to a 4096th of that."""
+    design, none = Design.load(certified / "certificate.json"), np.array([np.inf])
+    part, device = design.state_feedback, Device.of(load(certified), "double", -none, none)
+    faster = replace(design, state_feedback=replace(part, rate=0.99), beside={})
+    found = deployed_rates(device, faster)["state_feedback"]
+    assert 0.3 < found < 0.99
+    for rate, proved in ((found, True), (found + 0.99 / 4096, False)):
+        stored = replace(design, state_feedback=replace(part, rate=rate), beside={})
+        assert (deployed_rates(device, stored)["state_feedback"] == rate) is proved
+
+
 def test_what_rounding_does_to_the_loop_is_measured_and_told(certified: Path) -> None:
     """In single precision a few of its units; in double nothing is said."""
     single, double = (c_sources(certified, real=real)["controller.h"] for real in ("float", "double"))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ssm_study.loop.metrics import COLUMNS
+from ssm_study.loop.metrics import COLUMNS, pooled
+from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
 
 
@@ -99,3 +100,11 @@ def test_trajectories_that_part_have_a_negative_rate():
 def test_no_pairs_no_rate():
     assert empirical_rate(rollouts([1, 0, 0]), 0.2) is None
     assert empirical_rate(rollouts([1, 0], [1.1, 0]), 0.2) is None
+
+
+def test_the_remaining_error_is_the_mean_over_the_last_tenth():
+    """Of 120 samples that is 12: an error in the first of them counts, one before it does not."""
+    for first, error in ((108, 2.0), (107, 0.0)):
+        run = rollouts([24.0 * (k == first) for k in range(120)])
+        loop = LoopRuns(controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=np.zeros(1))
+        assert pooled([loop])["final_error_worst"] == pytest.approx(error)

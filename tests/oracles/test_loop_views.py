@@ -89,6 +89,17 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
     assert verdicts == {True, False} or seed  # both answers occur
 
 
+def test_no_phase_is_read_from_noise_below_the_largest_amplitude():
+    """Two records of the model itself under noise: at the smaller amplitude what the noise alone answers is dropped."""
+    model = linear_model(0)
+    records = [twice(model, lambda u: 0 * u, 0.2, a, seed) for seed, a in enumerate((0.3, 1.0))]
+    small, large = mismatch(model, tuple(records)).views
+    assert small.amplitude < large.amplitude
+    assert np.mean(small.linear != 0) < 0.1
+    assert np.mean(large.linear != 0) > 0.2
+    assert np.any(mismatch(model, tuple(records[:1])).views[0].linear)  # alone it is the largest
+
+
 def test_of_the_two_conditions_the_better_one_counts():
     """A mismatch that is all phase costs no margin, whether small gain passes it or not."""
     model = linear_model(0)

@@ -39,6 +39,15 @@ def test_quadruple_tank_agrees_with_a_general_solver() -> None:
     np.testing.assert_allclose(here, there, rtol=1e-6)
 
 
+def test_quadruple_tank_starts_with_the_upper_levels_at_rest() -> None:
+    plant = from_yaml("plant", "quadruple_tank")
+    rest, y0 = plant.equilibrium(), np.array([[5.0, 7.0], [6.0, 6.5]])
+    np.testing.assert_allclose(plant.states_at(rest.y[None]), rest.x[None])
+    x0 = plant.states_at(y0)
+    np.testing.assert_allclose(plant.output(x0), y0)
+    np.testing.assert_array_equal(x0[:, 2:], np.tile(rest.x[2:], (2, 1)))
+
+
 @pytest.fixture
 def tanks() -> CascadedTanks:
     return from_yaml("plant", "cascaded_tanks")

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from synthesis_modal import ModalLmiSynthesis, modal_energy, modal_gain, solve_on_fast_modes
 from synthesis_ratio import ratio_limit
 
+from ssm_study.synthesis import modes
 from ssm_study.synthesis.certificate import Infeasible, StateFeedback
 from ssm_study.synthesis.frontier import energy_root, frontier
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
@@ -222,6 +223,14 @@ def test_doubling_solves_what_scipy_solves(seed: int, order: int, kappa: float) 
 def test_doubling_gives_up_on_a_mode_out_of_reach() -> None:
     with pytest.raises(NoSolution):
         solve_riccati(np.diag([2.0, 0.5]), np.array([[0.0], [1.0]]), np.eye(2), 1.0)
+
+
+def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
+    linear, q = random_model(np.random.default_rng(3), 4, "unstable", mixed=True), np.eye(4)
+    expected = solve_riccati(linear.a, linear.b, q, 2.0)
+    for spoilt in (None, expected + 1e-4 * np.abs(expected).max() * np.eye(4)):
+        monkeypatch.setattr(modes, "doubled", lambda *_, s=spoilt: s)
+        np.testing.assert_allclose(solve_riccati(linear.a, linear.b, q, 2.0), expected, rtol=1e-6, atol=1e-6)
 
 
 def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem:

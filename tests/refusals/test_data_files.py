@@ -12,9 +12,11 @@ from pyarrow import parquet
 from scipy.io import savemat
 
 from ssm_study.data.arrays import logged
+from ssm_study.data.experiments import RecordedExperiments
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.readers.reader import read_table
 from ssm_study.data.recorded import RecordedData
+from ssm_study.data.recording import Recording
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, Scale
 
@@ -295,3 +297,12 @@ def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
     numbers = sides | {"output_equilibrium": [0.0]} | change
     with pytest.raises(BadRequest, match="needs positive gains about as many finite numbers"):
         Scale(**{name: np.array(values) for name, values in numbers.items()})
+
+
+@pytest.mark.parametrize("part", ["training", "validation", "test"])
+def test_experiments_without_a_recording(part: str) -> None:
+    one = [Recording(path="log.csv", input="u", output="y", step_s=0.01)]
+    parts = dict.fromkeys(("training", "validation", "test"), one)
+    RecordedExperiments(benchmark="own", **parts)
+    with pytest.raises(BadRequest, match=f"data.{part} = none: no recording is named; name at least one"):
+        RecordedExperiments(benchmark="own", **(parts | {part: []}))

@@ -130,6 +130,7 @@ def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
         (lambda c: c["observer"].update(q=[[1.0, "x"], [0.0, 1.0]]), "q"),
         (lambda c: c["observer"].update(q=[[1.0], [0.0, 1.0]]), "q"),
         (lambda c: c["observer"].update(eta=float("nan")), "eta"),
+        (lambda c: c["observer"]["l"].pop(), r"observer\.l \(shape\)"),
         (lambda c: c["observer"].update(extra=1.0), "extra"),
     ],
 )
