@@ -70,7 +70,17 @@ def test_the_last_of_five_folds_is_the_cut_in_time():
 
 
 @pytest.mark.parametrize(
-    "wrong", [[[3.0, 2.0]], [[9.0, 10.5]], [[0.0, 1.0], [0.5, 2.0]], [[3.0]], [[0.0, 1.0, 2.0]], [[0.0, np.inf]]]
+    "wrong",
+    [
+        [[3.0, 2.0]],
+        [[9.0, 10.5]],
+        [[0.0, 1.0], [0.5, 2.0]],
+        [[3.0]],
+        [[0.0, 1.0, 2.0]],
+        [[0.0, np.inf]],
+        [0.0, 1.0],
+        [["a", "b"]],
+    ],
 )
 def test_intervals_that_cannot_be_are_refused(wrong):
     with pytest.raises(BadRequest, match=r"data\.test"):
