@@ -51,6 +51,10 @@ class Task(ABC, Generic[R]):
         """What was asked for: columns of the record from the start."""
         return {}
 
+    def asked(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
+        """Further columns of the record, of what the command alone says: a run made without it lacks them."""
+        return {}
+
     def refuse(self, config: DictConfig) -> None:
         """Raise `BadRequest` for what no configuration may contain; asked before anything is made or resolved of it."""
 
@@ -99,8 +103,8 @@ class Task(ABC, Generic[R]):
             self.stages(request, RunStages(store_of(settings).root, run))
             return self.run(request, run)
 
-        parameters, inputs = self.parameters(request), self.inputs(settings)
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
+        parameters, inputs = self.parameters(request) | self.asked(request, overrides), self.inputs(settings)
         return execute(
             folder_of(settings),
             parameters | ({INPUTS: content_of(inputs)} if inputs else {}),

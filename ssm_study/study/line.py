@@ -5,7 +5,7 @@ of the store, so that what is computed and what is reused are the same bits.
 """
 
 import warnings
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,7 +140,6 @@ class Study(Task["Specification"]):
         from ssm_study.study.trials import lineage
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
-        words = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
         model = request.configuration["model"]
         asked = {column.name: entry(request.configuration, column.setting) for column in SETTINGS}
         auto = asked["rates_chosen"] == "auto"
@@ -154,8 +153,10 @@ class Study(Task["Specification"]):
             "synthesis_method": type(request.synthesis).method,
             **lineage(request.configuration),
             "rates_chosen": ", ".join(chosen) or "neither",
-            **further(request.configuration, {word.partition("=")[0] for word in words}),
         }
+
+    def asked(self, request: "Specification", overrides: Sequence[str]) -> Facts:
+        return further(request.configuration, {word.partition("=")[0] for word in overrides})
 
     def warm(self, again: Set[str]) -> None:
         from ssm_study.study.warm import warm
