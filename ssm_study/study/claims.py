@@ -40,7 +40,7 @@ from ssm_study.synthesis.metrics import design_facts
 from ssm_study.synthesis.theorem import UNFIT, Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
-from ssm_study.table.columns import BY_NAME, setting_of
+from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
 
@@ -119,7 +119,7 @@ def requested(run: RunFiles) -> Claims:
     told = "stands once" if alone else f"counts as one more run of its study: delete it, or name it {name}"
     yield Checked(claim="folder", holds=alone, found=f"{folder} {told}")
     configuration = run.specification.configuration
-    named = [setting_of(name) for name in run.record if "__" in name]
+    named = [setting_of(name) for name in run.record if FURTHER.covers(name)]
     asked = STUDY.parameters(run.specification) | further(configuration, named)
     # The record holds the rates of the design, which the theorem may have chosen itself.
     designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()

@@ -119,9 +119,8 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     first, outcomes = ["run", "status", *([by] if by else [])], [n for n in OUTCOMES if table[n].notna().any()]
     columns, taken = dict[str, list[str]](), 0
     for name in dict.fromkeys([*first, *telling, *outcomes, *varied]):  # what the table is sorted by stands once
-        head = (BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")) or name.rpartition(
-            "__"
-        )[-1]
+        short = BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")
+        head = short or name.rpartition("__")[-1]  # of `plant__step_s` the last word
         cells = [head, *map(cell, table[name])]
         room = max(map(len, cells))
         if taken + room + 2 > width and columns:  # a narrower one may still fit

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import CHOICES, VERDICTS, counts, spoken, verdicts, words
-from ssm_study.table.columns import DECLARED, RESULTS, by_part, column, swept, text
+from ssm_study.table.columns import DECLARED, FURTHER, RESULTS, by_part, column, swept, text
 from ssm_study.table.rank import best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
@@ -58,7 +58,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 def question(table: pd.DataFrame) -> str:
     """What the sweep asks: `What changes with the model order and the controller rate?`."""
     said = ((name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table))
-    varied = [word if "__" in name else f"the {word}" for name, word in said]  # a setting's key is a name
+    varied = [word if FURTHER.covers(name) else f"the {word}" for name, word in said]  # a setting's key is a name
     varied = varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied  # what the mean is taken over
     return f"What changes with {' and '.join([', '.join(varied[:-1])] * (len(varied) > 1) + varied[-1:])}?"
 
