@@ -11,6 +11,7 @@ from typing import Any
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -79,7 +80,8 @@ def run(overrides: list[str]) -> int:
             raise
         raise full_or_forbidden("results_dir", error) from error
     finally:
-        GlobalHydra.instance().clear()  # a program that calls this may compose again
+        GlobalHydra.instance().clear()  # a program that calls this may compose again,
+        HydraConfig.instance().cfg = None  # and what it runs next was not asked for by these words
 
 
 def concluded(request: Command) -> bool:

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 
 import ssm_study as st
 from ssm_study import library
@@ -104,6 +105,7 @@ def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
 def test_study_gives_its_table(design: library.Design) -> None:
     table = st.study(*design.overrides)
     assert list(table["run"]) == [design.folder.name]
+    assert not HydraConfig.initialized()  # the next run here would keep these words as its own
     with pytest.raises(BadRequest, match="a contraction rate lies in"):
         st.study(*design.overrides, "synthesis.rate_controller=2")
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants_cases import from_yaml
-from structured_adjoint import gradient
+from structured_adjoint import stepped_gradient
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.models.contracting import Core, Free, explicit, in_metric, metric, parameters, projected
@@ -137,7 +137,7 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
     theta |= {"scaffold_in": np.zeros(0), "scaffold_out": np.zeros(0)}
     free = (*CORE, *"bcdgh", "bias")
     r, j, _ = one.linearised(theta, free)
-    by_adjoint = gradient(one, theta)
+    by_adjoint = stepped_gradient(one, theta)
     np.testing.assert_allclose(2 * j.T @ r, np.concatenate([by_adjoint[name].ravel() for name in free]), rtol=1e-9)
 
 

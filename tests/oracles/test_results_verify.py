@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from docs_commands import FEW
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli.main import main
@@ -515,7 +516,7 @@ def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> No
 
 def logged(folder: Path) -> list[str]:
     """The words for a log of a system that answers its input at once."""
-    u = np.random.default_rng(0).uniform(-3, 3, 300).repeat(5)
+    u = np.random.default_rng(0).uniform(-3, 3, 120).repeat(5)
     x = np.zeros(len(u) + 1)
     for k in range(len(u)):
         x[k + 1] = 0.9 * x[k] + 0.2 * np.tanh(u[k])
@@ -543,11 +544,13 @@ def test_a_model_that_answers_at_once_is_certified_without_a_loop(
 ) -> None:
     """`verify` missed its loops, the outcome spoke of starts, and where every neuron was idle the run had failed."""
     log = [*logged(tmp_path), "progress=false", f"results_dir={tmp_path}"]
-    shape = ["model.feedthrough=true", "model.order=2", "model.starts=1"]
+    shape = ["model.feedthrough=true", "model.order=2", "model.starts=1", "model.draws=2", "training.max_epochs=5"]
+    shape += [f"+synthesis.{name}={values}".replace(" ", "") for name, values in FEW.items()]
     for study, path in {"idle": [], "neurons": ["model.input_path=free", "model.output_path=free"]}.items():
         assert main(["run", *log, *shape, *path, f"study={study}", f"model.neurons={1 + len(path)}"]) == 0
         assert "certified, not tried: both certificates hold" in " ".join(capsys.readouterr().out.split())
         (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
+        assert ("neurons" in json.loads((run / "model.json").read_text())) == (study == "neurons")
         assert failing(run) == set()
 
 
