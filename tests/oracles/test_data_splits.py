@@ -105,6 +105,9 @@ def test_the_default_says_which_it_took(tmp_path):
     assert held_out.metadata["split"].startswith("into 5 folds, of which number 2 tests")
     assert (len(held_out.training), len(held_out.validation[0]), len(held_out.test[0])) == (2, 200, 200)
     assert end_is_unlike(by_time(record(500), 0.2, 0.2))
+    first, odd = (Trajectory(u=y, y=y, step_s=0.1) for y in (rng.standard_normal((200, 1)), 9 + np.zeros((200, 1))))
+    assert not end_is_unlike(([first], [odd], [first]))
+    assert end_is_unlike(([odd], [first], [first]))
     nothing = {"validation": [[0.0, 50.0]], "test": [[50.0, 100.0]]}
     with pytest.raises(BadRequest, match="no record is left to train on"):
         RecordedData(path=str(tmp_path / "alike.csv"), input="u", output="y", step_s=0.1, **nothing).build(0)
@@ -112,3 +115,11 @@ def test_the_default_says_which_it_took(tmp_path):
         RecordedData(path="a", input="u", output="y", split="random")
     with pytest.raises(BadRequest, match="validation"):
         RecordedData(path="a", input="u", output="y", test=[[0.0, 1.0]])
+
+
+def test_the_rest_is_the_mean_of_the_training_records_alone(tmp_path):
+    made = log(tmp_path / "log.csv", np.arange(1000.0)).build(0)
+    trained = replace(log(tmp_path / "log.csv", np.arange(1000.0)), split="time").build(0)
+    for data in (made, trained):
+        shown = np.concatenate([one.y for one in data.training])
+        np.testing.assert_allclose(data.scale.output_equilibrium, shown.mean(axis=0), rtol=1e-12)

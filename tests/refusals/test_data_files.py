@@ -225,7 +225,7 @@ def test_mat_of_the_wrong_kind(tmp_path: Path, value: object) -> None:
     ("override", "says"),
     [
         ("trajectories=0", "data.trajectories = 0"),
-        ("samples=5", "data.samples = 5"),
+        ("samples=19", "data.samples = 19: "),
         ("noise_variance=-0.02", "data.noise_variance = -0.02: must not be negative"),
         ("start_up_samples=-1", "data.start_up_samples = -1"),
     ],
