@@ -328,6 +328,14 @@ def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_n
             refused()
 
 
+def test_a_path_in_a_reason_stays_in_one_piece(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It can be copied out of the terminal, however long."""
+    path = "/home/somebody/" + "-a-long-name" * 15
+    write_record(study / "c", {"status": "failed", "error_message": f"cannot read {path}", "run": "c"})
+    show(study)
+    assert path in capsys.readouterr().out
+
+
 def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> None:
     write_record(study / "c", {"status": "failed", "error_message": "=HYPERLINK(1)", "plant": "\x1b[2J", "run": "c"})
     table = gather(study)
