@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -20,7 +18,7 @@ from ssm_study.cli.endings import conclude_run, conclude_sweep
 from ssm_study.cli.explained import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden
 from ssm_study.cli.request import JUST_ASKING, check_request, translate
-from ssm_study.engine.compose import Command
+from ssm_study.engine.compose import Command, forget
 from ssm_study.refusal import require
 
 PYTHONS_WARNING = warnings.formatwarning
@@ -80,8 +78,7 @@ def run(overrides: list[str]) -> int:
             raise
         raise full_or_forbidden("results_dir", error) from error
     finally:
-        GlobalHydra.instance().clear()  # a program that calls this may compose again,
-        HydraConfig.instance().cfg = None  # and what it runs next was not asked for by these words
+        forget()
 
 
 def concluded(request: Command) -> bool:

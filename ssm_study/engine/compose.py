@@ -103,6 +103,12 @@ def adopt(config: DictConfig) -> None:
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
+def forget() -> None:
+    """A program may compose again afterwards, and what it runs next was not asked for by these words."""
+    GlobalHydra.instance().clear()
+    HydraConfig.instance().cfg = None
+
+
 def combinations(config: DictConfig) -> list[list[str]]:
     """`a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`, as Hydra's grid combines them; a search knows none beforehand."""
     if config.hydra.sweeper._target_ not in GRIDS:
