@@ -1,9 +1,11 @@
 """Settling, overshoot and empirical rate of signals whose answers are known without a computer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ssm_study.loop.metrics import COLUMNS, pooled
+from ssm_study.loop.metrics import COLUMNS, noise_gain, pooled
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
 
@@ -108,3 +110,13 @@ def test_the_remaining_error_is_the_mean_over_the_last_tenth():
         run = rollouts([24.0 * (k == first) for k in range(120)])
         loop = LoopRuns(controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=np.zeros(1))
         assert pooled([loop])["final_error_worst"] == pytest.approx(error)
+
+
+def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
+    """The second half alone, of the cases that stayed; noise of deviation 2 there."""
+    start, rest = [9.0] * 4, [1.0, -1.0, 1.0, -1.0]
+    run = rollouts(start + rest, start + [3 * y for y in rest], [99.0] * 8, left=(STAYED, STAYED, 3))
+    noise = np.array([50.0, 0.0, 0.0, 0.0, 2.0, 2.0, -2.0, -2.0])[:, None]
+    assert noise_gain(replace(run, measured=run.y + noise)) == pytest.approx(np.sqrt((1 + 9) / 2) / 2)
+    assert noise_gain(replace(run, measured=run.y)) is None
+    assert noise_gain(replace(run, measured=run.y + noise, left_at_sample=np.full(3, 3))) is None
