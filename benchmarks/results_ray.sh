@@ -25,7 +25,7 @@ sweep() {
         +hydra.launcher.ray.remote.num_cpus=1 \
         "results_dir=$dir/results" >>"$dir/sweep.log" 2>&1 || status=$?
     echo "exit status $status"
-    python -m ssm_study.cli show "$dir/results/smoke" | grep -A9 ' shown): '
+    python -m ssm_study.cli show "$dir/results/smoke" | grep -E -A9 '^[0-9]+ runs'
 }
 
 sweep &

@@ -14,7 +14,7 @@ sweep() {
     python -m ssm_study.cli run -m experiment=smoke 'seed=range(6)' hydra/launcher=slurm hydra.launcher.partition=debug \
         "results_dir=$dir/results" >>"$dir/sweep.log" 2>&1 || status=$?
     echo "exit status $status"
-    python -m ssm_study.cli show "$dir/results/smoke" | grep -A9 ' shown): '
+    python -m ssm_study.cli show "$dir/results/smoke" | grep -E -A9 '^[0-9]+ runs'
 }
 on_node() { # every process that Slurm has started there, and the one that would tell of their end
     started=$(grep -lz "^SLURMD_NODENAME=$1\$" /proc/[0-9]*/environ 2>/dev/null | cut -d/ -f3)
