@@ -110,6 +110,10 @@ class StudyCallback(Callback):
         if self.stop_watching:
             self.stop_watching()  # its last line comes before the table
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Ray sends this along with every job; a thread cannot travel, and there is nothing to watch there."""
+        return {}
+
 
 def _refusing(check: Callable[[], object]) -> None:
     """Hydra swallows the exceptions of callbacks, but not an exit."""
