@@ -43,10 +43,23 @@ class StateSpace(_Recurrence):
     def spectral_radius(self) -> float:
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
-    def held(self) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "p m"]]:
-        """`X = (I - A)^{-1} B` and `C X + D`: the states and outputs that constant inputs hold."""
-        to_state = np.linalg.solve(np.eye(self.order) - self.a, self.b)
-        return to_state, self.c @ to_state + self.d
+    @property
+    def integrates(self) -> bool:
+        """Whether one is an eigenvalue: constant inputs hold no state."""
+        return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
+
+    def held(self) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
+        """`X = A X + B V` and `C X + D V`: states, inputs and outputs of a basis of all rest points.
+
+        `V = I` and `r = m`, one for each constant input, but of a model that integrates.
+        """
+        m, left = self.b.shape[1], np.eye(self.order) - self.a
+        if self.integrates:
+            *_, basis = np.linalg.svd(np.hstack([left, -self.b]))
+            x, v = np.split(basis[np.linalg.matrix_rank(np.hstack([left, self.b])) :].T, [self.order])
+        else:
+            x, v = np.linalg.solve(left, self.b), np.eye(m)
+        return x, v, self.c @ x + self.d @ v
 
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None

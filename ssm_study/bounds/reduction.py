@@ -42,8 +42,8 @@ class Reduction:
             return model
         if self.absorb and hasattr(model, "absorbed"):
             model = model.absorbed()
-        if not self.balanced:
-            return model
+        if not self.balanced or (self.truncate_to is None and model.linear.spectral_radius >= 1):
+            return model  # a model that integrates has no such coordinates
         hankel = hankel_singular_values(model.linear)
         kept = int((hankel > self.drop_below * hankel[0]).sum())
         order = min(kept, self.truncate_to or model.linear.order)

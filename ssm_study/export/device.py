@@ -51,8 +51,9 @@ class SetPoints:
 class Device:
     """A controller rounded to `real`, with input limits `lower, upper (m,)`, physical; infinite where there is none.
 
-    `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, no constant input
-    reaches every output, or neurons stand between several inputs or outputs. Raises `BadRequest` for another `real`.
+    `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels, the model
+    integrates, no constant input reaches every output, or neurons stand between several inputs or outputs. Raises
+    `BadRequest` for another `real`.
     """
 
     controller: PortableController
@@ -78,9 +79,8 @@ class Device:
             return None
         if not isinstance(model, StateSpace):
             return self._along_curve(c, inward, outward)
-        rest = np.linalg.solve(np.eye(model.order) - model.a, model.b)  # x = A x + B v
-        gain = model.c @ rest + model.d
-        if np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) < len(gain):
+        rest, _, gain = model.held()
+        if model.integrates or np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) < len(gain):
             return None
         at_rest = np.pad(rest, ((0, len(c.a) - model.order), (0, 0)))
         exact = SetPoints(to_lifted=np.linalg.pinv(gain), at_rest=at_rest, seen=gain, inward=inward, outward=outward)

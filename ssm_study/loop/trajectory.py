@@ -52,9 +52,9 @@ def equilibrium(model: Model, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarr
     if isinstance(model, StructuredSSM):
         point = _newton(missing, slope, np.zeros(n + model.b.shape[1]), INVERSION_TOLERANCE * size)
     else:
-        to_state, gain = model.linear.held()
-        v = np.linalg.lstsq(gain, y_bar, rcond=None)[0]
-        point = np.concatenate([to_state @ v, v])
+        states, inputs, outputs = model.linear.held()
+        share = np.linalg.lstsq(outputs, y_bar, rcond=None)[0]
+        point = np.concatenate([states @ share, inputs @ share])
     problem = "no constant input of the model holds this scaled output"
     _reached(np.abs(missing(point)).max() <= REST_TOLERANCE * size, y_bar, problem, "")
     return point[:n], inverse(model.scaffold_in, point[None, n:])[0]
@@ -72,7 +72,8 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     reference held for ever would keep it.
     """
     system, (n, m) = model.linear, model.linear.b.shape
-    idle = scipy.linalg.null_space(system.held()[1], rcond=IDLE_SHARE).T  # at no cost of their own these would drift
+    _, inputs, outputs = system.held()
+    idle = (inputs @ scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)).T  # at no cost of their own these would drift
     target = inverse(model.scaffold_out, model.scale.scaled_output(reference))
     target = np.pad(target, ((0, 0), (0, len(idle))))
     f, g = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]]), np.vstack([system.b, np.eye(m)])

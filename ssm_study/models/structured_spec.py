@@ -135,6 +135,8 @@ class StructuredSpec(ModelSpec):
         at_least(0, "model.ridge", self.ridge, "use 1e-6")
         three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
         require(three, "model.start_steps", self.start_steps, "needs three numbers, at least 1", "use [15, 20, 10]")
+        told, remedy = "without neurons no integrator is set apart: a mode comes near one by itself", "use 1 or more"
+        require(not self.integrated or self.neurons > 0, "model.neurons", self.neurons, told, remedy)
         plain = not (self.integrated and self.output_knots)
         require(plain, "model.output_knots", self.output_knots, "an integrated output has a linear S_y", "use 0")
 
@@ -159,7 +161,7 @@ class StructuredSpec(ModelSpec):
             return self
         last = start == self.starts
         smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
-        return replace(smaller, neurons=0) if last else smaller
+        return replace(smaller, neurons=0, integrated=False) if last else smaller
 
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""

@@ -42,14 +42,17 @@ def release(
     x0 = np.array(visited)[np.linspace(0, len(visited) - 1, CASES + 2).astype(int)[1:-1]]
     slowest = -np.log(min(max(linear.spectral_radius, 1e-6), 1 - 1e-6))  # decay per sample of the slowest mode
     horizon = int(np.clip(np.ceil(TIME_CONSTANTS / slowest), *SAMPLES))
-    load = _loads(model, linear) if loaded else np.zeros((0, linear.b.shape[1]))
+    load = _loads(model, linear, horizon) if loaded else np.zeros((0, linear.b.shape[1]))
     still, none = np.zeros((len(load), model.order)), np.zeros((len(x0), linear.b.shape[1]))
     return np.concatenate([x0, still]), np.concatenate([none, load]), horizon
 
 
-def _loads(model: Model, linear: StateSpace) -> Float[np.ndarray, "L k"]:
+def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
     """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale; idle ones left out."""
-    held = linear.held()[0].T  # states that a unit of each channel holds
+    if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
+        held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
+    else:
+        held = linear.held()[0].T
     reach = np.linalg.norm(model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1)
     counts = reach > 1e-6 * reach.max()
     return np.concatenate([level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS])

@@ -81,7 +81,7 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
         return {}
     found = {EVERYWHERE: within_reach(partial(from_everywhere, known[0]))}
     known += [part for part in found.values() if isinstance(part, StateFeedbackOfBall)]
-    rest, gain = model.linear.held()
+    rest, _, gain = model.linear.held()
     signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=len(gain) - 1)])
     corners = rest @ np.linalg.pinv(gain) @ signs.T  # states at rest where every scaled output is one or minus one
     corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))

@@ -290,6 +290,7 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(data: DataSe
         ({"rate": 1.2}, "model.rate"),
         ({"slope_lower": 0.0}, "model.slope_lower"),
         ({"integrated": True, "output_knots": 4}, "model.output_knots"),
+        ({"integrated": True, "neurons": 0}, "model.neurons = 0: without neurons no integrator"),
     ],
 )
 def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) -> None:

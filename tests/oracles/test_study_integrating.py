@@ -5,6 +5,11 @@ import pytest
 
 import ssm_study as st
 from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.models.identified import SSM
+from ssm_study.study.verify import verify
+from ssm_study.systems import StateSpace
+
+FEW = ("+synthesis.input_weights=[0.01,1.0]", "+synthesis.output_noises=[0.01,1.0]", "+synthesis.stretch_shares=[0.3]")
 
 
 def moved(x: np.ndarray, volts: float) -> np.ndarray:
@@ -45,3 +50,77 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
             applied = np.clip(law.input(memory, seen, rest), *limits)
             memory, x = law.advance(memory, applied, seen, rest), moved(x, float(applied[0, 0]))
         assert x == pytest.approx([0, 0], abs=1e-3 * abs(start))
+
+
+def pushed(u: np.ndarray) -> np.ndarray:
+    """The position of a mass that friction slows, measured with noise."""
+    x, y, rng = np.zeros(2), [], np.random.default_rng(1)
+    for volts in u:
+        y.append(x[1] + 0.01 * rng.standard_normal())
+        x = moved(x, volts)
+    return np.array(y)
+
+
+def test_a_linear_model_with_its_integrator_goes_the_whole_way() -> None:
+    """No neuron is left of what is linear: the model has an eigenvalue of exactly one, and no balanced coordinates."""
+    u = np.random.default_rng(0).uniform(-1, 1, 60).repeat(10)
+    u = np.concatenate([u - u.mean(), np.zeros(60)])
+    words = (
+        "model.integrated=true",
+        "model.order=1",
+        "model.neurons=1",
+        "model.starts=1",
+        "model.among_starts=null",
+        "model.ridge=0.1",
+    )
+    model = st.fit(u, pushed(u), 0.05, *words, "data.equilibrium=zero")
+    assert isinstance(model.ssm, SSM)
+    assert model.ssm.linear.integrates
+    assert model.facts["fit_test_percent"] > 90
+    design = st.control(model, "synthesis=auto_integral", "loop.initial_conditions=2", *FEW)
+    assert design.certificate.certified
+    assert design.record["stable_fraction"] == 1
+    assert not [one.name for one in verify(design.folder) if not one.holds]
+    ends = st.simulate(design, np.array([0.5, -0.5])).groupby("case").last()
+    assert np.abs(ends["y"]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "c"),
+    [
+        ([[1.0]], [[0.1]], [[1.0]]),
+        ([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]]),
+        ([[0.8, 0.0], [0.05, 1.0]], [[0.2, 0.0], [0.0, 0.1]], [[0.0, 1.0], [1.0, 0.0]]),
+    ],
+    ids=["integrator", "double integrator", "two inputs"],
+)
+def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(a: list, b: list, c: list, tmp_path) -> None:
+    control, outputs = pytest.importorskip("control"), len(c)
+    asked = ("synthesis=riccati", "synthesis.rate_controller=0.05", "synthesis.rate_observer=0.05")
+    design = st.control(control.ss(a, b, c, np.zeros((outputs, len(b[0]))), 0.1), *asked)
+    assert design.certificate.certified
+    reach = design.within([-1.0] * len(b[0]), [1.0] * len(b[0]))
+    assert (reach.lower < 0).all()
+    assert (reach.upper > 0).all()
+    step = ("reference@loop.reference=step", "loop.reference.after=0.3", "loop.horizon_s=30")
+    ended = st.simulate(design, np.zeros((1, outputs)), *step).filter(like="y").iloc[-1]
+    assert ended.to_numpy() == pytest.approx(0.3, abs=1e-3)
+    assert "_reset" in design.to_c(tmp_path / "held.h").read_text()
+
+
+def test_the_points_at_rest_are_all_of_them() -> None:
+    """`(x, v)` with `x = A x + B v` have as many directions as inputs, whether the model integrates or not."""
+    rng = np.random.default_rng(0)
+    for integrators in (0, 1, 2):
+        for inputs in (1, 2, 3):
+            turn = np.linalg.qr(rng.standard_normal((4, 4)))[0]
+            modes = np.diag(np.where(np.arange(4) < integrators, 1.0, rng.uniform(-0.9, 0.9, 4)))
+            b, c, d = rng.standard_normal((4, inputs)), rng.standard_normal((2, 4)), rng.standard_normal((2, inputs))
+            system = StateSpace(a=turn @ modes @ turn.T, b=b, c=c, d=d)
+            x, v, y = system.held()
+            assert system.integrates == (integrators > 0)
+            assert x.shape[1] == max(inputs, integrators)
+            assert np.linalg.matrix_rank(np.vstack([x, v])) == x.shape[1]
+            assert system.a @ x + b @ v == pytest.approx(x, abs=1e-9)
+            assert y == pytest.approx(c @ x + d @ v)
+            assert integrators or (v == np.eye(inputs)).all()
