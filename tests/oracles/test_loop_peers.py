@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from loop_cases import BALLS, motor, motor_design, motor_model, motor_record, random_model
+from structured_cases import model as with_neurons
 
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
@@ -54,6 +55,25 @@ def test_pi_leaves_no_error_under_a_load():
         disturbance=StepDisturbance(size=-0.2, at_s=2.0),
     )
     assert behaviour(loop.on_plant(plant, tyreus_luyben(motor_model()), seed=0))["final_error_worst"] < 1e-3
+
+
+@pytest.mark.parametrize("name", ["lqg", "mpc"])
+def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest(name):
+    """Differences are the second route; the gains are those of that linear system, and not of A and B alone."""
+    model = with_neurons()
+    known, n, m = Identified(model=model, balls=BALLS, validation=(motor_record(),)), model.order, model.b.shape[1]
+    points = 1e-6 * np.eye(n + m)
+    moved = (model.advance(points[:, :n], points[:, n:]) - model.advance(-points[:, :n], -points[:, n:])).T / 2e-6
+    seen = known.without_neurons.linear
+    assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
+    built, _ = compared(name, motor(), known)
+    without = compared(
+        name, motor(), Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),))
+    )
+    assert built.gains.k == pytest.approx(without[0].gains.k)
+    plain = replace(known.without_neurons, linear=model.linear)
+    blind = compared(name, motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),)))
+    assert built.gains.k != pytest.approx(blind[0].gains.k, rel=1e-3)
 
 
 def test_lqg_is_optimal_for_the_linear_part():

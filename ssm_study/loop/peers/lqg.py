@@ -45,7 +45,7 @@ class LqgPeer(Peer, names=("lqg",)):
     """With the weights of `synthesis=riccati` and the sensor's own noise; one input scale drives the states."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> ObserverFeedback:
-        return lqg(known.model, weights_of(plant, known, rate))
+        return lqg(known.without_neurons, weights_of(plant, known, rate))
 
 
 def weights_of(plant: Plant, known: Identified, rate: float) -> Synthesis:

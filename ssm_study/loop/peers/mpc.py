@@ -75,6 +75,9 @@ class MpcPeer(Peer, names=("mpc",)):
 
     def build(self, plant: Plant, known: Identified, rate: float) -> MPC:
         weights = weights_of(plant, known, rate)
-        moved, gains = np.concatenate([record.u for record in known.validation]), lqg(known.model, weights).gains
+        moved, gains = (
+            np.concatenate([record.u for record in known.validation]),
+            lqg(known.without_neurons, weights).gains,
+        )
         limits = {"input_lower": moved.min(axis=0), "input_upper": moved.max(axis=0)}
-        return MPC(model=known.model, gains=gains, weights=weights, **limits)
+        return MPC(model=known.without_neurons, gains=gains, weights=weights, **limits)

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 from ssm_study.family import Family
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.models.identified import SSM
+from ssm_study.models.structured import Model
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
+from ssm_study.synthesis.area import at_rest
 from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
 from ssm_study.synthesis.prediction import predict
@@ -29,17 +31,25 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 class Identified:
     """What every controller may know: the model, the balls of its Jacobians, the validation record."""
 
-    model: SSM
+    model: Model
     balls: Balls
     validation: tuple[Trajectory, ...]
     trials: tuple[Trajectory, ...] = ()
     start_up_samples: int = 0
 
     @classmethod
-    def of(cls, model: SSM, balls: Balls, data: DataSet) -> "Identified":
+    def of(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
         """The model beside the records that may be known."""
         records = {name: getattr(data, name) for name in ("validation", "trials", "start_up_samples")}
         return cls(model=model, balls=balls, **records)
+
+    @cached_property
+    def without_neurons(self) -> SSM:
+        """What a textbook's design takes the model for: neurons by their slopes at rest, within A, B, C and D."""
+        if isinstance(self.model, SSM):
+            return self.model
+        parts: dict[str, Any] = {n: getattr(self.model, n) for n in ("scaffold_in", "scaffold_out", "scale", "step_s")}
+        return SSM(linear=at_rest(self.model), **parts)
 
     @cached_property
     def shown(self) -> Mismatch:

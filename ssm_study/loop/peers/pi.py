@@ -101,4 +101,4 @@ class PiPeer(Peer, names=("pi",)):
     """Tyreus and Luyben's rule on the linearised model."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> PI:
-        return tyreus_luyben(known.model)
+        return tyreus_luyben(known.without_neurons)
