@@ -31,6 +31,10 @@ def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequ
     if "Config group override" in said:
         return BadRequest("request", asked, "a group takes the name of one of its choices", ASK)
     if found := re.search(r"Could not override '([^']+)'", said):
+        if at := places(found[1], said, folder):
+            value = next((word.partition("=")[2] for word in overrides if word.split("=")[0] == found[1]), "VALUE")
+            remedy = " or ".join(f"{place}={value}" for place in at)
+            return BadRequest("request", asked, f"{found[1]} is named with its place", f"did you mean {remedy}?")
         return BadRequest("request", asked, said, meant(found[1], overrides, folder) or ASK)
     return BadRequest("request", asked, said, ASK)
 
@@ -69,12 +73,22 @@ def meant(key: str, overrides: list[str], folder: Path) -> str:
         return f"{' and '.join(owners)} {'have' if len(owners) > 1 else 'has'} it: add {owners[0]}"
     GlobalHydra.instance().clear()  # of the request that failed
     with initialize_config_dir(str(folder), version_base="1.3"):
-        chosen = [word for word in overrides if (group := word.partition("=")[0]) and (folder / group).is_dir()]
+        chosen = [
+            word for word in overrides if (name := word.split("=")[0]) not in ("", key) and (folder / name).is_dir()
+        ]
         config = compose("study", [word.split(",")[0] for word in chosen])  # of a sweep the first choice
     groups = [path.name for path in folder.iterdir() if path.is_dir()]
     known = [*keys_of(config), *groups]
     near = get_close_matches(key, known, n=1) or [group for group in groups if len(key) > 2 and group.startswith(key)]
     return f"did you mean {near[0]}?" if near else ""
+
+
+def places(group: str, said: str, folder: Path) -> list[str]:
+    """`reference` -> `[reference@loop.reference]`: as Hydra says, or of a group that is in no request, as we add it."""
+    if found := re.search(r"Did you mean to override (?:one of )?(.+)\?", said):
+        return found[1].split(", ")
+    texts = [path.read_text() for path in sorted((folder / "experiment").glob("*.yaml"))]
+    return sorted({f"+{place}" for text in texts for place in re.findall(rf"/({group}@[\w.]+)", text)})
 
 
 def choices_with(key: str, folder: Path) -> list[str]:
