@@ -11,7 +11,7 @@ import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import wraps
+from functools import cache, wraps
 from inspect import isclass, isfunction
 from pkgutil import resolve_name
 from typing import Any
@@ -66,23 +66,26 @@ calls: Counter[Callable[..., Any]] = Counter()
 
 
 def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
-    """`jaxtyping.jaxtyped`, which the import hook puts on all that it loads, for the first calls of a function."""
+    """`jaxtyping.jaxtyped`, which the import hook puts on all that it loads: made and used at first calls alone."""
 
     def decorated(part: Any) -> Any:
+        if isfunction(part):
+            return first(part, cache(lambda: jaxtyped(part, typechecker=typechecker)))
         plain = part.__init__ if isclass(part) else part
         checked = jaxtyped(part, typechecker=typechecker)
         if isclass(part) and part.__init__ is not plain:  # a dataclass
-            part.__init__ = first(plain, part.__init__)
-        return first(plain, checked) if isfunction(part) else checked
+            part.__init__ = first(plain, lambda init=part.__init__: init)
+        return checked
 
     return decorated
 
 
-def first(plain: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
+def first(plain: Callable[..., Any], checked: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
     @wraps(plain)
     def either(*given: Any, **named: Any) -> Any:
         calls[plain] += 1
-        return (checked if calls[plain] <= CHECKED_CALLS else plain)(*given, **named)
+        unchecked = calls[plain] > CHECKED_CALLS or jaxtyping.config.jaxtyping_disable
+        return (plain if unchecked else checked())(*given, **named)
 
     return either
 
