@@ -1,9 +1,7 @@
 """`u = S_u^{-1}(K xh)`: the input map is known and strictly monotone, so the law can command what is behind it.
 
-Then `v = S_u(u) = K xh` exactly: all of design, prediction and certificate are those of the model with the identity in
-the place of `S_u`, its input v, the ball `alpha = 1, beta = 0`. What the records show of the mismatch is taken relative
-to v. A deviation from v, at a limit of u, is known to the observer. Through a dead zone the law asks for several times
-the input. Source: docs/theory.md, "With neurons".
+A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the law asks for several
+times the input. Source: docs/theory.md, "With neurons".
 """
 
 from dataclasses import replace

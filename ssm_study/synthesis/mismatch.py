@@ -1,23 +1,13 @@
 """How far a plant is from its model, as its records show it: `e = y - y_model`, at each amplitude, noise removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows of `e` holds where
-it has been, so there is one `View` for each amplitude. Within a view
+it has been, so there is one `View` for each amplitude:
 
     in total        g    = ||e||_2 / ||u||_2
     by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands in for it
     split           e    = Q y_model + r,   Q = S_(e, y_model) / S_(y_model),   g_r(w) = sqrt(S_r(w) / S_u(w))
 
-Q is linear in what the model says (another gain at this amplitude, a lag: -1 where the plant holds still), and the loop
-answers it with a phase; r is whatever is not linear, and counts by size alone, so that nothing is hidden.
-
-Sensor noise is removed only where an input repeats: what does not repeat is noise (or motion of the plant's own, which
-shows at rest); elsewhere it counts as mismatch. A record at rest input that does not come to rest is a mismatch of
-infinite gain.
-
-In a closed loop `u = T_ue e` whatever e is: noise and the start alone show g = 1 / |T_ue|, the very gain that the loop
-just fails to tolerate. So a trial in closed loop counts only if its output does not come to rest (`MOVING`), and of e
-only what neither the initial state nor the noise explains: the gain that sustains a limit cycle. Source:
-docs/theory.md, "Small gain for the plant"; docs/trust.md for what was measured.
+r counts by size alone. What counts, and trials in closed loop (`MOVING`): docs/trust.md, "What is measured for it".
 """
 
 from dataclasses import dataclass
