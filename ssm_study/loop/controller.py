@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ssm_study.bounds.inverse import Inverse, inverse_of
+from ssm_study.bounds.network import Inverse, inverse_of
 from ssm_study.loop.trajectory import Plan, Reference, feasible_trajectory, guided_trajectory, set_points
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.bounds.inverse import inverse_of
+from ssm_study.bounds.network import inverse_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model
@@ -49,13 +49,6 @@ def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch
     """What the records show relative to what a design, or a specification, commands; `shown` is relative to u."""
     undone = law.inverts if isinstance(law, Design) else law.invert_input
     return shown_behind(model, data.validation, data.start_up_samples, data.trials) if undone else shown
-
-
-def measured(
-    design: Design, model: Model, records: Trajectories, start_up_samples: int, trials: Trajectories
-) -> Mismatch:
-    """What the records show relative to what the design commands."""
-    return (shown_behind if design.inverts else mismatch)(model, records, start_up_samples, trials)
 
 
 def inverting(design: Design) -> Design:
