@@ -8,10 +8,10 @@ from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
-from ssm_study.loop.reference import SineReference, StepReference
+from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import STAYED
-from ssm_study.plants.disturbance import StepDisturbance
+from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 
 LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
@@ -21,7 +21,7 @@ def controller() -> ObserverFeedback:
 
 
 @pytest.mark.parametrize(
-    "reference", [StepReference(before=0.0, after=6.0, at_s=0.2), SineReference(amplitude=4.0, frequency_hz=2.0)]
+    "reference", [StepReference(before=0.0, after=6.0, at_s=0.2), PeriodicDisturbance(amplitude=4.0, frequency_hz=2.0)]
 )
 def test_a_batch_is_its_rows(reference):
     loop = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference)
