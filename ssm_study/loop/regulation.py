@@ -104,11 +104,9 @@ def answers_at_once(model: Model) -> bool:
     return through or bool(model.linear.d.any())
 
 
-SAMPLES = (150, 1500)
-"""Shortest and longest horizon unless told otherwise; 150 are 1.5 s on the motor, seven times its uncontrolled mean."""
+SAMPLES = (150, 1500)  # shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
 RESPONSES = 4  # horizon, in lengths of the model's own response
-REMAINDER = 0.01
-"""The response's length: what is left of `sum |C A^k B|` behind it is this share of the whole."""
+REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of the response
 
 
 @dataclass(frozen=True, kw_only=True)

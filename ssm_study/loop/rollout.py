@@ -12,18 +12,16 @@ from ssm_study.loop.controller import Controller
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 
+# An estimate (scaled), or an input in the plant's own amplitudes from rest, beyond this counts as having left the
+# bound: the plant may saturate while the estimate grows without end.
 LARGEST_SIGNAL = 1e6
-"""An estimate (scaled), or an input in the plant's own amplitudes from rest, beyond this counts as having left the
-bound: the plant may saturate while the estimate grows without end."""
 STAYED = -1  # `left_at_sample` of a case that never left the bound
 UNLIMITED = (-np.inf, np.inf)
 Limit = float | Float[np.ndarray, "*m"]
 Limits = tuple[Limit, Limit]
 Shrinks = Float[np.ndarray, "N"]
-DWELL = 0.1
-"""The share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest."""
-STEADY = 0.9
-"""A case whose largest error in the last quarter is below this share of the one before it is still on its way."""
+DWELL = 0.1  # share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest
+STEADY = 0.9  # a case whose largest error in the last quarter is below this share of the one before is still on its way
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,9 +21,9 @@ from ssm_study.systems import StateSpace
 Vector = Float[np.ndarray, "_"]
 Reference = Float[np.ndarray, "T p"]
 Plan = Float[np.ndarray, "T t"]  # what is followed at each sample
+# Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
+# samples and not in one violent one.
 SMOOTHNESS = 1.0
-"""Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
-samples and not in one violent one."""
 IDLE_SHARE = 1e-9  # of the largest static gain: a direction of inputs below this moves no output
 NEWTON_STEPS = 100
 INVERSION_TOLERANCE = 1e-10  # residual of `S(v) = w` in scaled units, where one unit is the spread of the signal

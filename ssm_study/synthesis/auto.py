@@ -75,14 +75,12 @@ class Auto:
             if rate != "auto":
                 contraction_rate(f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1')
         require(self.margin > 0, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
-        for name in ("stretch_shares", "observer_rates"):
-            grid = getattr(self, name)
-            inside = len(grid) > 0 and all(0 < value < 1 for value in grid)
-            require(inside, f"synthesis.{name}", grid, "must hold numbers in (0, 1)", "keep the default grid")
-        for name in ("input_weights", "output_noises", "integral_weights"):
-            grid = getattr(self, name)
-            above = (len(grid) > 0 or name == "integral_weights") and all(0 < value < np.inf for value in grid)
-            require(above, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
+        for name in ("stretch_shares", "observer_rates", "input_weights", "output_noises", "integral_weights"):
+            grid, shares = getattr(self, name), name in ("stretch_shares", "observer_rates")
+            fits = len(grid) > 0 or name == "integral_weights"
+            fits = fits and all(0 < value < (1 if shares else np.inf) for value in grid)
+            told = "numbers in (0, 1)" if shares else "positive numbers"
+            require(fits, f"synthesis.{name}", grid, f"must hold {told}", "keep the default grid")
         frequencies(self.internal_model)
 
     @property

@@ -89,13 +89,11 @@ def worst(
         if shared is None:
             answer, open_loop = frequency_response(loop, angles), frequency_response(linear, angles)
         else:
-            on_grid = np.isin(angles, grid)
-            answer = np.empty((len(angles), *loop.d.shape), dtype=complex)
-            open_loop = np.empty((len(angles), *linear.d.shape), dtype=complex)
-            answer[on_grid] = shared.of(linear, pair.k, pair.modes, [own.l], *slope)[0]
-            open_loop[on_grid] = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
-            answer[~on_grid] = frequency_response(loop, angles[~on_grid])
-            open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])
+            extra = np.setdiff1d(angles, grid)
+            at, on_grid = np.searchsorted(grid, extra), shared.of(linear, pair.k, pair.modes, [own.l], *slope)[0]
+            answer = np.insert(on_grid, at, frequency_response(loop, extra), axis=0)
+            on_grid = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
+            open_loop = np.insert(on_grid, at, frequency_response(linear, extra), axis=0)
         moved = slope[0] * slope[1] * open_loop @ answer
         through = moved[:, 0, 0] if answer.shape[1:] == open_loop.shape[1:] == (1, 1) else None
         parts = _Loop(angles=angles, size=loops.sizes(answer), through=through, integrates=integrates)
