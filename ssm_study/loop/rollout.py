@@ -30,7 +30,8 @@ class Rollouts:
 
     `y` is the true output, `measured` what the controller saw, `estimate` its state estimate (the model's scaled
     state, width 0 if it has none). A case that leaves `|y - y_eq| <= bound` is stopped there: `left_at_sample` says
-    when (`STAYED` if never), and from then on its signals repeat the last values inside the bound.
+    when (`STAYED` if never), and from then on its signals repeat the last values inside the bound. One that starts
+    outside repeats its start, with the input at rest: none was applied.
     """
 
     step_s: float
@@ -85,6 +86,8 @@ def close_loop(
         inside = (np.abs(y - rest.y) <= bound).all(axis=1) & (np.abs(sizes) < LARGEST_SIGNAL).all(axis=1)
         if not inside.all():  # only those that stay go on
             left[going[~inside]] = k
+            for name, value in {"u": np.tile(rest.u, (len(y), 1)), "y": y, "measured": seen, "states": x}.items():
+                log[name][going[~inside], k:] = value[~inside, None]
             x, y, seen, u, memory, going = (part[inside] for part in (x, y, seen, u, memory, going))
             controller = controller.among(inside)
         values = {"u": u, "y": y, "measured": seen, "states": x, "estimate": controller.estimate(memory)}
