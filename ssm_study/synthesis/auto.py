@@ -234,6 +234,8 @@ class Auto:
         An expected area is never below the area, so the search ends where the areas exceed the expected ones found,
         and goes on only where none of those is taken (the gains of a verified design may differ from its candidate's).
         """
+        if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
+            return
         pairs = np.argwhere(self.margin * peaks < 1)
         gains = candidates.gains(pairs)
         pairs = pairs[controller_radius(model.system, gains, balls) < 1]
