@@ -17,7 +17,7 @@ import pandas as pd
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.reference import RampReference, SineReference, StepReference
+from ssm_study.loop.reference import StepReference
 from ssm_study.plants.disturbance import NoDisturbance, PeriodicDisturbance, RampDisturbance
 from ssm_study.report import style
 from ssm_study.study.run_files import RunFiles
@@ -28,8 +28,8 @@ TURNING = StepReference(before=0.0, after=8.0, at_s=0.0)
 SITUATIONS = {
     "sine load": (TURNING, PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ)),
     "ramp load": (TURNING, RampDisturbance(slope_per_s=0.001, from_s=2.0, until_s=100.0)),
-    "sine reference": (SineReference(amplitude=4.0, frequency_hz=HERTZ), NoDisturbance()),
-    "ramp reference": (RampReference(slope_per_s=1.0, from_s=0.0, until_s=100.0), NoDisturbance()),
+    "sine reference": (PeriodicDisturbance(amplitude=4.0, frequency_hz=HERTZ), NoDisturbance()),
+    "ramp reference": (RampDisturbance(slope_per_s=1.0, from_s=0.0, until_s=100.0), NoDisturbance()),
 }
 
 

@@ -55,7 +55,7 @@ def _synthesis(*names: str) -> tuple[str, ...]:
 
 REFUSES, EXACT = "tests/refusals/test_synthesis_refuses.py", "tests/oracles/test_synthesis_exact.py"
 BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.py"
-LIMITS = "tests/oracles/test_synthesis_largest_rate.py tests/oracles/test_synthesis_frontier.py"
+LIMITS = "tests/oracles/test_synthesis_frontier.py"
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"

@@ -24,7 +24,7 @@ import ssm_study as st
 from benchmarks.feedback_shares import drawn, levels, opened
 from ssm_study.evidence.feedback import runs_away
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
-from ssm_study.evidence.judgement import judge
+from ssm_study.evidence.metrics import judge
 from ssm_study.evidence.own_motion import shares_predicted
 from ssm_study.models.metrics import Simulation
 from ssm_study.synthesis.mismatch import mismatch

@@ -19,7 +19,7 @@ from typing import Any
 from benchmarks.adversarial.__main__ import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.judgement import judge
+from ssm_study.evidence.metrics import judge
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
 from ssm_study.synthesis.mismatch import mismatch

@@ -43,6 +43,7 @@ from ssm_study.study import line
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated, write_json
 from ssm_study.synthesis import certificate
+from ssm_study.synthesis.area import at_rest
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
 from ssm_study.systems import StateSpace
 from ssm_study.table.gather import gather
@@ -95,9 +96,7 @@ class Model:
         """
         import control as python_control
 
-        model, linear = self.ssm, self.ssm.linear
-        if isinstance(model, StructuredSSM):
-            linear = model.linearised(np.zeros(model.order), np.zeros(linear.b.shape[1]))
+        model, linear = self.ssm, at_rest(self.ssm)
         inward, outward = (one.jacobian(np.zeros(one.inputs)) for one in (model.scaffold_in, model.scaffold_out))
         inward, outward = inward / model.scale.input_scale, model.scale.output_scale[:, None] * outward
         matrices = linear.a, linear.b @ inward, outward @ linear.c, outward @ linear.d @ inward

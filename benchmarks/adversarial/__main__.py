@@ -23,7 +23,7 @@ import yaml
 from hydra import compose, initialize_config_dir
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.evidence.judgement import judge
+from ssm_study.evidence.metrics import judge
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation

@@ -1,11 +1,9 @@
 """The Jacobian ball of a network by semidefinite programming: LipSDP with the centre of the ball among the unknowns.
 
-Each neuron obeys `(d - lo q)(hi q - d) >= 0` between two inputs, with its own slopes `lo <= hi`; if for some diagonal
-`T >= 0` and a centre C
+Neurons of slopes `lo <= hi`, a diagonal `T >= 0`: every Jacobian lies in the ball of centre C and radius L if
 
     L^2 |v|^2 - |W d - C v|^2 - 2 sum_l (d_l - lo q_l)^T T_l (hi q_l - d_l) >= 0     for all v, d  (q_l = W_l d_{l-1})
 
-then `N(v) - C v` has Lipschitz constant L, so every Jacobian lies in the ball around C with radius L.
 Source: Fazlyab et al. 2019, eq. (10) (C = 0 there; here the inequality is linear in C as well, so C is optimised).
 """
 

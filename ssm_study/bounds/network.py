@@ -1,4 +1,4 @@
-"""A leaky-ReLU network written around its value at zero, so that `N(0) = 0` holds to the last bit.
+"""A leaky-ReLU network written around its value at zero, so that `N(0) = 0` to the last bit; its slopes and inverse.
 
 The scaffolding of [Z26] section IV.
 """
@@ -110,6 +110,7 @@ class PortableMap:
 
 Exact = tuple[np.ndarray, int]  # integers and bits: the value is integers / 2^bits
 End = Fraction | float  # of an interval; a float only where it is infinite
+Row = Float[np.ndarray, "_"]
 
 
 @dataclass(frozen=True)
@@ -123,20 +124,15 @@ class _Piece:
     bits: int
 
 
-def slope_values(network: Network) -> list[Fraction]:
-    """Every slope the network takes, from left to right. Raises `BadRequest` for more than one channel.
+def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
+    """The exact `[mu, nu]`: the least and the greatest slope. Raises `BadRequest` for more than one channel.
 
     Between break points the network is affine; sorting them and listing the pieces gives all slopes. Weights are
     floats, hence dyadic rationals: slopes and offsets are integers over one power of two per layer, and only the break
     points are fractions. Nothing is rounded. It corrects the lower bound of [Z26] (docs/theory.md).
     """
     last, bits = _integers(network.weights[-1])
-    return [Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits)) for piece in _pieces(network)]
-
-
-def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
-    """The exact `[mu, nu]`: the least and the greatest slope over all pieces."""
-    values = slope_values(network)
+    values = [Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits)) for piece in _pieces(network)]
     return min(values), max(values)
 
 
@@ -184,3 +180,69 @@ def _between(low: End, high: End) -> Fraction:
     if isinstance(low, Fraction):
         return low + 1 if high == inf else (low + Fraction(high)) / 2
     return Fraction(high) - 1 if high != inf else Fraction(0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inverse:
+    """`v = matrix w`, or per channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
+
+    j is the count of `points <= w`.
+    """
+
+    matrix: Float[np.ndarray, "m k"] | None = None
+    channels: tuple[tuple[Row, Row, Row], ...] = ()
+
+    def __call__(self, w: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch m"]:
+        if self.matrix is not None:
+            return w @ self.matrix.T
+        v = np.empty_like(w)
+        for c, (points, slopes, offsets) in enumerate(self.channels):
+            piece = np.searchsorted(points, w[..., c], side="right")
+            v[..., c] = slopes[piece] * w[..., c] + offsets[piece]
+        return v
+
+
+def inverse_of(portable: PortableMap) -> Inverse | None:
+    """The inverse, as exact as its slopes; None for a map that couples its channels or is not strictly monotone.
+
+    A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece. Source:
+    docs/theory.md, "With neurons".
+    """
+    gain = portable.linear
+    if portable.network is None:
+        regular = len(set(gain.shape)) == 1 and np.linalg.matrix_rank(gain) == len(gain)
+        return Inverse(matrix=np.linalg.inv(gain)) if regular else None
+    found = [_scalar(channel) for channel in _channels(portable)]
+    channels = tuple(channel for channel in found if channel is not None)
+    return Inverse(channels=channels) if found and len(channels) == len(found) else None
+
+
+def _channels(portable: PortableMap) -> list[PortableMap]:
+    """One scalar map per channel; none if a neuron sees or moves two of them."""
+    net, gains = portable.network, np.diagonal(portable.linear)
+    if portable.linear.shape == (1, 1):
+        return [portable]
+    assert net is not None
+    inner, outer = net.weights[0], net.weights[-1]
+    diagonal = np.array_equal(portable.linear, np.diag(gains))
+    apart = ((inner != 0).sum(axis=1) <= 1).all() and not np.any((outer.T != 0) & (inner == 0))  # one in, same out
+    if len(net.biases) > 1 or not diagonal or not apart:
+        return []
+    found = []
+    for c, gain in enumerate(gains):
+        own = inner[:, c] != 0
+        layers = {name: (getattr(net, name)[0][own],) for name in ("biases", "negative_slopes", "positive_slopes")}
+        network = Network(weights=(inner[own, c : c + 1], outer[c : c + 1, own]), **layers)
+        found.append(PortableMap(linear=np.array([[gain]]), network=network))
+    return found
+
+
+def _scalar(portable: PortableMap) -> tuple[Row, Row, Row] | None:
+    knots = np.unique([float(t) for t in break_points(portable.as_network())])  # pieces of one slope share a point
+    t = np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]]) if len(knots) else np.array([-1.0, 1.0])
+    w = portable(t[:, None])[:, 0]
+    t, w = (t[::-1], w[::-1]) if w[-1] < w[0] else (t, w)  # a falling map, from its other end
+    if not (np.diff(w) > 0).all():
+        return None
+    slopes = np.diff(t) / np.diff(w)  # of the inverse
+    return w[1:-1].copy(), slopes, t[:-1] - slopes * w[:-1]

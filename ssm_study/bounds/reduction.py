@@ -9,12 +9,10 @@ from ssm_study.refusal import at_least, require
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """`x = T z` with equal, diagonal Gramians; then keep the states that carry something.
+    """`x = T z` with equal, diagonal Gramians; then keep the states that carry something: conf/reduction/balanced.yaml.
 
-    `truncate_to` leaves that many states (None: all). `drop_below` drops, in any case, states whose Hankel singular
-    value is below this share of the largest: modes that the controller could hardly move, in coordinates that floats do
-    not hold. `absorb` first moves rotations and gains of multi-channel scaffoldings into B and C (`SSM.absorbed`).
-    `balanced=False` keeps the model's coordinates.
+    `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates that floats do not
+    hold. `absorb` is `SSM.absorbed`, done first.
     """
 
     balanced: bool = True

@@ -1,10 +1,9 @@
 """Was the log made in a closed loop? There, what is new in the output is found again in the input.
 
-What the last `PAST` inputs do not predict of an output, `v`, and of an input, `w`: without feedback the input to come
-knows nothing of `v`, whatever the plant. With feedback, past and present `v` predict a share of `w`. Fitted to one half
-of each record and scored on the other. The steps of a reference are new in the input too, and large: `w` is clipped.
-A reference that jumps every few samples still hides a loop, and so does a loop without noise.
-Source: Caines & Chan, IEEE Trans. Automatic Control 20 (1975) 498-508.
+`v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with feedback `v` predicts a
+share of `w`, fitted to one half of each record and scored on the other. A reference's steps are new in the input too,
+and large: `w` is clipped. What hides a loop: docs/trust.md. Source: Caines & Chan, IEEE Trans. Automatic
+Control 20 (1975) 498-508.
 """
 
 import math

@@ -1,17 +1,62 @@
-"""The columns of the evidence, and what it does to a prediction."""
+"""All findings together: one level, and why; the columns they fill, and what they do to a prediction."""
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, get_args
 
 from ssm_study.columns import Column
-from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.judgement import Judgement
-
-NOT_KEPT = "where the training records cannot be made or read again"
+from ssm_study.evidence import feedback, fit, own_motion, records, response
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, note
+from ssm_study.models.metrics import NOT_KEPT, Simulation
+from ssm_study.models.structured import Model
+from ssm_study.refusal import one_of, require
+from ssm_study.signals import DataSet
+from ssm_study.synthesis.mismatch import Mismatch
 
 COLUMNS = (
     Column("evidence", "string", word="Evidence", unchecked=NOT_KEPT),
     Column("evidence_reasons", "string", word="What the evidence lacks", unchecked=NOT_KEPT),
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """The worst level of the findings: `sound` (notes at most), `doubt` or `cannot judge`."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def level(self) -> str:
+        levels = {finding.level for finding in self.findings}
+        return next((level for level in (CANNOT_JUDGE, DOUBT) if level in levels), SOUND)
+
+    @property
+    def reasons(self) -> str | None:
+        """What speaks against the plant's judgement, the gravest first; notes follow where there is nothing else."""
+        told = sorted(self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level))
+        return " ".join(f"{finding.level}: {finding.sentence}" for finding in told) or None
+
+    def to_json(self) -> list[dict[str, str]]:
+        return [asdict(finding) for finding in self.findings]
+
+    @classmethod
+    def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
+        """Raises `BadRequest` for what is no list of findings."""
+        for k, entry in enumerate(content if isinstance(content, list) else [content]):
+            sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
+            require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
+            one_of(get_args(Level), f"evidence.json [{k}].level", entry["level"])
+        return cls(findings=tuple(Finding(**entry) for entry in content))
+
+
+def judge(data: DataSet, model: Model, validation: Simulation, test: Simulation, shown: Mismatch) -> Judgement:
+    """Every finding about these records, this model and the mismatch that they show."""
+    case = Case(data=data, model=model, validation=validation, test=test)
+    found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *feedback.findings(case)]
+    found += own_motion.findings(case) + fit.whiteness(case)
+    if "split" in data.metadata:
+        found.append(note(f"The log was cut {data.metadata['split']}."))
+    return Judgement(findings=tuple(found))
 
 
 def evidence_facts(judgement: Judgement) -> dict[str, Any]:

@@ -1,8 +1,7 @@
 """Does the output follow from the input, or from where it is? A limit cycle's phase is in no input.
 
-A plant that comes to rest has forgotten where it started once its response is over; then the input alone is left to
-predict from. So a piece of a log is predicted as well by a free run from the beginning of the log as by one from the
-piece's own estimated state. Of a plant that moves by itself the piece's state tells what no input does.
+Where the input decides, a piece of a log is predicted as well from the log's beginning as from the piece's own
+estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
 """
 
 import numpy as np

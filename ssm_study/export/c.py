@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.inverse import Inverse
-from ssm_study.bounds.network import PortableMap
+from ssm_study.bounds.network import Inverse, PortableMap
 from ssm_study.export.device import REALS, Device
 from ssm_study.export.rest_points import Joined
 from ssm_study.models.structured import NEURONS

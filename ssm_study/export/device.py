@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.inverse import Inverse, inverse_of
-from ssm_study.bounds.network import PortableMap
+from ssm_study.bounds.network import Inverse, PortableMap, inverse_of
 from ssm_study.export.portable import PortableController, Vector, in_floats, times
 from ssm_study.export.rest_points import Curve, Joined, curve, reached
 from ssm_study.refusal import one_of

@@ -1,15 +1,8 @@
-"""The certified bound of the output feedback, sample by sample.
+"""The certified bound of the output feedback, sample by sample: docs/closed_loop.md, "The experiment".
 
 With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] = ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <= r_c d[k] + c e[k]`
-and Theorem 2 `e[k+1] <= r_o e[k]`, so
-
-    d[k] <= r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i,        c = nu ||M^{1/2} B||_2 ||K Q^{-1/2}||_2,
-
-`r = sqrt(1 - rate)` and `nu` the largest slope of `S_u`: the input that the estimate's error adds is at most
-`nu ||K (xh - x)||`. With neurons it also acts through them, see `input_gain`. Source: [Z26] Lemma 1 and Theorem 3,
-with the constant made explicit.
-
-With limited inputs the certificate of `theorems/limited_input.py` takes the state feedback's place.
+and Theorem 2 `e[k+1] <= r_o e[k]`. With limited inputs the certificate of `theorems/limited_input.py` takes the state
+feedback's place. Source: [Z26] Lemma 1 and Theorem 3, with the constant made explicit (`input_gain`).
 """
 
 from itertools import product
@@ -52,7 +45,7 @@ def _in_metric(rows: Estimates, feedback: StateFeedback) -> Float[np.ndarray, "N
 def certified_bound(
     d0: Float[np.ndarray, "N"], e0: Float[np.ndarray, "N"], samples: int, feedback: StateFeedback, observer: Observer
 ) -> Float[np.ndarray, "N T"]:
-    """The right-hand side above for `k = 0 .. samples - 1`."""
+    """`r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i` for `k = 0 .. samples - 1`, `r = sqrt(1 - rate)`."""
     c, bound, error = input_gain(feedback, observer), np.empty((len(d0), samples)), e0
     bound[:, 0] = d0
     for k in range(1, samples):
@@ -102,10 +95,8 @@ def decay_rate(x: States, x_hat: Estimates, feedback: StateFeedback, observer: O
 def excess(x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer) -> float | None:
     """`max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples: how far an estimate leaves what is certified.
 
-    On the model from `x0`, `||xh||_M <= ||x||_M + kappa ||xh - x||_Q <= b[k] = d[k] + kappa r_o^k e[0]` with `d` the
-    bound above and `kappa = ||M^{1/2} Q^{-1/2}||_2`, so the value is 0 there; `M` belongs to state and integrators,
-    `Q` to the state. On a plant, whose state is not the model's, nothing is certified: the value says, as a share of
-    the bound's start, how far noise and model error push the loop beyond the certificate. None if all cases start at 0.
+    `b[k]` is the bound above plus `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M`
+    belongs to state and integrators, `Q` to the state. None if all cases start at 0.
     """
     d, e = distances(x0[:, None], x_hat[:, :1], feedback, observer)
     samples, into_state = x_hat.shape[1], np.eye(len(feedback.p), len(observer.q))

@@ -23,14 +23,10 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Every controller in every situation; one row each.
+    """Every controller in every situation; one row each: docs/closed_loop.md, "Robustness".
 
-    Situations: `nominal`; `load_step` (a constant `load`, unit of the plant's first disturbance, from a third of the
-    horizon), `load_pulse` (until half of it), `load_periodic` (at `load_frequency_hz`); `noise_free`, `noise_4x`
-    (four times the variance); `saturation` (inputs cut at `reach_share` of the plant's excitation amplitude, unknown
-    to the controller); `delay` (one sample, unknown); `spread` (`spread_plants` plants whose `spread_fields` are off by
-    up to `spread_share`, a Latin hypercube). What a plant cannot show (no disturbance, no fields) is left out.
-    `own_pi`: the controller that the plant has today, its gain (input per output) and integral time (s), as `own_pi`.
+    `load`, in the unit of the plant's first disturbance, begins at a third of the horizon; `load_pulse` ends at half of
+    it. What a plant cannot show (no disturbance, no fields) is left out.
     """
 
     controllers: Sequence[str] = field(default_factory=lambda: tuple(Peer.members(peers)))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ssm_study.bounds.inverse import Inverse, inverse_of
+from ssm_study.bounds.network import Inverse, inverse_of
 from ssm_study.loop.trajectory import Plan, Reference, feasible_trajectory, guided_trajectory, set_points
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
@@ -121,14 +121,11 @@ class EstimateFeedback(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverFeedback(EstimateFeedback):
-    """`u = u_eq + s_u (u* + K (xh - x*))`, xh the observer's estimate ([Z26] eq. 9 and Theorem 3).
+    """`u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the observer's estimate ([Z26] eq. 9 and Theorem 3).
 
-    A target row is `(x*, u*, y*)`, a trajectory of the model itself near the reference: around any such trajectory the
-    certified loop contracts. `K (m, n)`, or one pair of gains for each case, stacked: such a law brings to rest only.
-
-    With a wider K the law has an internal model: `u = u_eq + s_u (u* + K_x (xh - x*) + K_z z)`,
-    `z+ = A_z z + E (y - y*) / s_y`. So that it does not wind up, no error enters while a limit keeps the input from
-    what was asked: integrators rest, oscillators go on (`systems.held`).
+    A target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one pair of gains for
+    each case, stacked: such a law brings to rest only. With a wider K there is an internal model, `z+ = A_z z +
+    E (y - y*) / s_y`; no error enters it while a limit keeps the input from what was asked (`systems.held`).
     With `inverse` the scaled input is `S_u^{-1}(S_u(u*) + K ...)` in either law.
     """
 

@@ -31,7 +31,7 @@ WIDE: dict[str, Any] = {
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGrid(ComparisonTable):
-    """`designs` pairs drawn from the grids of `auto`, wide enough to fail, and the default choice as row 0.
+    """`designs` pairs drawn from the grids of `auto`, wide enough to fail, and the default choice, if any, as row 0.
 
     A row holds rates, gains, what is predicted (`synthesis.mismatch`), the response area on the model, and what the
     true plant did over the run's own horizon: `stable_count` of `initial_conditions` with and without measurement noise
@@ -50,15 +50,16 @@ class DesignGrid(ComparisonTable):
         if candidates is None:
             return []
         drawn, chosen = self.drawn(candidates, seed), known.chosen(Auto())
-        others = vars(candidates.gains(drawn))
-        own = {name: gain for name, gain in vars(chosen.pair).items() if gain is not None}
-        gains = Pair(**{name: np.concatenate([gain[None], others[name]]) for name, gain in own.items()})
+        gains = candidates.gains(drawn)
         rates = [(candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer) for i, j in drawn]
-        rates.insert(0, (chosen.parts()[0].rate, chosen.parts()[1].rate))
+        if chosen.feasible:
+            own = {name: gain for name, gain in vars(chosen.pair).items() if gain is not None}
+            gains = Pair(**{name: np.concatenate([gain[None], getattr(gains, name)]) for name, gain in own.items()})
+            rates.insert(0, (chosen.parts()[0].rate, chosen.parts()[1].rate))
         each = zip(rates, self._predicted(known, gains), _behaved(plant, known, gains, loop, seed), strict=True)
         return [
             {"design": i, "rate_controller": rate[0], "rate_observer": rate[1]} | predicted | behaved
-            for i, (rate, predicted, behaved) in enumerate(each)
+            for i, (rate, predicted, behaved) in enumerate(each, start=int(not chosen.feasible))
         ]
 
     def drawn(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:

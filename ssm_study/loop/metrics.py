@@ -40,15 +40,9 @@ COLUMNS = (
 
 
 def behaviour(loop: LoopRuns) -> Columns:
-    """What the controlled plant did. Times in s, inputs in their unit; None where nothing is defined, never NaN.
+    """What the controlled plant did, as docs/closed_loop.md defines each column; times in s, inputs in their unit.
 
-    Stable: the true output enters the band and dwells there to the end of the horizon; `unsettled_as` says what the
-    others do (`motions`), such as `3 oscillating, 1 slow`. Times: mean over the cases that settle, worst only where all
-    do. `overshoot_worst`: as a share of the initial distance. `input_peak_v`: largest `|u - u_eq|`. `control_energy`:
-    mean over cases of `sum |u - u_eq|^2 step_s`; `integral_squared_error`: likewise of `y - r`. `final_error_worst`:
-    largest `|mean of y - r|` over the last tenth of the horizon (noise averages out). `judged_noise_free`: the noise
-    alone crosses the band, so settling is judged without it.
-    `empirical_rate`: None when several plants are pooled. `noise_gain_measured`: see `noise_gain`.
+    None where nothing is defined, never NaN: `empirical_rate` when several plants are pooled.
     """
     rate = empirical_rate(loop.controlled, loop.settling_band)
     return pooled([loop]) | {"empirical_rate": rate, "noise_gain_measured": noise_gain(loop.controlled)}
@@ -76,7 +70,7 @@ def pooled(loops: list[LoopRuns]) -> Columns:
     left = [int(k) for loop in loops for k in loop.controlled.left_at_sample if k != STAYED]
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
-    final = [error[:, -max(error.shape[1] // 10, 1) :].mean(axis=1) for error in errors]
+    final = [error[:, -max(error.shape[1] // 10, 1) :].mean(axis=1) for error in errors]  # noise averages out
     cases, step_s = sum(map(len, errors)), loops[0].controlled.step_s
     return {
         "initial_conditions": cases,
@@ -98,12 +92,9 @@ def pooled(loops: list[LoopRuns]) -> Columns:
 
 
 def certified(loop: LoopRuns, design: Design) -> Columns:
-    """What was certified beside what was measured; all None without a run on the model.
+    """What was certified beside what was measured (docs/closed_loop.md); all None without a run on the model.
 
-    `certified_bound_violations`: samples on the noise-free model whose distance exceeds the certified bound.
-    `estimate_decay_rate`: how fast the estimate finds the noise-free model's state, see `decay_rate`.
-    `certified_bound_excess_plant`: how far the estimate on the plant leaves what is certified on the model from the
-    same initial outputs, see `excess`; None where plant and model follow different references.
+    `certified_bound_excess_plant` is None too where plant and model follow different references.
     """
     if (model := loop.on_model) is None:
         return dict.fromkeys(("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant"))

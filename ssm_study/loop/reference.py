@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.disturbance import Disturbance, NoDisturbance, PeriodicDisturbance, RampDisturbance
+from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.refusal import BadRequest, require
 
 Reference = Disturbance
@@ -14,10 +14,6 @@ Reference = Disturbance
 
 class Rest(NoDisturbance):
     """`r = y_eq`: bring the plant to rest."""
-
-
-class SineReference(PeriodicDisturbance):
-    """`r = amplitude sin(2 pi frequency_hz t)`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +26,6 @@ class StepReference(Reference):
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         return np.where(time_s < self.at_s - 1e-12, float(self.before), float(self.after))
-
-
-class RampReference(RampDisturbance):
-    """`r` rises (or falls) at `slope_per_s` from `from_s` until `until_s`."""
 
 
 @dataclass(frozen=True, kw_only=True)

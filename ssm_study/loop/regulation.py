@@ -104,21 +104,17 @@ def answers_at_once(model: Model) -> bool:
     return through or bool(model.linear.d.any())
 
 
-SAMPLES = (150, 1500)
-"""Shortest and longest horizon unless told otherwise; 150 are 1.5 s on the motor, seven times its uncontrolled mean."""
+SAMPLES = (150, 1500)  # shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
 RESPONSES = 4  # horizon, in lengths of the model's own response
-REMAINDER = 0.01
-"""The response's length: what is left of `sum |C A^k B|` behind it is this share of the whole."""
+REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of the response
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
     """What one experiment left: the controlled plant, the plant left alone from the same states, and the model.
 
-    `on_model` is the certified situation: the model in the plant's place, no noise, no disturbance, no reference, the
-    same initial outputs; None for a controller that has no model. `settling_band` in the output's unit.
-    `noise_free` is the controlled plant without measurement noise, where that noise alone crosses the band: it is then
-    what settling is judged on.
+    `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the output's unit.
+    `noise_free`: without measurement noise, where that alone crosses the band; settling is then judged on it.
     """
 
     controlled: Rollouts
@@ -145,11 +141,9 @@ class ComparisonTable(ABC):
 class Loop:
     """`initial_conditions` outputs uniform in the plant's `initial_range`, each simulated for `horizon_s` seconds.
 
-    `horizon_s` None is taken from the model's own response (`fitted`). Measured outputs carry Gaussian noise, variance
-    `measurement_noise_variance` (unit of the output, squared; None is the plant's own) times `noise_factor`. A case
-    whose output strays more than `bound_in_initial_ranges` times the initial range from the equilibrium, beyond what
-    the reference asks, is stopped and counts as unstable. Input limits (unit of the input; one for all, or a list) are
-    known to the controller. `comparison` is a table the run leaves beside its record, `comparison.csv`.
+    The fields are explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in the output's unit
+    squared. The bound counts from the equilibrium and is wider by the largest offset of the reference. `comparison` is
+    a table the run leaves beside its record, `comparison.csv`.
     """
 
     initial_conditions: int = 10
@@ -210,7 +204,7 @@ class Loop:
         )
 
     def on_model(self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]) -> Rollouts:
-        """The certified situation: the controller on its own model, nothing else acting."""
+        """The certified situation: the controller on its own model from the same outputs, nothing else acting."""
         twin = IdentifiedPlant.of(controller.model, plant.inputs, plant.outputs)
         twin = replace(twin, initial_range=plant.initial_range)  # which the bound is a multiple of
         quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)

@@ -12,18 +12,16 @@ from ssm_study.loop.controller import Controller
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 
+# An estimate (scaled), or an input in the plant's own amplitudes from rest, beyond this counts as having left the
+# bound: the plant may saturate while the estimate grows without end.
 LARGEST_SIGNAL = 1e6
-"""An estimate (scaled), or an input in the plant's own amplitudes from rest, beyond this counts as having left the
-bound: the plant may saturate while the estimate grows without end."""
 STAYED = -1  # `left_at_sample` of a case that never left the bound
 UNLIMITED = (-np.inf, np.inf)
 Limit = float | Float[np.ndarray, "*m"]
 Limits = tuple[Limit, Limit]
 Shrinks = Float[np.ndarray, "N"]
-DWELL = 0.1
-"""The share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest."""
-STEADY = 0.9
-"""A case whose largest error in the last quarter is below this share of the one before it is still on its way."""
+DWELL = 0.1  # share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest
+STEADY = 0.9  # a case whose largest error in the last quarter is below this share of the one before is still on its way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +30,8 @@ class Rollouts:
 
     `y` is the true output, `measured` what the controller saw, `estimate` its state estimate (the model's scaled
     state, width 0 if it has none). A case that leaves `|y - y_eq| <= bound` is stopped there: `left_at_sample` says
-    when (`STAYED` if never), and from then on its signals repeat the last values inside the bound.
+    when (`STAYED` if never), and from then on its signals repeat the last values inside the bound. One that starts
+    outside repeats its start, with the input at rest: none was applied.
     """
 
     step_s: float
@@ -87,6 +86,8 @@ def close_loop(
         inside = (np.abs(y - rest.y) <= bound).all(axis=1) & (np.abs(sizes) < LARGEST_SIGNAL).all(axis=1)
         if not inside.all():  # only those that stay go on
             left[going[~inside]] = k
+            for name, value in {"u": np.tile(rest.u, (len(y), 1)), "y": y, "measured": seen, "states": x}.items():
+                log[name][going[~inside], k:] = value[~inside, None]
             x, y, seen, u, memory, going = (part[inside] for part in (x, y, seen, u, memory, going))
             controller = controller.among(inside)
         values = {"u": u, "y": y, "measured": seen, "states": x, "estimate": controller.estimate(memory)}

@@ -1,9 +1,8 @@
 """Trajectories the model can follow: given a reference, the states and inputs that realise it or come nearest.
 
-A contracting loop converges to any trajectory of its own model, so `u = u* + K (xh - x*)` needs `(x*, u*)` with
-`x*+ = A x* + B S_u(u*)`. The recurrence is linear in `v = S_u(u*)`: `v` is found by linear-quadratic tracking, and
-`u* = S_u^{-1}(v)` undoes the input nonlinearity, dead-zone included. Source: [Z26] Theorem 3 for the law; Anderson &
-Moore (1990), Optimal Control: Linear Quadratic Methods, chapter 4, for tracking with a known reference.
+A contracting loop converges to any trajectory of its own model: `v = S_u(u*)` by linear-quadratic tracking, then
+`u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3 for the law; Anderson & Moore
+(1990), Optimal Control: Linear Quadratic Methods, chapter 4, for tracking with a known reference.
 """
 
 from collections.abc import Callable
@@ -22,9 +21,9 @@ from ssm_study.systems import StateSpace
 Vector = Float[np.ndarray, "_"]
 Reference = Float[np.ndarray, "T p"]
 Plan = Float[np.ndarray, "T t"]  # what is followed at each sample
+# Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
+# samples and not in one violent one.
 SMOOTHNESS = 1.0
-"""Weight on the squared change of `v` per sample against the squared scaled tracking error: a step is taken in a few
-samples and not in one violent one."""
 IDLE_SHARE = 1e-9  # of the largest static gain: a direction of inputs below this moves no output
 NEWTON_STEPS = 100
 INVERSION_TOLERANCE = 1e-10  # residual of `S(v) = w` in scaled units, where one unit is the spread of the signal
@@ -63,9 +62,8 @@ def equilibrium(model: Model, y: Float[np.ndarray, "p"]) -> tuple[Float[np.ndarr
 def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     """The model's own trajectory nearest the reference, one row `(x*[k], u*[k])` per sample, in scaled units.
 
-    Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium, where every
-    observer starts; the whole reference is known in advance, so the input moves before a step does. `reference` is in
-    the output's unit. A reference at rest gives zeros.
+    Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium; the whole
+    reference (output's unit) is known in advance, so the input moves before a step does. At rest it gives zeros.
 
     Preview tracking on `z = (x, v[k-1])` driven by `w = v[k] - v[k-1]`: `P` solves the Riccati equation of that cost;
     the reference enters through the backward sum `g[k] = (F - G K)^T g[k+1] - (H - D K)^T target[k]`, started where a

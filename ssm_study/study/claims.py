@@ -34,9 +34,10 @@ from ssm_study.study.line import STUDY, further
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
 from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
-from ssm_study.synthesis.commanded import measured
+from ssm_study.synthesis.commanded import shown_behind
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.mismatch import mismatch
 from ssm_study.synthesis.theorem import UNFIT, Theorem, condition, margin
 from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
 from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
@@ -224,7 +225,7 @@ def certificate(run: RunFiles) -> Claims:
     pairs = {label: (part.limits, ends) for label, part in told.items()}
     yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
     kept = run.simulated.validation
-    shown = measured(design, run.model, kept.records, kept.start_up_samples, run.trials)
+    shown = (shown_behind if design.inverts else mismatch)(run.model, kept.records, kept.start_up_samples, run.trials)
     facts = design_facts(design, run.model, balls, shown)
     yield Derived(withheld(facts, run.record.get("evidence")))
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.engine.durable import contents
-from ssm_study.evidence.judgement import Judgement, judge
+from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require

@@ -18,8 +18,7 @@ from ssm_study.data.metrics import benchmark_rmse, data_facts
 from ssm_study.engine.durable import contents
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.judgement import Judgement, judge
-from ssm_study.evidence.metrics import evidence_facts, withheld
+from ssm_study.evidence.metrics import Judgement, evidence_facts, judge, withheld
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 class FastestCertified:
     """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
 
-    A model without neurons counts within `one_layer_within_percent`: where neurons gain less, a faster rate is
-    worth more. Where some may be controlled at `rate_enough` or faster, the best fit of those is taken instead.
-    Source of the rate: docs/theory.md, "The frontier".
+    One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md, "The frontier".
     """
 
     within_percent: float = 0.3

@@ -1,13 +1,9 @@
 """Rates and weights chosen from the model and the records alone: the certified design of the best expected response.
 
-Among guaranteed-cost designs on a grid of rates and weights that are predicted to be stable on the plant
-(`synthesis.prediction`), take the one with the smallest expected area
-
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
-`area` the response's on the model, its time to settle included (`synthesis.area`), `spread` the standard error of ln g,
-from blocks of the record: the mismatch is not a number but a sample, and the fastest design that just passes is the one
-that any optimism of g lets through. Nothing of the closed-loop test enters. Source: docs/theory.md.
+The mismatch is not a number but a sample: the fastest design that just passes is the one that any optimism of g lets
+through. Nothing of the closed-loop test enters. Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,7 +36,7 @@ from ssm_study.systems import Balls, JacobianBall, StateSpace, System
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 ATTEMPTS = 20  # how many candidates are verified exactly before the search gives up: each costs two exact certificates
 LOOKED_AT = 200  # how many candidates are compared with all that the records show: the fastest, and of the rest as many
-OWN_SHARE = 0.5  # of the rate that a model has by itself: the most cautious request
+OWN_SHARE = 0.5  # of the rate that a model has by itself: the most cautious request, whose gain may vanish
 STATE_WEIGHT = 1e-6  # of the gains' cost, beside `|C x|^2`
 WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, where none are given
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
@@ -52,12 +48,9 @@ LEAST_SPREAD = 0.1  # no record is known better than this: a twentieth of it is 
 class Auto:
     """The best expected response of a certified design whose resolved mismatch margin exceeds `margin`.
 
-    The grids: rates as a share of the model's own rate `1 - spectral_radius^2` (the gain may then vanish, so a stable
-    model always leaves a cautious choice) and of the stretch from there to the exact limit; for the observer, whose
-    limit is far, also absolute rates; input weights against `|C x|^2`, output noise against input noise. `rate` stands
-    for each side that is left at "auto"; a number is kept. When no candidate passes, the one with the largest margin is
-    returned and `solver_status` says so. With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its
-    states are one more axis; weights alone are of integrators. `limits` of the input, scaled, are set by the run.
+    Grids, steps and the choice where no candidate passes: docs/closed_loop.md, "Rates chosen for you". With an
+    `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its states are one more axis; weights alone are of
+    integrators. `limits` of the input, scaled, are set by the run.
     With `invert_input` the law undoes the input map (`synthesis.commanded`), and `shown` is relative to its commands.
     """
 
@@ -66,7 +59,7 @@ class Auto:
     rate_observer: float | str = "auto"
     margin: float = 1.0
     stretch_shares: Sequence[float] = (0.05, 0.3, 0.6, 0.9)
-    observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)
+    observer_rates: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5)  # absolute: the limit is far
     input_weights: Sequence[float] = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     output_noises: Sequence[float] = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 10.0, 100.0)
     integral_weights: Sequence[float] = ()
@@ -82,14 +75,12 @@ class Auto:
             if rate != "auto":
                 contraction_rate(f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1')
         require(self.margin > 0, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
-        for name in ("stretch_shares", "observer_rates"):
-            grid = getattr(self, name)
-            inside = len(grid) > 0 and all(0 < value < 1 for value in grid)
-            require(inside, f"synthesis.{name}", grid, "must hold numbers in (0, 1)", "keep the default grid")
-        for name in ("input_weights", "output_noises", "integral_weights"):
-            grid = getattr(self, name)
-            above = (len(grid) > 0 or name == "integral_weights") and all(0 < value < np.inf for value in grid)
-            require(above, f"synthesis.{name}", grid, "must hold positive numbers", "keep the default grid")
+        for name in ("stretch_shares", "observer_rates", "input_weights", "output_noises", "integral_weights"):
+            grid, shares = getattr(self, name), name in ("stretch_shares", "observer_rates")
+            fits = len(grid) > 0 or name == "integral_weights"
+            fits = fits and all(0 < value < (1 if shares else np.inf) for value in grid)
+            told = "numbers in (0, 1)" if shares else "positive numbers"
+            require(fits, f"synthesis.{name}", grid, f"must hold {told}", "keep the default grid")
         frequencies(self.internal_model)
 
     @property
@@ -243,6 +234,8 @@ class Auto:
         An expected area is never below the area, so the search ends where the areas exceed the expected ones found,
         and goes on only where none of those is taken (the gains of a verified design may differ from its candidate's).
         """
+        if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
+            return
         pairs = np.argwhere(self.margin * peaks < 1)
         gains = candidates.gains(pairs)
         pairs = pairs[controller_radius(model.system, gains, balls) < 1]

@@ -1,9 +1,7 @@
 """`u = S_u^{-1}(K xh)`: the input map is known and strictly monotone, so the law can command what is behind it.
 
-Then `v = S_u(u) = K xh` exactly: all of design, prediction and certificate are those of the model with the identity in
-the place of `S_u`, its input v, the ball `alpha = 1, beta = 0`. What the records show of the mismatch is taken relative
-to v. A deviation from v, at a limit of u, is known to the observer. Through a dead zone the law asks for several times
-the input. Source: docs/theory.md, "With neurons".
+A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the law asks for several
+times the input. Source: docs/theory.md, "With neurons".
 """
 
 from dataclasses import replace
@@ -11,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.bounds.inverse import inverse_of
+from ssm_study.bounds.network import inverse_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model
@@ -51,13 +49,6 @@ def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch
     """What the records show relative to what a design, or a specification, commands; `shown` is relative to u."""
     undone = law.inverts if isinstance(law, Design) else law.invert_input
     return shown_behind(model, data.validation, data.start_up_samples, data.trials) if undone else shown
-
-
-def measured(
-    design: Design, model: Model, records: Trajectories, start_up_samples: int, trials: Trajectories
-) -> Mismatch:
-    """What the records show relative to what the design commands."""
-    return (shown_behind if design.inverts else mismatch)(model, records, start_up_samples, trials)
 
 
 def inverting(design: Design) -> Design:

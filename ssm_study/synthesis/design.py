@@ -167,12 +167,10 @@ def contraction_rate(field: str, rate: Any, remedy: str) -> None:
 class Synthesis(ABC):
     """Controller and observer at the asked contraction rates (distances shrink by `sqrt(1 - rate)` per sample).
 
-    Weights, in scaled units: the controller minimises the guaranteed cost of
-    `output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`; the observer is tuned as if `B` carried noise of
-    variance `input_noise`, every state `state_noise`, and the output `output_noise`. With `invert_input` the law is
-    `u = S_u^{-1}(K xh)` (`synthesis.commanded`). With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the
-    controller is that of the model with these modes z (`theorems.integral_action`), `integral_weight |z|^2` beside the
-    cost above, where larger removes errors sooner; the observer is the model's.
+    The weights of the controller's guaranteed cost and the variances the observer is tuned for, in scaled units:
+    conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)` (`synthesis.commanded`). With an
+    `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the controller is that of the model with these modes z
+    (`theorems.integral_action`) and `integral_weight |z|^2` in its cost: larger removes errors sooner.
     """
 
     rate_controller: float

@@ -1,12 +1,7 @@
 """The verdict on a certificate: exact arithmetic on the stored floats, no tolerance anywhere.
 
-Floats are rational numbers, so whether a matrix of them is positive definite is a yes or no. `M = [A, B; B^T, C]` is
-positive definite iff A and the Schur complement `C - B^T A^{-1} B` are: by halves, down to numbers. It is done in balls
-(FLINT's `arb`): each holds the exact number, so a sign that a ball shows is proved, whatever was rounded. Where one
-contains zero, twice as many digits are taken; where `BITS` do not decide (a matrix that is singular, exactly), the
-fraction-free LDL^T does: positive definite iff every leading principal minor is positive (Sylvester).
-
-Why it is needed: docs/theory.md, "The verdict". Source of the balls: Johansson 2017 (Arb).
+By halves, in balls that hold the exact number; where one contains zero with twice as many digits, and where `BITS` do
+not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The verdict". Source: Johansson 2017 (Arb).
 """
 
 from typing import Any

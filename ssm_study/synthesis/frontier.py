@@ -1,9 +1,7 @@
 """What is possible: the exact largest rate any certificate of [Z26] Theorems 1 and 2 can reach, without a solver.
 
-With `r = sqrt(1 - rho)`, `Ah = A/r`, `Bh = B/r` and `S` the minimum-energy solution of
-`S = Ah^T (S^{-1} + Bh Bh^T)^{-1} Ah`, Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
-For one input `1 + Bh^T S Bh = prod (|lambda_i| / r)^2` over the modes with `|lambda_i| > r`. Theorem 2 is the same
-statement for `(A^T, C^T)`. Derivation: docs/theory.md; cf. Elia & Mitter 2001, Fu & Xie 2005.
+Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy; Theorem 2 is the
+same for `(A^T, C^T)`. Derivation: docs/theory.md, "The frontier"; cf. Elia & Mitter 2001, Fu & Xie 2005.
 """
 
 from dataclasses import dataclass

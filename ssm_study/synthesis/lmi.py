@@ -7,7 +7,7 @@ what it returns is exact arithmetic's.
 
 import time
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -24,10 +24,9 @@ from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
 from ssm_study.synthesis.theorem import Blocks, full
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.systems import JacobianBall, StateSpace, System
+from ssm_study.systems import JacobianBall, StateSpace
 
-OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost", "largest_rate")
-LARGEST_RATE_STEPS = 12  # halvings between the asked rate and the frontier: the rate to 1/4096 of that interval
+OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")
 # SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact verdict decides.
 # Clarabel's supernodal factorisation is ten times faster than its default from order 28, and no slower below.
 SOLVERS: dict[str, dict[str, Any]] = {
@@ -129,11 +128,7 @@ def _compiled(data: tuple[bytes, bytes, bytes], order: int, objective: str, full
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """The paper's route. `objective` is one of `OBJECTIVES`, `solver` CLARABEL or SCS.
-
-    With `largest_rate` the asked rates are floors: each side gets the largest rate at which the solver's matrices are
-    certified exactly, by bisection up to the frontier.
-    """
+    """The paper's route. `objective` is one of `OBJECTIVES`, `solver` CLARABEL or SCS."""
 
     objective: str = "guaranteed_cost"
     full: bool = False
@@ -145,23 +140,6 @@ class LmiSynthesis(Synthesis):
         super().__post_init__()
         one_of(OBJECTIVES, "synthesis.objective", self.objective)
         one_of(SOLVERS, "synthesis.solver", self.solver)
-
-    def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
-        if self.objective != "largest_rate":
-            return super()._certified(theorem, system, ball)
-        name = "rate_observer" if theorem.observes else "rate_controller"
-
-        def certify(rate: float) -> Any:
-            asked: Any = {name: rate, "objective": "largest_margin"}
-            return replace(self, **asked)._certified(theorem, system, ball)
-
-        best = certify(low := getattr(self, name))  # what the floor gives, if that is not certified
-        high = best.rate_limit
-        for _ in range(LARGEST_RATE_STEPS if best.certified else 0):
-            middle = (low + high) / 2
-            found = certify(middle)
-            best, low, high = (found, middle, high) if found.certified else (best, low, middle)
-        return best
 
     def solve(self, problem: Problem) -> Solution:
         if problem.neurons is None:

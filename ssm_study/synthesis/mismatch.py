@@ -1,37 +1,30 @@
 """How far a plant is from its model, as its records show it: `e = y - y_model`, at each amplitude, noise removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows of `e` holds where
-it has been, so there is one `View` for each amplitude. Within a view
+it has been, so there is one `View` for each amplitude:
 
     in total        g    = ||e||_2 / ||u||_2
     by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands in for it
     split           e    = Q y_model + r,   Q = S_(e, y_model) / S_(y_model),   g_r(w) = sqrt(S_r(w) / S_u(w))
 
-Q is linear in what the model says (another gain at this amplitude, a lag: -1 where the plant holds still), and the loop
-answers it with a phase; r is whatever is not linear, and counts by size alone, so that nothing is hidden.
-
-Sensor noise is removed only where an input repeats: what does not repeat is noise (or motion of the plant's own, which
-shows at rest); elsewhere it counts as mismatch. A record at rest input that does not come to rest is a mismatch of
-infinite gain.
-
-In a closed loop `u = T_ue e` whatever e is: noise and the start alone show g = 1 / |T_ue|, the very gain that the loop
-just fails to tolerate. So a trial in closed loop counts only if its output does not come to rest (`MOVING`), and of e
-only what neither the initial state nor the noise explains: the gain that sustains a limit cycle. Source:
-docs/theory.md, "Small gain for the plant"; docs/trust.md for what was measured.
+r counts by size alone. What counts, and trials in closed loop (`MOVING`): docs/trust.md, "What is measured for it".
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex, Float
+import scipy
+from jaxtyping import Complex, Float, Inexact, Int
 
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
 from ssm_study.signals import Trajectories, Trajectory, repetition
 from ssm_study.synthesis.rest import AT_REST, FAINT, SURE, after_motion, after_returns, is_return, left, swing
-from ssm_study.synthesis.spectra import ANGLES, banded, bands_of, divided, power, welch
 
+# Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in 4,000 samples.
+SEGMENT = 64
+ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
 # A band with less than this share of the input's mean power is not excited: g is measured there, and uncertain.
 EXCITED = 0.01
 BAND = 0.05  # share of the farthest start on record (of the output's scale without one) that counts as settled
@@ -273,3 +266,33 @@ def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
     sizes = {"by_frequency": np.sqrt(divided(whole, power_u)), "rest": np.sqrt(divided(rest, power_u))}
     amplitude, gain = float(np.sqrt((record.u**2).mean())), float(np.sqrt(whole.sum() / power_u.sum()))
     return View(amplitude=amplitude, gain=gain, linear=linear, response=float(answered), **sizes)
+
+
+def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
+    """Summed over the channels."""
+    return (np.abs(spectrum) ** 2).sum(axis=1)
+
+
+def divided(values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]) -> Inexact[np.ndarray, "F"]:
+    """By a power that may vanish."""
+    return values / np.maximum(by, np.finfo(float).tiny)
+
+
+def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
+    """The band of `ANGLES` of each line of a spectrum, the mean left out, and how many lines a band has."""
+    bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
+    return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
+
+
+def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
+    """The mean over each band of `ANGLES`."""
+    bands, counts = bands_of(len(lines))
+    return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
+
+
+def welch(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
+    """Welch's power density (1967), over channels and records (each by its length), at equal steps from 0 to pi."""
+    segment = min(SEGMENT, *(len(signal) for signal in signals))
+    even = max(segment - segment % 2, 2)  # so that the last band is at pi
+    powers = [scipy.signal.welch(one, nperseg=even, detrend=False, axis=0)[1].sum(axis=1) for one in signals]
+    return np.sum([len(one) * density for one, density in zip(signals, powers, strict=True)], axis=0)

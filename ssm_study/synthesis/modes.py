@@ -1,8 +1,7 @@
 """Riccati equations by doubling, and metrics of a minimum-energy gain: by fast and slow modes, and of the whole model.
 
-Only the modes with `|lambda| > r` need the input. In coordinates where their minimum-energy metric is the identity,
-every matrix of the inequality has condition number about `1 / (room to the frontier)`; the slow modes are contracted by
-the open loop already and join through a Lyapunov equation. Derivation: docs/theory.md, "The gain in closed form".
+Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join through a Lyapunov
+equation. Derivation: docs/theory.md, "The gain in closed form".
 """
 
 from dataclasses import dataclass
@@ -73,7 +72,8 @@ def least_metric(
 ) -> Square:
     """The least `P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`, for a given gain.
 
-    Solved for `z`, where `x = right z`, `z = left x` and `E = slack I`. Raises `NoSolution` if floats find none.
+    Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`. Raises `NoSolution` if
+    floats find none.
     """
     b, k = left @ problem.b / contraction, k @ right
     a_closed = left @ problem.a @ right / contraction + problem.ball.alpha * b @ k
@@ -161,13 +161,8 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
 def whole_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Float[np.ndarray, "n n"]:
     """The least `P` of the gain built at `r = faster`, fast and slow modes together: where diagonal needs more digits.
 
-    Given K, Theorem 1 with `Y = P`, `sigma = 1` is bounded-real for `beta K (zI - Ah_K)^{-1} Bh`; in dual form
-
-        P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E,      Ah_K = Ah + alpha Bh K,
-
-    with slack `E`. It couples what the input reaches of both parts; condition numbers fall by several orders of
-    magnitude where slow modes lie just inside the circle or are hard to reach. Raises `NoSolution` without fast modes,
-    or without a solution in floats.
+    The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises `NoSolution` without
+    fast modes, or without a solution in floats.
     """
     if modes.fast == 0:
         raise NoSolution("no fast modes: nothing to couple")

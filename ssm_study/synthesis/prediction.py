@@ -1,35 +1,20 @@
 """Will a certified design be stable on the plant? What its loop tolerates against the mismatch that the records show.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue` (`synthesis.sensitivity`).
-At each amplitude on record (`synthesis.mismatch`) one of two conditions must hold, at every slope of the scaffoldings
-that a swing of this amplitude meets (`_tested`):
+At each amplitude on record (`synthesis.mismatch`) one of the first two must hold, and all the others, with
+`M = s_u s_y G T_ue`, G the model's linear part. Mixtures of neighbouring amplitudes must pass too, where these do not
+both pass by small gain: a limit cycle may lie between.
 
     small gain      max_w g(w) sigma_max(T_ue(w)) < 1
-    with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    M = s_u s_y G T_ue
+    with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    e = Q y_model + r
+    offset          offset sigma_max(I + M)(0) < 1,    what stays off at rest input in bands, see `Mismatch.offset`
+    noise_peak      4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) / band < 1,    slopes as they are at rest
+    own radius      controller_radius < 1
 
-the second with e split into `Q y_model + r` (one input, one output), G the model's linear part: the smaller of the two
-numbers counts. Between neighbouring amplitudes that do not both pass by small gain, mixtures must pass too: a limit
-cycle may lie between.
-Where the plant all but holds still (`HOLDS`), what it does between its moves is not counted: the controller then runs
-alone, so it must be stable by itself (`controller_radius` below one), which `1 - M Q` says at Q = -1. Integrators of
-the tracking error hold there (`1 - M Q` is zero at w = 0), so only `controller_radius`, without them, speaks of it.
-
-Where the output stays off at rest input (friction, play) the loop answers that offset at w = 0, and what is left of it
-must lie within the band of settling:
-
-    offset sigma_max(I + s_u s_y G T_ue)(0) < 1,      the offset in bands, as `Mismatch.offset` bounds it
-
-The sensor's noise, where it is measured by itself, moves the output by M, here with all slopes as they are at rest, and
-must leave it in that band (`PEAK`):
-
-    noise_peak = 4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) / band < 1
-
-Not counted where the plant holds still at a sinusoid with the peak of the input that the noise makes.
-
-The margin is the inverse of the largest of these numbers but the last, which a larger mismatch does not change; zero
-where the plant does not rest. A design is predicted to settle the plant when its margin exceeds one, its controller is
-stable, and its noise stays in the band: no certificate.
-Source: docs/theory.md, "Small gain for the plant"; docs/trust.md for the phase and what was measured.
+The margin, which must exceed one, is the inverse of the largest of the first three; zero where the plant does not rest.
+Where the plant all but holds still (`HOLDS`) the controller runs alone, and the last decides: what `1 - M Q` says at
+Q = -1, but for integrators, where that is zero at w = 0. All this is no certificate.
+Reasons: docs/trust.md, "What is measured for it"; docs/theory.md, "Small gain for the plant".
 """
 
 from dataclasses import dataclass, replace
@@ -104,13 +89,11 @@ def worst(
         if shared is None:
             answer, open_loop = frequency_response(loop, angles), frequency_response(linear, angles)
         else:
-            on_grid = np.isin(angles, grid)
-            answer = np.empty((len(angles), *loop.d.shape), dtype=complex)
-            open_loop = np.empty((len(angles), *linear.d.shape), dtype=complex)
-            answer[on_grid] = shared.of(linear, pair.k, pair.modes, [own.l], *slope)[0]
-            open_loop[on_grid] = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
-            answer[~on_grid] = frequency_response(loop, angles[~on_grid])
-            open_loop[~on_grid] = frequency_response(linear, angles[~on_grid])
+            extra = np.setdiff1d(angles, grid)
+            at, on_grid = np.searchsorted(grid, extra), shared.of(linear, pair.k, pair.modes, [own.l], *slope)[0]
+            answer = np.insert(on_grid, at, frequency_response(loop, extra), axis=0)
+            on_grid = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
+            open_loop = np.insert(on_grid, at, frequency_response(linear, extra), axis=0)
         moved = slope[0] * slope[1] * open_loop @ answer
         through = moved[:, 0, 0] if answer.shape[1:] == open_loop.shape[1:] == (1, 1) else None
         parts = _Loop(angles=angles, size=loops.sizes(answer), through=through, integrates=integrates)

@@ -1,8 +1,7 @@
 """What is left of an output at rest input: the motion that does not end, and where it stays off.
 
-Of a whole log all returns to the input at which it ends count, also those on which the model was trained: nothing here
-asks the model. At the equilibrium's input an output should rest at the equilibrium; at another input where it rests is
-not known beforehand, and each return is compared with the mean of the others. So a single one tells the motion only.
+Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input an output should rest
+at the equilibrium; at another, each return is compared with the mean of the others: a single one tells the motion only.
 Source: docs/trust.md, "Neither proved nor measured: the prediction".
 """
 

@@ -235,10 +235,11 @@ def value_of(where: str, kind: Any, value: Any) -> Any:
         return value
     number = kind is float
     try:
-        matrix = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        entries = np.array(value, dtype=object)
+        words = any(isinstance(entry, bool | str) for entry in entries.flat)  # NumPy would read "0.5" and true
+        matrix = np.array(np.nan) if words else entries.astype(float)
+    except (TypeError, ValueError, OverflowError):
         matrix = np.array(np.nan)
     fits = matrix.ndim == (0 if number else len(kind.dim_str.split())) and bool(np.isfinite(matrix).all())
-    fits = fits and not (number and isinstance(value, bool | str))
     require(fits, where, value, f"is not a finite {'number' if number else 'matrix'}", AGAIN)
     return float(value) if number else matrix

@@ -137,6 +137,15 @@ def test_without_any_margin_the_largest_is_taken_and_said():
     assert "largest margin" in design.state_feedback.solver_status
 
 
+def test_a_caution_without_any_mismatch_takes_the_largest_margin():
+    """Infinite times zero is no number."""
+    record = motor_record()
+    exact = replace(record, y=motor_model().simulate(record.u))
+    design = SMALL.cautious().design(motor_model(), BALLS, (exact,))
+    assert design.certified
+    assert "no judgement" in design.state_feedback.solver_status
+
+
 def test_the_search_goes_on_where_the_first_found_are_refused_as_designs(monkeypatch):
     """Not the largest margin, and with it hardly any control, while slower candidates pass."""
     refused, judged = 12, []

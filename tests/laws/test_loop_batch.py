@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
-from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
 from ssm_study.loop.metrics import behaviour, certified
-from ssm_study.loop.reference import SineReference, StepReference
+from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.rollout import STAYED
-from ssm_study.plants.disturbance import StepDisturbance
+from ssm_study.loop.rollout import STAYED, close_loop
+from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 
 LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
@@ -21,7 +21,7 @@ def controller() -> ObserverFeedback:
 
 
 @pytest.mark.parametrize(
-    "reference", [StepReference(before=0.0, after=6.0, at_s=0.2), SineReference(amplitude=4.0, frequency_hz=2.0)]
+    "reference", [StepReference(before=0.0, after=6.0, at_s=0.2), PeriodicDisturbance(amplitude=4.0, frequency_hz=2.0)]
 )
 def test_a_batch_is_its_rows(reference):
     loop = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference)
@@ -117,6 +117,20 @@ def test_the_units_of_input_and_output_change_nothing():
         ends.append(kept.y / unit)
     for other in ends[1:]:
         np.testing.assert_allclose(other, ends[0], rtol=1e-6, atol=1e-9)
+
+
+def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
+    model = random_model(0, order=3)
+    model = replace(model, scale=replace(model.scale, input_equilibrium=np.array([0.7])))
+    plant = IdentifiedPlant.of(model)
+    x0, noise = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.full((2, 5, 1), 0.01)
+    asked = {"x0": x0, "reference": np.zeros((5, 1)), "noise": noise, "disturbance": np.zeros((2, 5, 1))}
+    run = close_loop(plant, Uncontrolled.of(plant), **asked, bound=np.full(1, 10.0))
+    assert run.left_at_sample.tolist() == [0, STAYED]
+    start = plant.output(x0)
+    assert np.abs(start[0] - plant.equilibrium().y) > 10
+    for found, shown in ((run.u, [[0.7]]), (run.y, start), (run.measured, start + 0.01), (run.states, x0)):
+        np.testing.assert_array_equal(found[0], np.tile(shown[0], (5, 1)))
 
 
 def test_every_column_is_a_number_or_nothing():

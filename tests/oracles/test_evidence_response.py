@@ -12,7 +12,7 @@ from ssm_study.data.assembly import assemble
 from ssm_study.evidence import feedback, records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
-from ssm_study.evidence.judgement import judge
+from ssm_study.evidence.metrics import judge
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory

@@ -12,7 +12,7 @@ from export_cases import compiled, device, products, written
 from report_runs import KINDS, random_scaffold
 
 import ssm_study as st
-from ssm_study.bounds.inverse import inverse_of
+from ssm_study.bounds.network import inverse_of
 from ssm_study.cli.main import main
 from ssm_study.export.c import c_files, harmless
 from ssm_study.export.device import Device

@@ -10,10 +10,10 @@ from synthesis_ratio import ratio_limit
 from ssm_study.loop.certified_bound import excess
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
-from ssm_study.loop.reference import RampReference, StepReference
+from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.trajectory import equilibrium
-from ssm_study.plants.disturbance import StepDisturbance
+from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.certificate import Design, Infeasible
@@ -108,7 +108,7 @@ def test_the_certified_bound_holds_with_integrators(design):
 
 def test_limits_do_not_wind_the_integrator_up(design):
     """Away from the limits again, the loop is where the one without limits is: nothing was stored meanwhile."""
-    rising = RampReference(slope_per_s=2.0, from_s=1.0, until_s=4.0)
+    rising = RampDisturbance(slope_per_s=2.0, from_s=1.0, until_s=4.0)
     free = Loop(initial_conditions=3, horizon_s=6.0, measurement_noise_variance=0.0, reference=rising)
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
     run, other = (loop.run(motor(), motor_model(), design, seed=0).controlled for loop in (limited, free))

@@ -9,7 +9,7 @@ from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
 from ssm_study.cli.request import quoted
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import certified
-from ssm_study.loop.reference import RampReference, StepReference
+from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
@@ -115,7 +115,7 @@ def test_the_margin_by_two_routes():
 
 def test_a_ramp_that_meets_a_limit_does_not_wind_up():
     """Held at the limit on the way, then free: where the loop without limits is."""
-    rising = RampReference(slope_per_s=2.0, from_s=1.0, until_s=4.0)
+    rising = RampDisturbance(slope_per_s=2.0, from_s=1.0, until_s=4.0)
     free = Loop(**(QUIET | {"horizon_s": 9.0}), reference=rising)
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
     run, other = (simulated(loop, made("ramp")) for loop in (limited, free))

@@ -143,6 +143,14 @@ def test_the_design_grid_reports_each_designs_own_margin():
         assert all(isinstance(value, str | None) or np.isfinite(value) for value in row.values())
 
 
+def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatch):
+    infeasible = RiccatiSynthesis(rate_controller=0.99, rate_observer=0.3).design(motor_model(), BALLS)
+    assert not infeasible.feasible
+    monkeypatch.setattr(Auto, "design", lambda *_: infeasible)
+    rows = DesignGrid(designs=6, auto=SMALL).rows(motor(), KNOWN, SHORT, seed=0)
+    assert [row["design"] for row in rows] == [1, 2, 3, 4, 5, 6]
+
+
 def test_every_controller_has_a_row_in_every_situation():
     names = ("uncontrolled", "pi", "lqg", "guaranteed_cost")
     table = Comparison(controllers=names, situations=SITUATIONS, spread_fields=("resistance_ohm",), spread_plants=2)

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.bounds.network import Network
-from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
+from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.trajectory import equilibrium, feasible_trajectory, inverse, set_points
 from ssm_study.models.scaffolds.mlp import MlpScaffold
+from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 
 
@@ -94,7 +95,9 @@ def test_no_other_trajectory_costs_less():
 def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     model = motor_model()
     plant = replace(IdentifiedPlant.of(model), initial_range=(-4.0, 4.0))
-    loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=SineReference(amplitude=4.0, frequency_hz=1.0))
+    loop = Loop(
+        horizon_s=4.0, measurement_noise_variance=0.0, reference=PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0)
+    )
     run = loop.run(plant, model, motor_design(), seed=0).controlled
     plan = feasible_trajectory(model, run.reference)
     target = model.read(plan[:, :2], model.scaffold_in(plan[:, 2:]))
@@ -123,8 +126,10 @@ def test_set_points_hold_each_value():
 def test_reference_signals(tmp_path):
     time_s = np.array([0.0, 0.5, 1.0, 1.5])
     np.testing.assert_allclose(StepReference(before=1.0, after=3.0, at_s=0.5).signal(time_s), [1, 3, 3, 3])
-    np.testing.assert_allclose(RampReference(slope_per_s=2.0, from_s=0.5, until_s=1.0).signal(time_s), [0, 0, 1, 1])
-    np.testing.assert_allclose(SineReference(amplitude=2.0, frequency_hz=0.5).signal(time_s), [0, 2, 0, -2], atol=1e-12)
+    np.testing.assert_allclose(RampDisturbance(slope_per_s=2.0, from_s=0.5, until_s=1.0).signal(time_s), [0, 0, 1, 1])
+    np.testing.assert_allclose(
+        PeriodicDisturbance(amplitude=2.0, frequency_hz=0.5).signal(time_s), [0, 2, 0, -2], atol=1e-12
+    )
     path = tmp_path / "reference.csv"
     path.write_text("# time, offset\n0.25,1\n\n0.75,3\n")
     np.testing.assert_allclose(FileReference(path=str(path)).signal(time_s), [1, 2, 3, 3])

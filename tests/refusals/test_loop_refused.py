@@ -8,8 +8,9 @@ from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour
-from ssm_study.loop.reference import FileReference, RampReference, SineReference, StepReference
+from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 from ssm_study.synthesis.certificate import Design
@@ -103,9 +104,9 @@ def test_an_unstable_observer_is_stopped_before_it_overflows():
 
 def test_references_out_of_order():
     with pytest.raises(BadRequest, match="from_s, until_s"):
-        RampReference(slope_per_s=1.0, from_s=1.0, until_s=0.5)
+        RampDisturbance(slope_per_s=1.0, from_s=1.0, until_s=0.5)
     with pytest.raises(BadRequest, match="frequency_hz"):
-        SineReference(amplitude=1.0, frequency_hz=0.0)
+        PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0)
 
 
 @pytest.mark.parametrize("content", ["", "1,2,3\n", "0,1\n0,2\n", "0,1\n1,nan\n", "time,offset\n0,1\n"])

@@ -3,6 +3,7 @@
 import copy
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,6 +92,16 @@ def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
     for wrong, told in ((missing, "is missing"), (strange, "is not part of a certificate")):
         with pytest.raises(BadRequest, match=told):
             Design.from_json(wrong)
+
+
+@pytest.mark.parametrize(
+    "made", [str, bool, lambda entry: [entry], lambda _: 10**400], ids=["words", "bools", "lists", "huge"]
+)
+def test_entries_of_a_matrix_are_numbers(made: Callable[[float], object]) -> None:
+    content = stored(0.3)
+    content["observer"]["l"][0][0] = made(content["observer"]["l"][0][0])
+    with pytest.raises(BadRequest, match=r"certificate.observer.l .*not a finite matrix"):
+        Design.from_json(content)
 
 
 def test_a_part_that_does_not_say_whether_it_is_feasible_is_a_certificate() -> None:
