@@ -91,6 +91,28 @@ def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("form", ["2026-03-29 01:59:59.5", "2026-03-29T01:59:59.5Z", "2026-03-29T01:59:59+02:00"])
+def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) -> None:
+    """In text and in Parquet; a date among numbers, or a number among dates, is refused where it stands."""
+    times = pd.Timestamp(form) + pd.to_timedelta(np.round(GOOD["t"] * 1000), unit="ms")
+    dated = pd.DataFrame(GOOD | {"t": times})
+    path = tmp_path / "log.csv"
+    dated.assign(t=[one.isoformat() for one in times]).to_csv(path, index=False)
+    dated.to_parquet(tmp_path / "log.parquet")
+    for one in (path, tmp_path / "log.parquet"):
+        built = data(one, time="t", step_s=None).build(0)
+        assert built.step_s == pytest.approx(0.01, rel=1e-6)
+        np.testing.assert_array_equal(built.training[0].u[:, 0], GOOD["u"][:120])
+    rows = path.read_text().splitlines()
+    for at, cell, says in ((50, "0.5", "line 51 = 0.5: no date and time as"), (1, "soon", "line 2 = soon: no number")):
+        path.write_text("\n".join([*rows[:at], f"{cell},1.0,1.0", *rows[at + 1 :]]))
+        with pytest.raises(BadRequest, match=says):
+            data(path, time="t", step_s=None).build(0)
+    path.write_text("\n".join([*lines()[:50], f"{form},1.0,1.0", *lines()[51:]]))
+    with pytest.raises(BadRequest, match=r"line 51 = 2026.*: no number"):
+        data(path, time="t", step_s=None).build(0)
+
+
 def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> None:
     """As Hydra gives them: integers. The first line is a row; a bad cell is found in the line where it stands."""
     path, bare = csv(tmp_path), tmp_path / "bare.csv"

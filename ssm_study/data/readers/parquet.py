@@ -20,7 +20,7 @@ class ParquetReader(Reader, names=(".parquet",)):
             schema = parquet.read_schema(path)
             check_named(where, names, schema.names)
             for kind, name in ((schema.field(name).type, name) for name in names):
-                numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind)
+                numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
                 require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
             rows, most = parquet.read_metadata(path).num_rows, MOST_BYTES // 8 // len(names)
             require(rows <= most, "data.path", path, f"{rows} rows are more than {most}", "split the record")

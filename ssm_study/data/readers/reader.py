@@ -88,12 +88,18 @@ def check_named(
 
 
 def arrow_numbers(path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int) -> dict[str, Any]:
-    """Columns of an Arrow table as float64, by name; `names` has what the file calls them. Refuses an empty cell."""
+    """Columns of an Arrow table as float64, by name; `names` has what the file calls them. Refuses an empty cell.
+
+    Dates and times become seconds since the first.
+    """
     columns = {}
     for name, stored in names.items():
         column = table.column(stored)
         if column.null_count:
             row = first_row + int(np.flatnonzero(column.is_null().to_numpy())[0])
             raise BadRequest(f"{path.name}, column {name}, {row_word} {row}", "(empty)", "no number", INTERPOLATE)
-        columns[name] = np.ascontiguousarray(column.to_numpy(), dtype=np.float64)
+        values = column.to_numpy()
+        if values.dtype.kind == "M":
+            values = (values - values[:1]) / np.timedelta64(1, "s")
+        columns[name] = np.ascontiguousarray(values, dtype=np.float64)
     return columns
