@@ -12,9 +12,7 @@ from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, whole
 from ssm_study.models.structured import codes
-from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import at_least, one_of, require
-from ssm_study.signals import DataSet
 
 Free = Float[np.ndarray, "P"]
 Signals = Float[np.ndarray, "*batch c"]
@@ -173,7 +171,3 @@ class StructuredSpec(ModelSpec):
         shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper", "feedthrough")}
         width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
-
-    def build(self, data: DataSet, seed: int) -> TorchModel:
-        """`one_layer`: with neurons there is a training of its own (`training.structured_fit`)."""
-        return self.one_layer().build(data, seed)

@@ -14,6 +14,7 @@ from models_cases import data_set
 from ssm_study.models.baselines.solved import SolvedSpec
 from ssm_study.models.spec import ModelSpec
 from ssm_study.models.structured import model_from_json
+from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.training.training import Training
 
@@ -62,7 +63,7 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     data, spec = data_set(samples=60, records=2), read("model", choice)
     if isinstance(spec, SolvedSpec):
         pytest.skip("solved, not trained")
-    net = spec.build(data, 0)
+    net = (spec.one_layer() if isinstance(spec, StructuredSpec) else spec).build(data, 0)
     u = data.test[0].u
     with torch.no_grad():
         scaled = net(torch.from_numpy(data.scale.scaled_input(u))[None])[0].numpy()
@@ -108,6 +109,12 @@ def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> N
     training = read("training", "default", f"training/optimiser={choice}", "training.max_epochs=4")
     found = training.identify(read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path)
     assert found.curve[-1]["fit_training_percent"] > 60
+
+
+def test_a_model_without_a_network_to_train_says_so() -> None:
+    for choice in ("structured", "n4sid", "narx"):
+        with pytest.raises(TypeError, match="a training of its own"):
+            read("model", choice).build(data_set(), 0)
 
 
 def test_an_unknown_stored_model_is_refused() -> None:

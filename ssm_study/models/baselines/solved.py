@@ -1,6 +1,6 @@
 """Baselines that libraries solve without gradient steps: N4SID (nfoursid) and polynomial NARX (SysIdentPy)."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar
@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 
 from ssm_study.models.identified import SSM, Inputs, Outputs, Simulator
 from ssm_study.models.spec import ModelSpec, Pairs, scaled
-from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import BadRequest, at_least, require
 from ssm_study.signals import DataSet, Scale
 from ssm_study.systems import StateSpace
@@ -24,14 +23,11 @@ INSTALL = {
 OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
 
 
-class SolvedSpec(ModelSpec):
+class SolvedSpec(ModelSpec, ABC):
     """A model found without training; `solve` returns its explicit numbers."""
 
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator: ...
-
-    def build(self, data: DataSet, seed: int) -> TorchModel:  # noqa: ARG002
-        raise TypeError("solved, not trained")
 
 
 @dataclass(frozen=True, kw_only=True)
