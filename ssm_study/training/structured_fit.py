@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.spec import scaled
-from ssm_study.models.structured import Model, StructuredSSM, shapes, slopes
+from ssm_study.models.structured import Model, StructuredSSM, phi, shapes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
@@ -175,7 +175,7 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
 def _without(model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:
     lifted = [model.lift(u) for u in inputs]
     z = [model.run(v)[1][:-1] @ model.f.T + v @ model.g.T + model.bias for v in lifted]
-    s = float(np.concatenate([slopes(model.neurons, one)[:, i] for one in z]).mean())
+    s = float(np.concatenate([phi(model.neurons, one, "slope")[:, i] for one in z]).mean())
     e, f, g, h = model.e[:, [i]], model.f[[i]], model.g[[i]], model.h[:, [i]]
     parts = {"a": model.a + s * e @ f, "b": model.b + s * e @ g, "c": model.c + s * h @ f, "d": model.d + s * h @ g}
     for name, axis in {"e": 1, "f": 0, "g": 0, "h": 1, "bias": 0}.items():
