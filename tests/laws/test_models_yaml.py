@@ -16,6 +16,7 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.models.structured import model_from_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
+from ssm_study.training.metrics import mean_fit
 from ssm_study.training.training import Training
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
@@ -51,7 +52,7 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
     data, spec = data_set(noise=0.02, samples=120, records=2), read("model", choice, *FEWER.get(choice, ()))
     assert isinstance(spec, ModelSpec)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
-    assert np.isfinite(found.fit_training_percent)
+    assert np.isfinite(mean_fit(found.model, data.training, data))
     again = model_from_json(json.loads(json.dumps(found.model.to_json())))
     np.testing.assert_allclose(again.simulate(data.test[0].u), found.model.simulate(data.test[0].u), rtol=1e-13)
 
@@ -94,14 +95,14 @@ def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: P
     spec = read("model", "ssm", f"scaffold@model.{side}={choice}", "model.hidden_width=6", "model.order=2")
     data = data_set(samples=120, records=2)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
-    assert found.fit_training_percent > 30
+    assert mean_fit(found.model, data.training, data) > 30
 
 
 @pytest.mark.parametrize("choice", TRAININGS)
 def test_every_training_yaml_trains(choice: str, tmp_path: Path) -> None:
-    training = read("training", choice, "training.max_epochs=3")
-    found = training.identify(read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path)
-    assert found.fit_training_percent > 30
+    training, data = read("training", choice, "training.max_epochs=3"), data_set(samples=120)
+    found = training.identify(read("model", "ssm", "model.order=2"), data, 0, tmp_path)
+    assert mean_fit(found.model, data.training, data) > 30
 
 
 @pytest.mark.parametrize("choice", OPTIMISERS)
