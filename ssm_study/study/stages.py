@@ -54,7 +54,7 @@ def write_dataset(folder: Path, records: DataSet) -> None:
     """What `read_dataset` reads."""
     from safetensors.numpy import save_file
 
-    from ssm_study.data.tensors import dataset_to_tensors
+    from ssm_study.data.assembly import dataset_to_tensors
 
     arrays, about = dataset_to_tensors(records)
     save_file(arrays, folder / "records.safetensors")
@@ -65,7 +65,7 @@ def read_dataset(folder: Path) -> DataSet:
     """The records in physical units, with their splits."""
     from safetensors.numpy import load_file
 
-    from ssm_study.data.tensors import dataset_from_tensors
+    from ssm_study.data.assembly import dataset_from_tensors
 
     return dataset_from_tensors(load_file(folder / "records.safetensors"), read_json(folder / "records.json"))
 
