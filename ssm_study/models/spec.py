@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, svd
 from scipy.signal import lfilter
 
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
-from ssm_study.refusal import one_of, positive, require
+from ssm_study.refusal import at_least, one_of, positive, require
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
@@ -157,6 +157,11 @@ class ModelSpec:
 
     # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only.
     gives_ssm: ClassVar[bool] = False
+    sizes: ClassVar[tuple[str, ...]] = ()  # the fields that are at least 1
+
+    def __post_init__(self) -> None:
+        for name in self.sizes:
+            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     def build(self, data: DataSet, seed: int) -> "TorchModel":  # noqa: ARG002
         raise TypeError("solved, or with a training of its own")

@@ -105,13 +105,11 @@ class Polynomial(Simulator, names=("narx",)):
 class NARX(SolvedSpec):
     """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward regression (FROLS)."""
 
+    sizes: ClassVar = ("lags", "degree", "terms")
+
     lags: int
     degree: int
     terms: int
-
-    def __post_init__(self) -> None:
-        for name in ("lags", "degree", "terms"):
-            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     def solve(self, data: DataSet) -> Polynomial:
         channels = (data.scale.inputs, data.scale.outputs)
