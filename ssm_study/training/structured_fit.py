@@ -164,10 +164,11 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
     condition that the analysis LMI is about. A neuron between input and output is left where D is zero.
     """
     for i in reversed(range(len(model.neurons))):
-        through = np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0)
+        if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
+            continue
         candidate = _without(model, i, inputs)
         was, moved = (np.concatenate([one.simulate(u) for u in inputs]) for one in (model, candidate))
-        if not through and np.linalg.norm(moved - was) / np.linalg.norm(was - was.mean(axis=0)) < IDLE:
+        if np.linalg.norm(moved - was) / np.linalg.norm(was - was.mean(axis=0)) < IDLE:
             model = candidate
     return model
 
