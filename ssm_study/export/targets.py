@@ -44,9 +44,7 @@ _SCRIPT = Path(__file__).with_name("script.py.txt")
 def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controller") -> list[Path]:
     """Write the controller of the run folder into the folder `to`; returns what was written.
 
-    `controller.h`, `controller.c` and `controller_replay.c` (dependency-free C in `real`, "double" or "float", whose
-    names begin with `prefix`), `controller.json` (the numbers), `controller.py` (a python-control system, NumPy
-    and control only), `controller.onnx` (where onnx is installed) and `certificate.json`, the run's own.
+    C in `real`, "double" or "float", whose names begin with `prefix`, and the other files of docs/howto_export.md.
     Raises `BadRequest` for a run without controller, an unknown `real`, or when `to` is a file.
     """
     sources = c_sources(run, real=real, prefix=prefix)

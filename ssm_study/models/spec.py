@@ -175,9 +175,9 @@ class ModelSpec:
 class SSMSpec(ModelSpec):
     """`x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))`: order n, slopes in `[slope_lower, slope_upper]`.
 
-    `start`: "data" takes the modes of a least-squares fit, "ring" draws them with radii in `ring_radius` and angles
-    (rad per sample) in `ring_frequency`, `real_modes` of them real (only then used). `slope_*` bound the scaffolding's
-    own sector in scaled units; its gain lies in B and C. `dead_time` in samples: its states come on top of the order.
+    `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in `ring_frequency`, `real_modes`
+    of them real. `slope_*` bound the scaffolding's own sector in scaled units; its gain lies in B and C. The states of
+    `dead_time` (samples) come on top of the order.
     """
 
     gives_ssm: ClassVar[bool] = True
