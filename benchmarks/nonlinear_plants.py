@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.adversarial.__main__ import plant_of, study_of
+from benchmarks.adversarial.__main__ import plant_of
+from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
