@@ -22,8 +22,12 @@ from common import REFERENCE, study_of, write
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.synthesis.among_starts import fastest
+from ssm_study.synthesis.area import at_rest
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.problem import dual
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
 
@@ -39,19 +43,24 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
         spent = time.process_time() - began
     model, balls = found.model, certified_balls(found.model)
     sides = {False: balls.input, True: balls.output}
-    asked = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
-    factors = [np.sqrt(1.0 - largest_rate(asked.problem(model.system, ball, side))) for side, ball in sides.items()]
-    at_rest = model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
+    factors = [np.sqrt(1.0 - largest(model.system, ball, observes)) for observes, ball in sides.items()]
     numbers = {
         "fit_validation_percent": found.fit_validation_percent,
         "fit_test_percent": mean_fit(model, data.test, data),
-        "radius_at_rest": float(np.abs(np.linalg.eigvals(at_rest.a)).max()),
+        "radius_at_rest": at_rest(model).spectral_radius,
         "r_controller": factors[0],
         "r_observer": factors[1],
         "seconds_per_start": spent / part.model.trainings,
     }
-    sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(model.neurons)}
+    sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(getattr(model, "neurons", ()))}
     return sizes | {name: f"{value:.4g}" for name, value in numbers.items()}
+
+
+def largest(system: System, ball: JacobianBall, observes: bool) -> float:
+    """Of a one-layer model, which a start may end as, the frontier is exact."""
+    if isinstance(system, StateSpace):
+        return controller_frontier(dual(system) if observes else system, ball).rate_limit
+    return largest_rate(RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).problem(system, ball, observes))
 
 
 def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]:
