@@ -14,7 +14,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 
-from benchmarks.adversarial.__main__ import plant_of, study_of
+from benchmarks.adversarial.__main__ import plant_of
+from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.excitations.own_plant import OwnPlantRecord
 from ssm_study.data.recorded import RecordedData

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
-from benchmarks.adversarial.__main__ import study_of
+from benchmarks.common import study_of
 from ssm_study.evidence.feedback import fed_back, is_closed
 from ssm_study.signals import DataSet, Scale, Trajectory
 

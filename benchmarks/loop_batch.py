@@ -11,17 +11,13 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hydra
 import numpy as np
-from hydra import compose, initialize_config_dir
+from common import study_of
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import Loop
 from ssm_study.synthesis.auto import Auto
-
-CONF = Path(__file__).resolve().parents[1] / "conf"
-GROUPS = ("plant", "excitation", "data", "model", "training", "reduction")
 
 
 def main() -> None:
@@ -29,14 +25,12 @@ def main() -> None:
     for name, count in (("cases", 1000), ("samples", 1000), ("one-by-one", 20)):
         parser.add_argument(f"--{name}", type=int, default=count)
     asked = parser.parse_args()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        config = compose("study", ["study=benchmark"])
-    part = {name: hydra.utils.instantiate(config[name], _convert_="all") for name in GROUPS}
-    data = part["data"].build(part["plant"], part["excitation"], 0)
+    part = study_of("study=benchmark")
+    data = part.data.build(part.plant, part.excitation, 0)
     with TemporaryDirectory() as folder:
-        found = part["training"].identify(part["model"], data, 0, Path(folder), False)
-    model = part["reduction"].reduce(found.model)
-    plant, design = part["plant"], Auto().design(model, certified_balls(model), data.validation)
+        found = part.training.identify(part.model, data, 0, Path(folder), False)
+    model = part.reduction.reduce(found.model)
+    plant, design = part.plant, Auto().design(model, certified_balls(model), data.validation)
     loop = Loop(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
     controller, (y0, noise) = ObserverFeedback.of(model, design), loop.draw(plant, 0)
     loop.simulate(plant, controller, y0[:2], noise[:2])  # compiles the plant's kernel

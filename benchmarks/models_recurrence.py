@@ -5,13 +5,12 @@ float32; ratio: to the automatic choice of ours in the same run.
 dynonet and jax are left out where they are not installed, and the table says so.
 """
 
-import csv
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
+from common import REFERENCE, keep
 from models_bounds import jax_fft, numba_loop
 from models_clock import as_in_a_run, interleaved, machine
 from models_peers import BareFFT, DynoNetFilter, PublicLRU, Recurrent, StepLoop
@@ -23,7 +22,7 @@ from ssm_study.models.torch_ssm import LRU
 
 CASES = [(1_000, 8, 16), (10_000, 8, 16), (10_000, 64, 16), (10_000, 256, 16), (10_000, 256, 4), (100_000, 8, 16)]
 """Samples, modes, batch. The public scan holds several tables of batch x T x n complex numbers: 4.6 GB at most."""
-TARGET = Path(__file__).resolve().parents[1] / "results" / "reference" / "training" / "recurrence.csv"
+TARGET = REFERENCE / "training" / "recurrence.csv"
 
 
 def step(model: nn.Module, evaluate: Callable[[torch.Tensor], torch.Tensor], u: torch.Tensor) -> Callable[[], None]:
@@ -94,17 +93,9 @@ def main(cases: list[int]) -> None:
     """Measures the cases of these numbers, and keeps what the table says of the others."""
     chosen = [CASES[number] for number in cases or range(len(CASES))]
     rows = [row for case in chosen for row in measured(*case)]
-    if TARGET.exists():
-        with TARGET.open(newline="") as file:
-            known = list(csv.DictReader(file))
-        key = [tuple(map(str, case)) for case in chosen]
-        rows += [row for row in known if (row["samples"], row["modes"], row["batch"]) not in key]
+    key = ("samples", "modes", "batch")
     order = {tuple(map(str, case)): at for at, case in enumerate(CASES)}
-    rows.sort(key=lambda row: order[str(row["samples"]), str(row["modes"]), str(row["batch"])])
-    with TARGET.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    keep(TARGET, rows, key, lambda row: order[tuple(str(row[name]) for name in key)])
 
 
 if __name__ == "__main__":

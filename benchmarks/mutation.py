@@ -13,7 +13,6 @@ The tests that verify a run share one, made before any fault is planted.
 """
 
 import argparse
-import csv
 import hashlib
 import json
 import re
@@ -24,8 +23,9 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDER = ROOT / "results" / "reference" / "mutation"
+from common import REFERENCE, ROOT, write
+
+FOLDER = REFERENCE / "mutation"
 COLUMNS = ("group", "module", "line", "fault", "occurrence", "outcome")
 SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 90, 1200
 # Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would only flatter.
@@ -259,11 +259,7 @@ def report(folder: Path, name_of: str) -> None:
         if (folder / f"{name}.sqlite").exists()
         for row in planted_faults(folder / f"{name}.sqlite")
     ]
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    with (FOLDER / f"{name_of}.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(row for row, _ in rows)
+    write(FOLDER / f"{name_of}.csv", [row for row, _ in rows], COLUMNS)
     survivors = [diff for row, diff in rows if row["outcome"] == "survived"]
     (FOLDER / ("survivors.diff" if name_of == "faults" else f"{name_of}.diff")).write_text("\n".join(survivors) + "\n")
     for name in GROUPS:

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.adversarial.__main__ import plant_of, study_of
+from benchmarks.adversarial.__main__ import plant_of
+from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
@@ -42,7 +43,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     shown, balls = mismatch(made, data.validation, data.start_up_samples, data.trials), certified_balls(made)
     design = parts.synthesis.design(made, balls, data.validation, shown)
     if not design.feasible:
-        return f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f},,,,,"
+        return f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f},,,,,,{design.certified}"
     predicted = predict(made, design.pair, balls, shown)
     facts = behaviour(parts.loop.fitted(made).run(plant, made, design, parts.loop_seed))
     times = [facts[f"settling_time_{which}"] for which in ("mean_s", "open_loop_s")]

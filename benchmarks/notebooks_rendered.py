@@ -19,11 +19,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jupytext
+from common import ROOT
 from nbclient import NotebookClient
 from nbformat import NotebookNode
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parents[1]
 TARGET = ROOT / "docs" / "notebooks"
 NAMES = ("the_paper", "reading_a_sweep", "how_far_can_a_certificate_go", "your_own_data")
 WIDTH = 1200  # pixels: sharp at the width of a page, a sixth of the bytes of print resolution

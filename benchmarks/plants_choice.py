@@ -19,9 +19,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
+from common import REFERENCE
 from omegaconf import DictConfig, OmegaConf
 
-REFERENCE = Path(__file__).resolve().parents[1] / "results" / "reference" / "benchmarks"
 UNITS = {"cascaded_tanks": "V", "ced": "ticks/s", "emps": "mm"}
 SETTINGS = ("order", "hidden_width", "slope_lower", "scaffold_out")
 PARTS = 4  # folds, or rehearsals
@@ -73,7 +73,7 @@ def rows_of(benchmark: str, settings: dict[Setting, dict[int, float]]) -> list[l
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", type=Path, help="the folder of the study, e.g. results/benchmark_choice")
-    parser.add_argument("--out", type=Path, default=REFERENCE)
+    parser.add_argument("--out", type=Path, default=REFERENCE / "benchmarks")
     options = parser.parse_args()
     runs = sorted(options.study.glob("*/record.json"))
     if not runs:

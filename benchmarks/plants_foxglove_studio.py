@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-ROOT = Path(__file__).resolve().parents[1]
+from common import ROOT
+
 READY_S = 120  # of a loaded machine; a minute's worth of script is parsed first
 SEEN = "document.body.innerText.includes('END TIME') && / @ [0-9.]+ sec/.test(document.body.innerText)"
 

@@ -12,11 +12,12 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+from common import REFERENCE
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.signals import Channel
 
-OUT = Path(__file__).resolve().parents[1] / "results" / "reference" / "benchmarks" / "plants_mcap.csv"
+OUT = REFERENCE / "benchmarks" / "plants_mcap.csv"
 SAMPLES, ROUNDS = 100_000, 3
 
 

@@ -11,15 +11,15 @@ Runs of structured models go to `structured_by_seed.csv`, and their medians and 
 """
 
 import argparse
-import csv
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import REFERENCE, rows_of, write
 from omegaconf import OmegaConf
 
-REFERENCE = Path(__file__).resolve().parents[1] / "results" / "reference" / "benchmarks"
+FOLDER = REFERENCE / "benchmarks"
 COLUMNS = {
     "emps": ("emps_mm",),
     "cascaded_tanks": ("cascaded_tanks_v",),
@@ -95,16 +95,14 @@ def write_structured(out: Path, runs: list[dict[str, Any]]) -> None:
 
 
 def write_table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    told = [{k: row[k] for k in columns if k in row} for row in rows]
+    write(path, [{k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in told], columns)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", type=Path, help="the folder of the study, e.g. results/benchmarks")
-    parser.add_argument("--out", type=Path, default=REFERENCE)
+    parser.add_argument("--out", type=Path, default=FOLDER)
     options = parser.parse_args()
     found = every_run(options.study)
     structured = [run for run in found if run["model"] == "structured"]
@@ -116,8 +114,7 @@ def main() -> None:
         return
     if not runs:
         raise SystemExit(f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmarks")
-    with (REFERENCE / "published.csv").open(newline="") as stream:
-        published = list(csv.DictReader(stream))
+    published = rows_of(FOLDER / "published.csv")
     rows = [row_of(model, runs) for model in MODELS]
     write_table(options.out / "scores.csv", ["model", *SCORES, "source"], [*rows, *published])
     write_table(options.out / "scores_by_run.csv", [*TOLD, *SCORES], runs)

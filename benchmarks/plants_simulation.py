@@ -8,23 +8,21 @@ minutes) at the tolerance that gives it the batched motor's accuracy, and scaled
 
 import csv
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from statistics import median
 
 import numpy as np
 import yaml
+from common import REFERENCE, ROOT, cpu_seconds
 from scipy.integrate import solve_ivp
 
 from ssm_study.plants.dc_motor import DCMotor
 
-ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))  # where oracles are
-from dc_motor_exact import simulate_exactly  # noqa: E402
+from dc_motor_exact import simulate_exactly
 
-OUT = ROOT / "results" / "reference" / "benchmarks" / "plants_simulation.csv"
+OUT = REFERENCE / "benchmarks" / "plants_simulation.csv"
 CASES, SAMPLES = 64, 2000
 PART = 300  # samples of one trajectory that the slow routes are timed on
 ROUNDS = 5
@@ -107,12 +105,6 @@ def rate(_: float, x: np.ndarray, motor: DCMotor, v_eff: float, modes: tuple[int
     ])  # fmt: skip
 
 
-def seconds(work: Callable[[], object]) -> float:
-    start = time.process_time()  # of all threads: another program on the same cores does not count
-    work()
-    return time.process_time() - start
-
-
 Route = tuple[str, Callable[[], np.ndarray], float]
 
 
@@ -145,7 +137,7 @@ def main() -> None:
     for name, work, factor in all_routes(motor, u):
         error = float(np.abs(work()[0, :PART, 2] - exact[:, 2]).max())
         rounds = ROUNDS if factor == 1.0 else 2
-        rows.append([name, error, factor * median(seconds(work) for _ in range(rounds))])
+        rows.append([name, error, factor * median(cpu_seconds(work) for _ in range(rounds))])
     configured = rows[1][2]
     OUT.parent.mkdir(parents=True, exist_ok=True)
     with OUT.open("w", newline="") as stream:

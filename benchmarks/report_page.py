@@ -10,7 +10,6 @@ next, and the tasks that held the page for longer than 50 ms (W3C Long Tasks). W
 """
 
 import argparse
-import csv
 import sys
 import tempfile
 import time
@@ -21,11 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import REFERENCE, ROOT, write
 
 from ssm_study.report.page.writing import write_page
 
-ROOT = Path(__file__).resolve().parents[1]
-OUT = ROOT / "results" / "reference" / "benchmarks" / "report_page.csv"
+OUT = REFERENCE / "benchmarks" / "report_page.csv"
 FRAME_S, REST_S = 0.016, 0.6
 RECORDER = """
 window.recorded = {frames: [], tasks: []};
@@ -193,10 +192,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         page = write_page(report_tables.write_study(Path(folder) / "study", report_tables.table(asked.runs)))
         table = rows(page, Path(folder) / "profile", asked.rounds)
-    with OUT.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table)
+    write(OUT, table)
     print(OUT.read_text())
 
 

@@ -6,14 +6,13 @@ Processor time of the whole command with its children, the least of two (a plan 
 """
 
 import argparse
-import csv
 import os
 import subprocess
 import sys
 import tempfile
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from common import REFERENCE, write
+
 FIXED = ("synthesis=closed_form", "synthesis.rate_observer=0.5")
 WANTED_S = {"a plan": 10.0}
 
@@ -46,10 +45,7 @@ def main() -> None:
             name: min(cpu_s(words) for _ in range(1 if name == "a plan" else 2)) for name, words in commands.items()
         }
     rows = [{"command": n, "cpu_s": f"{s:.2f}", "wanted_s": WANTED_S.get(n, 1.5)} for n, s in seen.items()]
-    with (ROOT / "results" / "reference" / "engine" / "start_up.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write(REFERENCE / "engine" / "start_up.csv", rows)
     print(*(f"{row['command']}: {row['cpu_s']} s (wanted {row['wanted_s']})" for row in rows), sep="\n")
 
 

@@ -12,9 +12,8 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hydra
 import numpy as np
-from hydra import compose, initialize_config_dir
+from common import REFERENCE, study_of
 from structured_plants import written
 
 from ssm_study.refusal import BadRequest
@@ -22,8 +21,7 @@ from ssm_study.training.metrics import mean_fit
 from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
 from ssm_study.training.structured_choice import held_out
 
-ROOT = Path(__file__).resolve().parents[1]
-TARGET = ROOT / "results" / "reference" / "training" / "structured_default.csv"
+TARGET = REFERENCE / "training" / "structured_default.csv"
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
 RECORDS = ("ced", "tanks_record", "silverbox", "emps")
 CLASSES = ("ssm", "structured")
@@ -31,18 +29,13 @@ CLASSES = ("ssm", "structured")
 
 def row(where: str, model: str) -> dict[str, object]:
     chosen = f"plant={where}" if where in PLANTS else f"data={where.replace('tanks_record', 'cascaded_tanks')}"
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("study", [chosen, f"model={model}", "study=default"])
-    part = {
-        name: hydra.utils.instantiate(config[name], _convert_="all")
-        for name in ("plant", "excitation", "data", "model", "training")
-    }
-    data = part["data"].build(part["plant"], part["excitation"], 0) if where in PLANTS else part["data"].build(0)
+    part = study_of(chosen, f"model={model}")
+    data = part.data.build(part.plant, part.excitation, 0) if where in PLANTS else part.data.build(0)
     fits, began = [], time.process_time()
     for fold in held_out(data):
         with TemporaryDirectory() as folder:
             try:
-                found = part["training"].identify(part["model"], fold, 0, Path(folder))
+                found = part.training.identify(part.model, fold, 0, Path(folder))
                 fits.append(mean_fit(found.model, fold.test, fold))
             except BadRequest:  # the training left the finite
                 fits.append(-np.inf)

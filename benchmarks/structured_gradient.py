@@ -9,21 +9,21 @@ Medians of five pairs; the three gradients are compared first.
 """
 
 import argparse
-import csv
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from common import REFERENCE, ROOT, cpu_seconds, write
 
 from ssm_study.models.structured_spec import Pieces
 from ssm_study.training.structured_problem import CORE, Batch, Residuals, Theta
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.append(str(ROOT / "tests"))
 from structured_adjoint import gradient
 
-TARGET = Path(__file__).resolve().parents[1] / "results" / "reference" / "training" / "structured_gradient.csv"
+TARGET = REFERENCE / "training" / "structured_gradient.csv"
 BATCH, PAIRS = 16, 5
 FREE = (*CORE, "b", "g", "bias", "c")
 
@@ -64,18 +64,12 @@ def by_autograd(one: Residuals, theta: Theta) -> np.ndarray:
     return np.concatenate([part.grad.numpy().ravel() for part in parts.values()])
 
 
-def milliseconds(call, *given) -> float:  # type: ignore[no-untyped-def]
-    began = time.process_time()
-    call(*given)
-    return 1e3 * (time.process_time() - began)
-
-
 def row(samples: int, size: int) -> dict[str, object]:
     (one, theta), calls = problem(samples, size), (by_adjoint, by_jacobian, by_autograd)
     found = [call(one, theta) for call in calls]
     for other in found[1:]:
         np.testing.assert_allclose(found[0], other, rtol=1e-6, atol=1e-9 * np.abs(other).max())
-    times = [[milliseconds(call, one, theta) for call in calls] for _ in range(PAIRS)]
+    times = [[1e3 * cpu_seconds(partial(call, one, theta)) for call in calls] for _ in range(PAIRS)]
     names = ("adjoint_ms", "jacobian_ms", "autograd_loop_ms")
     told = dict(zip(names, np.median(times, axis=0), strict=True))
     told["loop_over_adjoint"] = float(np.median([loop / first for first, _, loop in times]))
@@ -89,10 +83,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     rows = [row(samples, size) for size in (4, 8) for samples in options.samples]
-    with options.to.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write(options.to, rows)
     print(options.to.read_text())
 
 

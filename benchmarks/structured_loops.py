@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.adversarial.__main__ import study_of
+from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import judge

@@ -12,70 +12,68 @@ With `--each` a row is a start, and r is found for those within a percent point 
 """
 
 import argparse
-import csv
 import time
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hydra
 import numpy as np
-from hydra import compose, initialize_config_dir
+from common import REFERENCE, study_of, write
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.synthesis.among_starts import fastest
+from ssm_study.synthesis.area import at_rest
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.problem import dual
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
 
-ROOT = Path(__file__).resolve().parents[1]
-TARGET = ROOT / "results" / "reference" / "training" / "structured_plants.csv"
-
-
-def parts(plant: str, overrides: list[str]) -> dict:
-    """The objects of one configuration, without a run folder."""
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("study", [f"plant={plant}", "model=structured", "study=plants", *overrides])
-    names = ("plant", "excitation", "data", "model", "training")
-    return {name: hydra.utils.instantiate(config[name], _convert_="all") for name in names}
+TARGET = REFERENCE / "training" / "structured_plants.csv"
 
 
 def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
-    part = parts(plant, overrides)
-    data = part["data"].build(part["plant"], part["excitation"], seed)
+    part = study_of(f"plant={plant}", "model=structured", *overrides)
+    data = part.data.build(part.plant, part.excitation, seed)
     with TemporaryDirectory() as folder:
         began = time.process_time()
-        found = part["training"].identify(part["model"], data, seed, Path(folder))
+        found = part.training.identify(part.model, data, seed, Path(folder))
         spent = time.process_time() - began
     model, balls = found.model, certified_balls(found.model)
-    asked = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
     sides = {False: balls.input, True: balls.output}
-    factors = [np.sqrt(1.0 - largest_rate(asked.problem(model.system, ball, side))) for side, ball in sides.items()]
-    at_rest = model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
+    factors = [np.sqrt(1.0 - largest(model.system, ball, observes)) for observes, ball in sides.items()]
     numbers = {
         "fit_validation_percent": found.fit_validation_percent,
         "fit_test_percent": mean_fit(model, data.test, data),
-        "radius_at_rest": float(np.abs(np.linalg.eigvals(at_rest.a)).max()),
+        "radius_at_rest": at_rest(model).spectral_radius,
         "r_controller": factors[0],
         "r_observer": factors[1],
-        "seconds_per_start": spent / part["model"].trainings,
+        "seconds_per_start": spent / part.model.trainings,
     }
-    sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(model.neurons)}
+    sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(getattr(model, "neurons", ()))}
     return sizes | {name: f"{value:.4g}" for name, value in numbers.items()}
+
+
+def largest(system: System, ball: JacobianBall, observes: bool) -> float:
+    """Of a one-layer model, which a start may end as, the frontier is exact."""
+    if isinstance(system, StateSpace):
+        return controller_frontier(dual(system) if observes else system, ball).rate_limit
+    return largest_rate(RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).problem(system, ball, observes))
 
 
 def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]:
     """Every start of one seed, none of which the program would have to take."""
-    part, found = parts(plant, overrides), []
+    part, found = study_of(f"plant={plant}", "model=structured", *overrides), []
 
     def kept(every):  # type: ignore[no-untyped-def]
         found.extend(every)
         return max(every, key=lambda one: one.fit_validation_percent)
 
-    data = part["data"].build(part["plant"], part["excitation"], seed)
+    data = part.data.build(part.plant, part.excitation, seed)
     with TemporaryDirectory() as folder:
-        best = part["training"].identify(replace(part["model"], among_starts=kept), data, seed, Path(folder))
+        best = part.training.identify(replace(part.model, among_starts=kept), data, seed, Path(folder))
     rows = []
     for start, one in enumerate(found):
         model, near = one.model, one.fit_validation_percent >= best.fit_validation_percent - 1
@@ -92,10 +90,7 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
 def written(rows: list[dict[str, object]], to: Path) -> None:
     """The rows so far; the last one is printed."""
     print(",".join(map(str, rows[-1].values())), flush=True)
-    with to.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write(to, rows)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from collections import Counter
 
 import numpy as np
 import scipy.linalg
-from synthesis_certified import instances, keep, named, told
+from synthesis_certified import instances, kept, named, told
 from synthesis_instances import Instance
 
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
@@ -91,7 +91,7 @@ def main() -> None:
     warnings.simplefilter("ignore")
     for gap in arguments.gaps:
         new = row(gap, instances("random", gap, arguments.count, (1, 32)))
-        keep(new)
+        kept(new)
         print(*new.items(), flush=True)
 
 

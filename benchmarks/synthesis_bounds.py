@@ -8,18 +8,17 @@ beside it the norm product of the paper over the upper end of the ball. Writes `
 import sys
 import time
 from itertools import pairwise
-from pathlib import Path
 from statistics import median
 
 import numpy as np
-from synthesis_times import write
+from common import REFERENCE, ROOT, write
 
 from ssm_study.bounds.lipsdp import lipsdp_bound
 from ssm_study.bounds.network import Network
 from ssm_study.bounds.slopes import interval_bound, network_bound, spectral_norm_bound
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))  # where oracles are
+sys.path.insert(0, str(ROOT / "tests"))  # where oracles are
 from worst_case import worst_jacobian
 
 SHAPES = ((1, (8,)), (1, (32,)), (1, (8, 8)), (2, (8,)), (2, (32,)), (2, (8, 8)), (3, (16,)))
@@ -70,7 +69,7 @@ def main() -> None:
         for method in ("exact", "lipsdp", "interval") if channels == 1 else ("lipsdp", "interval"):
             rows.append(row(channels, widths, method))
             print(rows[-1], flush=True)
-    write("bounds.csv", rows)
+    write(REFERENCE / "certificates" / "bounds.csv", rows)
 
 
 if __name__ == "__main__":

@@ -7,13 +7,12 @@ runs are kept.
 """
 
 import argparse
-import csv
 import json
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
+from common import REFERENCE, keep
 from synthesis_instances import Instance, random_instance
 
 from ssm_study.synthesis.design import Synthesis
@@ -23,7 +22,7 @@ from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
-FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "certificates"
+FOLDER = REFERENCE / "certificates"
 METHODS: dict[str, type[Synthesis]] = {
     "closed_form": ClosedFormSynthesis,
     "riccati": RiccatiSynthesis,
@@ -97,18 +96,10 @@ def named(missed: list[tuple[int, str]]) -> str:
     return "; ".join(f"n={order} {kind}" for order, kind in missed[:8])
 
 
-def keep(new: dict[str, object]) -> None:
-    """Replace the row of the same set, method and gap."""
-    path = FOLDER / "certified.csv"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    rows = list(csv.DictReader(path.open())) if path.exists() else []
-    rows = [old for old in rows if tuple(old[k] for k in KEY) != tuple(str(new[k]) for k in KEY)]
-    rows.append({name: str(value) for name, value in new.items()})
-    rows.sort(key=lambda r: (r["set"], r["method"], -float(r["gap"])))
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS + AGREEMENT, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+def kept(new: dict[str, object]) -> None:
+    """In place of the row of the same set, method and gap."""
+    path, columns = FOLDER / "certified.csv", COLUMNS + AGREEMENT
+    keep(path, [new], KEY, lambda row: (row["set"], row["method"], -float(str(row["gap"]))), columns)
 
 
 def main() -> None:
@@ -124,7 +115,7 @@ def main() -> None:
         cases = instances(arguments.set, gap, arguments.count, tuple(arguments.orders))
         for method in arguments.methods.split(","):
             new = row(arguments.set, method, gap, cases)
-            keep(new)
+            kept(new)
             print(*new.values(), flush=True)
 
 

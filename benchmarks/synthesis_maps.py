@@ -9,8 +9,8 @@ On the first identified model of `trained_models.json` writes, in the same folde
 import warnings
 
 import numpy as np
+from common import write
 from synthesis_certified import FOLDER, trained
-from synthesis_times import write
 
 from ssm_study.synthesis.certificate import StateFeedback
 from ssm_study.synthesis.frontier import frontier
@@ -92,10 +92,10 @@ def measured(part: StateFeedback) -> float:
 def main() -> None:
     warnings.simplefilter("ignore")
     linear = next(case.linear for case in trained(0.5, 100) if case.linear.order == 8)
-    write("feasibility_map.csv", feasibility_map(linear))
+    write(FOLDER / "feasibility_map.csv", feasibility_map(linear))
     found = designs(linear, 0.3)
-    write("gain_norm.csv", gain_norm(found))
-    write("contraction.csv", contraction(found))
+    write(FOLDER / "gain_norm.csv", gain_norm(found))
+    write(FOLDER / "contraction.csv", contraction(found))
     print(f"tables written to {FOLDER}")
 
 

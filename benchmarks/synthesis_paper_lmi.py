@@ -16,9 +16,9 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from synthesis_certified import FOLDER, GAPS, instances, keep, told
+from common import rows_of, write
+from synthesis_certified import FOLDER, GAPS, instances, kept, told
 from synthesis_instances import Instance
-from synthesis_times import write
 
 from ssm_study.synthesis.lmi import SOLVERS, paper_lmi
 
@@ -32,10 +32,6 @@ LIMIT_S = 120.0
 
 Row = dict[str, str]
 Cases = dict[float, list[Instance]]
-
-
-def solved() -> list[Row]:
-    return list(csv.DictReader(TARGET.open())) if TARGET.exists() else []
 
 
 def open_cases(cases: Cases, done: set[tuple[str, str]]) -> Iterator[tuple[float, int, Instance]]:
@@ -53,7 +49,7 @@ def row(gap: float, index: int, case: Instance) -> Row:
 
 
 def solve(cases: Cases, minutes: float) -> None:
-    started, rows = time.monotonic(), solved()
+    started, rows = time.monotonic(), rows_of(TARGET)
     with TARGET.open("a", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not rows:
@@ -99,13 +95,13 @@ def main() -> None:
     SOLVERS["CLARABEL"]["time_limit"] = LIMIT_S
     cases = {gap: instances("random", gap, COUNT, (1, 32)) for gap in GAPS}
     solve(cases, arguments.minutes)
-    rows = solved()
+    rows = rows_of(TARGET)
     for gap in GAPS:
         of_gap = [row for row in rows if row["gap"] == str(gap)]
         if of_gap:
-            keep(count(gap, of_gap))
+            kept(count(gap, of_gap))
             print(gap, len(of_gap), sum(row["certified"] == "True" for row in of_gap), flush=True)
-    write("paper_lmi_by_order.csv", by_order(cases, rows))
+    write(FOLDER / "paper_lmi_by_order.csv", by_order(cases, rows))
 
 
 if __name__ == "__main__":

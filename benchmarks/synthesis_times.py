@@ -7,15 +7,13 @@ as it is busy. `--orders n ...` restricts; rows of other orders are kept.
 """
 
 import argparse
-import csv
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import scipy.linalg
+from common import REFERENCE, cpu_seconds, keep
 from synthesis_instances import random_model
 
 from ssm_study.synthesis.frontier import frontier
@@ -27,7 +25,7 @@ from ssm_study.synthesis.theorems.minimum_energy import minimum_energy_gain, min
 from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall
 
-FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "certificates"
+FOLDER = REFERENCE / "certificates"
 ORDERS = (4, 8, 16, 32, 64, 128, 256, 512)
 LARGEST = {
     "paper_lmi_full": 32,
@@ -78,18 +76,11 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
 
 def milliseconds(task: Callable[[], object]) -> float:
     """One call; what takes less than `LONG_S` is the mean of many."""
-    once = seconds(task)
+    once = cpu_seconds(task)
     if once > LONG_S:
         return 1e3 * once
     calls = max(1, min(100, int(LONG_S / max(once, 1e-9))))
-    return 1e3 * seconds(task, calls) / calls
-
-
-def seconds(task: Callable[[], object], calls: int = 1) -> float:
-    started = time.process_time()
-    for _ in range(calls):
-        task()
-    return time.process_time() - started
+    return 1e3 * cpu_seconds(task, calls) / calls
 
 
 def timed(order: int) -> dict[str, object]:
@@ -115,8 +106,8 @@ def sweep(order: int, rates: int = 20) -> dict[str, object]:
         for case in cases:
             shared.solve(case)
 
-    apart = seconds(lambda: [compiled(problem, "smallest_gain").solve(case) for case in cases])
-    together = seconds(through_one)
+    apart = cpu_seconds(lambda: [compiled(problem, "smallest_gain").solve(case) for case in cases])
+    together = cpu_seconds(through_one)
     return {
         "order": order,
         "rates": rates,
@@ -126,22 +117,9 @@ def sweep(order: int, rates: int = 20) -> dict[str, object]:
     }
 
 
-def write(name: str, rows: list[dict[str, object]]) -> None:
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    with (FOLDER / name).open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def keep(name: str, row: dict[str, object]) -> None:
-    """Replace the row of the same order."""
-    path = FOLDER / name
-    rows: list[dict[str, object]] = list(csv.DictReader(path.open())) if path.exists() else []
-    rows = [old for old in rows if int(str(old["order"])) != row["order"]] + [row]
-    rows.sort(key=lambda each: int(str(each["order"])))
-    write(name, rows)
+def kept(name: str, row: dict[str, object]) -> None:
+    """In place of the row of the same order."""
+    keep(FOLDER / name, [row], ["order"], lambda each: int(str(each["order"])))
     print(row, flush=True)
 
 
@@ -152,8 +130,8 @@ def main() -> None:
     warnings.simplefilter("ignore")
     for order in arguments.orders:
         if order in SWEPT:
-            keep("sweep.csv", sweep(order))
-        keep("times.csv", timed(order))
+            kept("sweep.csv", sweep(order))
+        kept("times.csv", timed(order))
 
 
 if __name__ == "__main__":

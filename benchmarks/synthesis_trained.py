@@ -11,22 +11,18 @@ import json
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
+from common import REFERENCE, study_of
 
 from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 
-ROOT = Path(__file__).resolve().parents[1]
-TARGET = ROOT / "results" / "reference" / "certificates" / "trained_models.json"
+TARGET = REFERENCE / "certificates" / "trained_models.json"
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks", "dc_motor_limited")
 ORDERS = (2, 3, 4, 6, 8)
 SEEDS = range(10)
 MOST = 100
-GROUPS = ("+excitation=aprbs", "+data=simulated", "+model=ssm", "+training=default", "+reduction=balanced")
 SIZE = (
     "data.trajectories=3",
     "data.samples=400",
@@ -38,16 +34,11 @@ SIZE = (
 
 
 def identified(plant: str, order: int, seed: int) -> SSM:
-    with initialize_config_dir(str(ROOT / "conf"), version_base=None):
-        config = compose(overrides=[f"+plant={plant}", *GROUPS, *SIZE, f"model.order={order}"])
-    part: dict[str, Any] = {
-        name: instantiate(config[name], _convert_="all")
-        for name in ("plant", "excitation", "data", "model", "training", "reduction")
-    }
-    data = part["data"].build(part["plant"], part["excitation"], seed)
+    part = study_of(f"plant={plant}", "model=ssm", *SIZE, f"model.order={order}")
+    data = part.data.build(part.plant, part.excitation, seed)
     with tempfile.TemporaryDirectory() as folder:
-        found = part["training"].identify(part["model"], data, seed, Path(folder))
-    model: SSM = part["reduction"].reduce(found.model)
+        found = part.training.identify(part.model, data, seed, Path(folder))
+    model: SSM = part.reduction.reduce(found.model)
     return model
 
 

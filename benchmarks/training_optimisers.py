@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import REFERENCE, ROOT, rows_of, write
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from models_clock import machine
@@ -25,8 +26,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training import saving
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDER = ROOT / "results" / "reference" / "training"
+FOLDER = REFERENCE / "training"
 CURVES, TABLE = FOLDER / "optimiser_curves.csv", FOLDER / "optimisers.csv"
 EPOCHS = {"lbfgs": 60, "levenberg": 20, "adam": 30}  # each ends on its plateau
 SHARES = (95.0, 99.0, 99.9)
@@ -91,12 +91,9 @@ def curve(optimiser: str, data: DataSet, model: tuple[str, ...], seed: int) -> l
 def known() -> dict[tuple[str, str, int], list[tuple[float, float]]]:
     """`(seconds, fit)` of every run so far, by data, optimiser and seed."""
     runs: dict[tuple[str, str, int], list[tuple[float, float]]] = defaultdict(list)
-    if CURVES.exists():
-        with CURVES.open(newline="") as file:
-            for row in csv.DictReader(file):
-                runs[row["data"], row["optimiser"], int(row["seed"])].append(
-                    (float(row["cpu_s"]), float(row["fit_percent"]))
-                )
+    for row in rows_of(CURVES):
+        seen = float(row["cpu_s"]), float(row["fit_percent"])
+        runs[row["data"], row["optimiser"], int(row["seed"])].append(seen)
     return runs
 
 
@@ -147,11 +144,9 @@ def main(seeds: int, minutes: float) -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
     run_missing(seeds, minutes)
     rows = table()
-    with TABLE.open("w", newline="") as file:
-        file.write(f"# {machine()}; medians over seeds; inf: never reached; float64, default settings otherwise\n")
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write(TABLE, rows)
+    about = f"# {machine()}; medians over seeds; inf: never reached; float64, default settings otherwise\n"
+    TABLE.write_text(about + TABLE.read_text())
     print(TABLE.read_text())
 
 

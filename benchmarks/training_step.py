@@ -4,18 +4,17 @@ python benchmarks/training_step.py [step] [overhead]     # writes results/refere
 Batch 16, 5000 samples, order 16, width 32, float32, fused Adam; every row says what the machine was doing.
 """
 
-import csv
 import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
 import numpy as np
 import torch
+from common import REFERENCE, keep
 from models_clock import as_in_a_run, interleaved, machine
 from models_peers import PublicLRU
 from torch import Tensor, nn
@@ -29,7 +28,7 @@ from ssm_study.models.torch_recurrence import by_convolution
 from ssm_study.models.torch_ssm import LRU, Lift, TorchSSM
 
 BATCH, SAMPLES, ORDER, WIDTH = 16, 5000, 16, 32
-TARGET = Path(__file__).resolve().parents[1] / "results" / "reference" / "training" / "step.csv"
+TARGET = REFERENCE / "training" / "step.csv"
 
 
 class PlainMlp(nn.Module):
@@ -133,18 +132,11 @@ def lightning_ms(steps_per_call: int, steps: int) -> float:
 
 def main(parts: list[str]) -> None:
     """Measures `step`, `overhead` or both, and keeps what the table says of the other."""
-    kept = {}
-    if TARGET.exists():
-        with TARGET.open(newline="") as file:
-            kept = {row["contender"]: row for row in csv.DictReader(file)}
     times = interleaved(contenders(), seconds=8.0) if "step" in parts else {}
     if "overhead" in parts:  # Adam's yaml has 50 steps per epoch
         times |= {f"Lightning's overhead, {k} steps per epoch": overhead_ms(k) for k in (10, 50)}
-    rows = kept | {name: {"contender": name, "cpu_ms": f"{ms:.3g}", "machine": machine()} for name, ms in times.items()}
-    with TARGET.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["contender", "cpu_ms", "machine"])
-        writer.writeheader()
-        writer.writerows(rows.values())
+    rows = [{"contender": name, "cpu_ms": f"{ms:.3g}", "machine": machine()} for name, ms in times.items()]
+    keep(TARGET, rows, ["contender"], lambda row: str(row["contender"]).startswith("Lightning's"))
     print(TARGET.read_text())
 
 

@@ -4,11 +4,11 @@ python benchmarks/training_targets.py      # reads and writes results/reference/
 floor: the same ratio, had ours cost no more than the bare FFT: forward and inverse transform with their gradients.
 """
 
-import csv
 from collections.abc import Iterator
-from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parents[1] / "results" / "reference" / "training"
+from common import REFERENCE, rows_of, write
+
+FOLDER = REFERENCE / "training"
 BATCH = 16
 SCAN = {(1_000, 8): 6.0, (10_000, 8): 12.0, (10_000, 64): 60.0, (10_000, 256): 200.0}
 """Samples and modes to how many times faster than the public scan."""
@@ -16,11 +16,7 @@ Row = dict[str, str]
 
 
 def read(name: str) -> list[Row]:
-    path = FOLDER / name
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+    return rows_of(FOLDER / name)
 
 
 def row(what: str, seen: float, wanted: float, at_most: bool, source: str, floor: float | None = None) -> Row:
@@ -72,10 +68,7 @@ def optimisers() -> Iterator[Row]:
 
 def main() -> None:
     rows = [*recurrence(), *step(), *optimisers()]
-    with (FOLDER / "targets.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write(FOLDER / "targets.csv", rows)
     print(
         *(f"{r['what']}: {r['seen']} ({r['wanted']}) {'' if r['met'] == 'True' else 'MISSED'}" for r in rows), sep="\n"
     )

@@ -16,12 +16,11 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hydra
 import numpy as np
 import pandas as pd
 import yaml
-from hydra import compose, initialize_config_dir
 
+from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.evidence.metrics import judge
 from ssm_study.loop.design_grid import DesignGrid
@@ -29,20 +28,17 @@ from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet
-from ssm_study.study.specification import Specification
 from ssm_study.synthesis.mismatch import Mismatch, View
 from ssm_study.synthesis.prediction import predict
 
 HERE = Path(__file__).resolve().parent
-CONF = HERE.parents[1] / "conf"
 
 
 def plant_of(name: str) -> Plant:
     """Of this folder, or of the project's own."""
     own = HERE / "conf" / f"{name}.yaml"
     if not own.is_file():
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            return hydra.utils.instantiate(compose("study", [f"plant={name}", "study=s"]).plant, _convert_="all")
+        return study_of(f"plant={name}").plant
     values = yaml.safe_load(own.read_text())
     module, kind = values.pop("_target_").rsplit(".", 1)
     return getattr(importlib.import_module(module), kind)(**values)
@@ -55,12 +51,6 @@ def before(known: Identified) -> Mismatch:
     unknown = np.isin(np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9))
     sizes = np.where(unknown, view.gain, view.by_frequency)
     return Mismatch(views=(replace(view, by_frequency=sizes, linear=0 * view.linear, rest=sizes),))
-
-
-def study_of(*settings: str) -> Specification:
-    """The default study with these settings."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return Specification.from_config(compose("study", ["study=s", *settings]))
 
 
 @lru_cache(maxsize=1)

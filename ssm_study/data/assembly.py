@@ -1,7 +1,10 @@
-"""From records to a data set: scales as pure gains about the equilibrium, and what must hold of every record."""
+"""From records to a data set: scales as pure gains about the equilibrium, and what must hold of every record.
+
+And a data set as named arrays and one json-able dictionary, and back, bit for bit: how the store keeps it.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,8 @@ SAME_STEP = 1e-9  # relative: sampling times written by different programs
 Parts = tuple[Sequence[Trajectory], Sequence[Trajectory], Sequence[Trajectory]]
 Rest = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "p"]]
 Channels = tuple[Channel, ...]
+PARTS = ("training", "validation", "test", "trials")
+TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside its signals
 
 
 def assemble(
@@ -46,3 +51,27 @@ def assemble(
         scales |= {f"{name}_scale": np.sqrt(np.mean((values - at) ** 2, axis=0)), f"{name}_equilibrium": at}
     told |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
     return DataSet(**named, **told, scale=Scale(**scales))
+
+
+def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
+    """Arrays `part/i/u`, `part/i/y` and the four vectors of the scale; names, units and periods in the dictionary."""
+    arrays = dict(vars(data.scale))
+    about: dict[str, Any] = {"start_up_samples": data.start_up_samples, "metadata": dict(data.metadata)}
+    about |= {name: [asdict(channel) for channel in getattr(data, name)] for name in ("inputs", "outputs")}
+    for part in PARTS:
+        records: tuple[Trajectory, ...] = getattr(data, part)
+        about[part] = [{k: getattr(record, k) for k in TOLD} for record in records]
+        for i, record in enumerate(records):
+            arrays |= {f"{part}/{i}/u": record.u, f"{part}/{i}/y": record.y}
+    return {name: np.ascontiguousarray(values) for name, values in arrays.items()}, about
+
+
+def dataset_from_tensors(arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]) -> DataSet:
+    """The inverse of `dataset_to_tensors`."""
+    parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
+    for part in PARTS:
+        told = enumerate(about[part])
+        parts[part] = tuple(Trajectory(u=arrays[f"{part}/{i}/u"], y=arrays[f"{part}/{i}/y"], **one) for i, one in told)
+    for name in ("inputs", "outputs"):
+        parts[name] = tuple(Channel(**channel) for channel in about[name])
+    return DataSet(**parts, scale=Scale(**{name: values for name, values in arrays.items() if "/" not in name}))

@@ -1,11 +1,10 @@
 """A log made in a closed loop whose set point is known: the input as the set point alone would make it.
 
-In a loop the noise of the output is in the input, too, so a fit from the one to the other takes the controller for part
-of the plant where noise is slow. What the set point r alone explains of the input, `u_r = F r`, knows nothing of the
-noise: `y = G u_r + S v`, and the model is fitted to `u_r` and y (two stages). F is a filter of `LAGS` samples, so of a
-nonlinear plant it is the best linear part, and the input's answer to r must be over by then. Of a PI `u = u_eq +
-gain (e + i)`, `e = r - y`, known by its two numbers, r is `y + e`. Source: Van den Hof & Schrama, Automatica 29 (1993)
-1523-1527.
+A fit from the one to the other takes the controller for part of the plant where noise is slow. What the set point r
+explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`; the model is fitted to `u_r` and y
+(two stages). F has `LAGS` samples, by which the input's answer must be over; of a nonlinear plant it is the best linear
+part. Of a PI `u = u_eq + gain (e + i)`, `e = r - y`, r is `y + e`.
+Source: Van den Hof & Schrama, Automatica 29 (1993) 1523-1527.
 """
 
 from collections.abc import Sequence

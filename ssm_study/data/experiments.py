@@ -22,11 +22,8 @@ DOWNLOADERS = {"emps": "EMPS", "ced": "CED", "cascaded_tanks": "Cascaded_Tanks",
 class RecordedExperiments(AroundRest):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
-    `folder` null searches for the `benchmark` (`benchmark_folder`). `score` is "rmse" in the unit of the output,
-    "rmse_mm" of an output in m, "rmse_milli" in thousandths of the unit, or "position_mm" for what a
-    velocity integrates to.
-    A `fold` is held out of every training recording: it is scored in place of `test`, whose files are then not opened,
-    so that settings can be chosen without them.
+    `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see `data.metrics.SCORES`. A `fold` is
+    held out of every training recording and scored in place of `test`, whose files are then not opened.
     """
 
     benchmark: str

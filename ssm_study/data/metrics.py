@@ -10,7 +10,8 @@ from ssm_study.columns import Column
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, Trajectory, rmse
 
-SCORES = ("rmse", "rmse_mm", "rmse_milli", "position_mm")  # rmse_mm: of an output in m; rmse_milli: of any unit
+# rmse_mm: of an output in m; rmse_milli: of any unit; position_mm: of what a velocity integrates to
+SCORES = ("rmse", "rmse_mm", "rmse_milli", "position_mm")
 # Of the input's range: fewer hide a gap between levels, more are empty for a few dozen levels.
 BINS = 20
 RANK_TOLERANCE = 4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding

@@ -68,16 +68,9 @@ class AroundRest(RecordedSource):
 class RecordedData(Columns, AroundRest):
     """Logs of one system, each cut into training, validation and test (`data.splits`).
 
-    `split` is "time" (training first, then validation, then test), "blocks" (interleaved), or "auto": blocks where the
-    end of the log is unlike its beginning and it is long enough. `validation` and `test` may name intervals in seconds
-    instead, `[[0, 20], [40, 60]]`; what they leave trains. With `fold` the piece before the one that tests validates.
-    `path` names one log or several (of any lengths); `output_path` as many files for their outputs, where these stand
-    apart (of one log `path` may name both, if no column of one is called like one of the other). `input`, `output` and
-    `time` name columns. `test_path` (and `test_output_path`) give separate test logs, and nothing is then cut for the
-    test. Of logs made in a closed loop `reference` names the columns of the set point, or `controller` the PI, by its
-    gain (input per output) and integral time (s): the input is then what the set point makes of it (`closed_loop`).
     The rests of whole logs are `trials` (`splits.returns`), and so are repeated periods where every log is made of such
-    (`splits.repeats`), although they train, too.
+    (`splits.repeats`), although they train, too. Of logs made in a closed loop, where `reference` or `controller` is
+    told, the input is what the set point makes of it (`closed_loop`). The settings: conf/data/recorded.yaml.
     """
 
     path: Names

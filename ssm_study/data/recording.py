@@ -22,11 +22,8 @@ def listed(names: Names) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Columns `input` and `output` of a file, or of a file each, and the clock of their rows.
+    """Columns `input` and `output` of a file, or of a file each, and the clock of their rows (docs/data.md).
 
-    Columns go by their names, those of a CSV file without a line of names by their numbers, from 0.
-    The clock is `step_s`, or the column `time` (seconds; MCAP brings its own), or both, which must then agree.
-    Samples off a uniform clock by more than `jitter_tolerance` periods are refused unless `resample` is true.
     `decimate` n keeps every n-th output and the mean input of the n samples from there on: what a hold would have
     applied. `differentiate` turns a position into the velocity `y[k] = (q[k] - q[k-1]) / step_s`, whose running sum
     times `step_s` is the position again, exactly; the first sample is spent on it.

@@ -34,10 +34,8 @@ class TrainingAlone(UserWarning):
 class SimulatedData:
     """`y = h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test record is noise-free.
 
-    `trajectories` training records of `samples` each, one validation and one test record. Validation and test are
-    excited by `scoring_excitation` (multilevel) whatever the training excitation is, so that runs compare.
-    With `trials` there are further records, for the mismatch alone. `noise_variance` None takes the
-    plant's own. Every record of the three parts starts at the plant's equilibrium.
+    Validation and test, one record each, are excited by `scoring_excitation` whatever the training excitation is, so
+    that runs compare. Every record of the three parts starts at the plant's equilibrium; `trials` are for the mismatch.
     """
 
     trajectories: int

@@ -11,7 +11,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from ssm_study.export.portable import PortableController, PortableNeurons, Vector, times
-from ssm_study.models.structured import phi, slopes
+from ssm_study.models.structured import phi
 from ssm_study.systems import StructuredSystem
 
 PIECES = 32  # on each side of rest: where the input's range is ten times that of a bend, a thousandth is missed
@@ -81,7 +81,7 @@ def _rest(model: StructuredSystem, inner: PortableNeurons, v: float, near: Vecto
 
     def missing(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
         z = model.f @ x + model.g[:, 0] * v + inner.bias
-        w, at = phi(inner.kinds, z) - inner.phi_bias, model.at_slopes(slopes(inner.kinds, z))
+        w, at = phi(inner.kinds, z) - inner.phi_bias, model.at_slopes(phi(inner.kinds, z, "slope"))
         return model.a @ x + model.b[:, 0] * v + model.e @ w - x, at.a - np.eye(len(x))
 
     solved = scipy.optimize.root(missing, near, jac=True, tol=1e-12)

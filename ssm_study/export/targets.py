@@ -15,7 +15,7 @@ from jaxtyping import Float
 from omegaconf import OmegaConf
 
 from ssm_study.bounds.network import PortableMap
-from ssm_study.bounds.slopes import certified_balls
+from ssm_study.bounds.slopes import certified_balls, network_bound
 from ssm_study.data.mcap import read_mcap
 from ssm_study.engine.settings import resolved
 from ssm_study.export.c import c_files
@@ -24,7 +24,6 @@ from ssm_study.export.onnx import onnx_model
 from ssm_study.export.portable import PortableController, in_floats, portable
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.models.structured import Model, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
@@ -45,9 +44,7 @@ _SCRIPT = Path(__file__).with_name("script.py.txt")
 def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controller") -> list[Path]:
     """Write the controller of the run folder into the folder `to`; returns what was written.
 
-    `controller.h`, `controller.c` and `controller_replay.c` (dependency-free C in `real`, "double" or "float", whose
-    names begin with `prefix`), `controller.json` (the numbers), `controller.py` (a python-control system, NumPy
-    and control only), `controller.onnx` (where onnx is installed) and `certificate.json`, the run's own.
+    C in `real`, "double" or "float", whose names begin with `prefix`, and the other files of docs/howto_export.md.
     Raises `BadRequest` for a run without controller, an unknown `real`, or when `to` is a file.
     """
     sources = c_sources(run, real=real, prefix=prefix)
@@ -246,7 +243,7 @@ def _ball(portable: PortableMap) -> JacobianBall | None:
         if portable.network is None:
             bound = LinearScaffold(gain=portable.linear).bound()
         else:
-            bound = MlpScaffold(network=portable.as_network()).bound()
+            bound = network_bound(portable.as_network())
     except BadRequest:
         return None
     return bound.ball

@@ -1,7 +1,6 @@
-"""torch, imported when a name of it is first used: a scaffolding's trainable side stands beside its explicit numbers.
+"""torch, imported when a name of it is first used: whoever reads a stored model needs none, and it takes two seconds.
 
-Whoever reads a stored model then needs no torch, whose import takes two seconds, and a kind of scaffolding stays one
-file. Only `torch.name` inside functions is possible; annotations say `Tensor`.
+Only `torch.name` inside functions is possible; annotations say `Tensor`.
 """
 
 from importlib import import_module

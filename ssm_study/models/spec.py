@@ -1,6 +1,5 @@
 """What `conf/model/ssm.yaml` says, where training starts (on a ring, or fitted to data), and the trainable model."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
@@ -11,7 +10,7 @@ from scipy.linalg import block_diag, svd
 from scipy.signal import lfilter
 
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
-from ssm_study.refusal import one_of, positive, require
+from ssm_study.refusal import at_least, one_of, positive, require
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
@@ -150,14 +149,22 @@ def modal_start(system: StateSpace) -> Start:
     return Start(modes=modes, b=b, c=c, d=system.d)
 
 
-class ModelSpec(ABC):
-    """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
+class ModelSpec:
+    """A choice of model structure; `build` returns it at its starting point, drawn from `seed`.
+
+    Raises `TypeError` there where the model is solved, or has a training of its own.
+    """
 
     # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only.
     gives_ssm: ClassVar[bool] = False
+    sizes: ClassVar[tuple[str, ...]] = ()  # the fields that are at least 1
 
-    @abstractmethod
-    def build(self, data: DataSet, seed: int) -> "TorchModel": ...
+    def __post_init__(self) -> None:
+        for name in self.sizes:
+            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
+
+    def build(self, data: DataSet, seed: int) -> "TorchModel":  # noqa: ARG002
+        raise TypeError("solved, or with a training of its own")
 
     def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
         """The model of training number `start` among several: the same, as each has a seed of its own."""
@@ -168,9 +175,9 @@ class ModelSpec(ABC):
 class SSMSpec(ModelSpec):
     """`x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))`: order n, slopes in `[slope_lower, slope_upper]`.
 
-    `start`: "data" takes the modes of a least-squares fit, "ring" draws them with radii in `ring_radius` and angles
-    (rad per sample) in `ring_frequency`, `real_modes` of them real (only then used). `slope_*` bound the scaffolding's
-    own sector in scaled units; its gain lies in B and C. `dead_time` in samples: its states come on top of the order.
+    `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in `ring_frequency`, `real_modes`
+    of them real. `slope_*` bound the scaffolding's own sector in scaled units; its gain lies in B and C. The states of
+    `dead_time` (samples) come on top of the order.
     """
 
     gives_ssm: ClassVar[bool] = True

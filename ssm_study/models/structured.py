@@ -61,16 +61,11 @@ def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
 
 
 def phi(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value") -> Float[np.ndarray, "*batch q"]:
-    """`phi_i(z_i)` for each neuron i."""
+    """`phi_i(z_i)` for each neuron i, or `of` it the "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
         out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
     return out
-
-
-def slopes(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"]) -> Float[np.ndarray, "*batch q"]:
-    """`phi_i'(z_i)` for each neuron i."""
-    return phi(kinds, z, "slope")
 
 
 def shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:
@@ -142,7 +137,7 @@ class StructuredSSM(Wired):
 
     def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
         """The recurrence's derivative at one state and lifted input: neurons replaced by their slopes there."""
-        return self._structured.at_slopes(slopes(self.neurons, self.f @ x + self.g @ ubar + self.bias))
+        return self._structured.at_slopes(phi(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope"))
 
     def inner(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> Float[np.ndarray, "*batch q"]:
         """`w = phi(F x + G v + b + injected) - phi(b)`; an observer injects `L_z (yh - y)`."""

@@ -12,9 +12,7 @@ from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, whole
 from ssm_study.models.structured import codes
-from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import at_least, one_of, require
-from ssm_study.signals import DataSet
 
 Free = Float[np.ndarray, "P"]
 Signals = Float[np.ndarray, "*batch c"]
@@ -90,16 +88,8 @@ AUTO = "auto"
 class StructuredSpec(ModelSpec):
     """`x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y = S_y(C x + D v + H w),  v = S_u(u)`.
 
-    `order` states, or "auto": order, neurons and ridge are chosen by folds of the training records. `neurons` of the
-    `kinds`, in turn; 0 trains the one-layer model (`SSMSpec`). `input_path` is G: "none", "staged" (zero until S_u has
-    converged) or "free"; `output_path` is H: "none" or "free". S_u and S_y are monotone and piecewise linear with
-    `knots` and `output_knots` break points (0: the identity), slopes in `[slope_lower, slope_upper]`. `rate` r holds
-    `|x|_M` contracting by r per sample, by construction; null leaves the model free. `ridge` weighs the squared
-    parameters. Each of `starts` trainings begins with the best of `draws` of neurons at random; `start_steps` of
-    Levenberg-Marquardt for the linear fit, S_u and each free draw, before the set of contracting models is entered.
-    `among_starts` takes one of their results, null that of the best validation fit (`at_start`).
-    `integrated`: the output is a running sum, an integrator in front of which the model contracts.
-    Source: docs/theory.md, "With neurons".
+    What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one of the results of
+    several trainings (`at_start`), null that of the best validation fit. Source: docs/theory.md, "With neurons".
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -175,7 +165,3 @@ class StructuredSpec(ModelSpec):
         shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper", "feedthrough")}
         width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
-
-    def build(self, data: DataSet, seed: int) -> TorchModel:
-        """`one_layer`: with neurons there is a training of its own (`training.structured_fit`)."""
-        return self.one_layer().build(data, seed)

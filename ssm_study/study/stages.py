@@ -31,7 +31,7 @@ from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.commanded import shown_to
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.training.metrics import mean_fit, training_facts
+from ssm_study.training.metrics import mean_fit
 
 if TYPE_CHECKING:
     from ssm_study.bounds.reduction import Reduction
@@ -53,7 +53,7 @@ def write_dataset(folder: Path, records: DataSet) -> None:
     """What `read_dataset` reads."""
     from safetensors.numpy import save_file
 
-    from ssm_study.data.tensors import dataset_to_tensors
+    from ssm_study.data.assembly import dataset_to_tensors
 
     arrays, about = dataset_to_tensors(records)
     save_file(arrays, folder / "records.safetensors")
@@ -64,7 +64,7 @@ def read_dataset(folder: Path) -> DataSet:
     """The records in physical units, with their splits."""
     from safetensors.numpy import load_file
 
-    from ssm_study.data.tensors import dataset_from_tensors
+    from ssm_study.data.assembly import dataset_from_tensors
 
     return dataset_from_tensors(load_file(folder / "records.safetensors"), read_json(folder / "records.json"))
 
@@ -99,7 +99,8 @@ def read_trained(folder: Path) -> Trained:
 
 def measure_model(trained: Trained, _: DataSet) -> Facts:
     """The columns of the training: its time, its end, the model's size."""
-    return training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+    told = {"training_seconds": trained.seconds, "training_ended": trained.ended}
+    return told | size_facts(trained.model)
 
 
 def read_model(folder: Path) -> Any:

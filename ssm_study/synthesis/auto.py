@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import Model, slopes
+from ssm_study.models.structured import Model, phi
 from ssm_study.refusal import require
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.area import relative_areas
@@ -129,7 +129,7 @@ class Auto:
             return None
         rest = None
         if not isinstance(model, SSM) and model.neurons:
-            rest = slopes(model.neurons, model.bias)
+            rest = phi(model.neurons, model.bias, "slope")
         specifications, feedback = self._specifications(), list[Found]()
         observing, unsolved = self._solved(specifications[0], model.system, balls.output, True, rest)
         for asked in specifications:

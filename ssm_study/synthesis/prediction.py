@@ -23,7 +23,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ssm_study.models.structured import Model, StructuredSSM, slopes
+from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.synthesis import sensitivity as loops
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.sensitivity import frequency_response
@@ -108,7 +108,7 @@ def noise_peak(model: Model, pair: Pair, balls: Balls, shown: Mismatch) -> float
     """The peak of what the noise does to the output at rest, in bands; none where the plant holds under that input."""
     if not shown.noise:
         return 0.0
-    at = slopes(model.neurons, model.bias)[None] if isinstance(model, StructuredSSM) else None
+    at = phi(model.neurons, model.bias, "slope")[None] if isinstance(model, StructuredSSM) else None
     system, pair = next((linear, own) for linear, own, *_ in loops.ends(model.system, pair, balls, at))
     parts = ((model.scaffold_in, balls.input), (model.scaffold_out, balls.output))
     at_rest = [np.sign(ball.alpha) * np.linalg.norm(s.jacobian(np.zeros(s.inputs)), 2) for s, ball in parts]

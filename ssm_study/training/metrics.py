@@ -18,15 +18,14 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """An identified model, the fits its stored numbers reproduce, and how they were reached.
+    """An identified model, the validation fit its stored numbers reproduce, and how it was reached.
 
-    Fits are recomputed from `model` itself (float64, `free_run`), never taken from training. `curve` holds one
+    The fit is recomputed from `model` itself (float64, `free_run`), never taken from training. `curve` holds one
     row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why training stopped.
     `choice` is the table of what was tried where sizes were chosen from the data.
     """
 
     model: Simulator
-    fit_training_percent: float
     fit_validation_percent: float
     seconds: float
     curve: list[dict[str, float]]
@@ -35,16 +34,10 @@ class Identification:
 
     @classmethod
     def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
-        """The model with its fits to the training and to the validation records."""
-        training, validation = (mean_fit(model, records, data) for records in (data.training, data.validation))
-        return cls(model=model, fit_training_percent=training, fit_validation_percent=validation, **how)
+        """The model with its fit to the validation records."""
+        return cls(model=model, fit_validation_percent=mean_fit(model, data.validation, data), **how)
 
 
 def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
     """`Simulation.fit_percent` of the records of a data set."""
     return Simulation.of(model, records, data.start_up_samples).fit_percent
-
-
-def training_facts(seconds: float, ended: str) -> dict[str, Any]:
-    """The numbers of one training."""
-    return {"training_seconds": seconds, "training_ended": ended}

@@ -174,10 +174,9 @@ class Line(Callback):
 class Keeper(Callback):
     """Keeps the state to return, and stops in good order when numbers leave the finite or no longer change.
 
-    Validation fits of noisy records differ by chance: among states whose validation fit is within `tolerance` percent
-    points of the best seen, the one with the best training fit is kept. A line search that fails at a kink of the
-    objective fails again and again: epochs that leave both fits as they were, to the last bit, end the training.
-    Whenever `every_s` seconds have passed `last.ckpt` is written, so that a killed training can go on from there.
+    Validation fits of noisy records differ by chance: among states within `tolerance` percent points of the best
+    validation fit the one with the best training fit is kept. Epochs that leave both fits as they were, to the last
+    bit, end the training: a line search that fails at a kink fails again and again. `last.ckpt` every `every_s` s.
     """
 
     remembered = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still", "curve")

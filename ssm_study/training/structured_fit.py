@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.spec import scaled
-from ssm_study.models.structured import Model, StructuredSSM, shapes, slopes
+from ssm_study.models.structured import Model, StructuredSSM, phi, shapes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
@@ -164,10 +164,11 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
     condition that the analysis LMI is about. A neuron between input and output is left where D is zero.
     """
     for i in reversed(range(len(model.neurons))):
-        through = np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0)
+        if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
+            continue
         candidate = _without(model, i, inputs)
         was, moved = (np.concatenate([one.simulate(u) for u in inputs]) for one in (model, candidate))
-        if not through and np.linalg.norm(moved - was) / np.linalg.norm(was - was.mean(axis=0)) < IDLE:
+        if np.linalg.norm(moved - was) / np.linalg.norm(was - was.mean(axis=0)) < IDLE:
             model = candidate
     return model
 
@@ -175,7 +176,7 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
 def _without(model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:
     lifted = [model.lift(u) for u in inputs]
     z = [model.run(v)[1][:-1] @ model.f.T + v @ model.g.T + model.bias for v in lifted]
-    s = float(np.concatenate([slopes(model.neurons, one)[:, i] for one in z]).mean())
+    s = float(np.concatenate([phi(model.neurons, one, "slope")[:, i] for one in z]).mean())
     e, f, g, h = model.e[:, [i]], model.f[[i]], model.g[[i]], model.h[:, [i]]
     parts = {"a": model.a + s * e @ f, "b": model.b + s * e @ g, "c": model.c + s * h @ f, "d": model.d + s * h @ g}
     for name, axis in {"e": 1, "f": 0, "g": 0, "h": 1, "bias": 0}.items():

@@ -6,7 +6,7 @@ from scipy import linalg
 
 from ssm_study.models.contracting import Core, in_metric, parameters, projected
 from ssm_study.models.spec import arx, impulse_response, realise
-from ssm_study.models.structured import shapes, slopes
+from ssm_study.models.structured import phi, shapes
 from ssm_study.training.structured_problem import CORE, Residuals, Theta, loss
 
 ARX_LAGS = 10
@@ -128,7 +128,7 @@ def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
     """The nearest model on the path of `contracting.projected`, in its metric's coordinates and free parameters."""
     (v, _, states), scored = problem.simulated(theta), problem.records.scored
     z = states[:, :-1][scored] @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
-    found = projected(Core(*(theta[name] for name in CORE)), slopes(problem.neurons, z).mean(axis=0), rate)
+    found = projected(Core(*(theta[name] for name in CORE)), phi(problem.neurons, z, "slope").mean(axis=0), rate)
     free, n = parameters(in_metric(found), rate), len(theta["a"])
     x0 = theta["x0"].copy()
     x0[:, :n] = x0[:, :n] @ found.t.T

@@ -20,11 +20,8 @@ if TYPE_CHECKING:
 class Training:
     """Simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
 
-    `precision` 32 trains in float32 and polishes in float64; 64 trains in float64. `initial_state` "estimated" fits
-    one initial state per training record, "auto" does so where the data set has start-up samples.
-    `validation_tolerance_percent`: see `Keeper`; the weights: see `penalty`; `integrated_share`: see `Records`;
-    `windows`: see `Windows`. `starts` trainings from different starting points, the best validation fit is returned.
-    `accelerator` and `logger` go to Lightning.
+    The settings: conf/training/default.yaml. `validation_tolerance_percent`: see `Keeper`; the weights: see `penalty`;
+    `integrated_share`: see `Records`; `windows`: see `Windows`. Precision 32 is polished in float64.
     """
 
     optimiser: OptimiserSpec

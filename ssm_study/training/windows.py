@@ -11,11 +11,10 @@ from ssm_study.signals import Trajectories, Trajectory
 class Windows:
     """Window i of a record is its samples `[i stride, i stride + samples)`; `samples=None` leaves records whole.
 
-    The first window of a record starts as the record does. Later ones start at rest and their first `washout` samples
-    are simulated but not scored; by default `stride = samples - washout`, so that every sample is scored once.
-    A positive `continuity_weight` is multiple shooting: the state `s_i` at the start of each later window is a
-    parameter, and the objective gains `continuity_weight mean_j (sum_i d_ij^2 / sum_i x_ij^2)` with the defect
-    `d_i = x_i - s_i`, `x_i` the state in which the window before ends, state by state j.
+    The first window of a record starts as the record does, later ones at rest. A positive `continuity_weight` is
+    multiple shooting: the state `s_i` at the start of each later window is a parameter, and the objective gains
+    `continuity_weight mean_j (sum_i d_ij^2 / sum_i x_ij^2)` with the defect `d_i = x_i - s_i`, `x_i` the state in which
+    the window before ends, state by state j.
     Source: Bock & Plitt (1984); Ribeiro, Tiels, Umenberger, Schön & Aguirre (2020) for its effect on smoothness.
     """
 

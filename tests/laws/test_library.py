@@ -47,6 +47,12 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
         _ = st.regulate
 
 
+def test_what_a_stored_model_needs_loads_no_torch() -> None:
+    told = "import sys; from ssm_study.models import structured, structured_spec; "
+    told += "from ssm_study.models.baselines import solved; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
 def test_docstrings_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """As they stand, but for the length of the training that one of them shows."""
     whole, short = library.composed, ("training.max_epochs=10", "model.starts=1", "model.draws=1")

@@ -73,9 +73,8 @@ def test_the_stored_model_reproduces_its_stored_fit(precision: int, tmp_path: Pa
     data = data_set(noise=0.05)
     found = training(precision=precision, max_epochs=8).identify(spec(), data, seed=0, folder=tmp_path)
     again = SSM.from_json(json.loads(json.dumps(found.model.to_json())))
-    assert mean_fit(again, data.training, data) == found.fit_training_percent
     assert mean_fit(again, data.validation, data) == found.fit_validation_percent
-    assert found.fit_training_percent > max(row["fit_training_percent"] for row in found.curve) - 0.01
+    assert mean_fit(again, data.training, data) > max(row["fit_training_percent"] for row in found.curve) - 0.01
 
 
 def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> None:
@@ -101,8 +100,10 @@ def test_the_fit_that_the_curve_shows_is_that_of_the_state_it_stands_beside(
     optimiser: OptimiserSpec, tmp_path: Path
 ) -> None:
     """Not of the state before the epoch's last step, nor of a trial that a line search refused."""
-    found = training(optimiser, max_epochs=1).identify(spec(), data_set(samples=120), 0, tmp_path)
-    assert found.curve[0]["fit_training_percent"] == pytest.approx(found.fit_training_percent, abs=1e-4)
+    data = data_set(samples=120)
+    found = training(optimiser, max_epochs=1).identify(spec(), data, 0, tmp_path)
+    reached = mean_fit(found.model, data.training, data)
+    assert found.curve[0]["fit_training_percent"] == pytest.approx(reached, abs=1e-4)
 
 
 @pytest.mark.parametrize("optimiser", [LBFGS, ADAM])
@@ -124,7 +125,7 @@ def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
     found = training().identify(spec(), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > 99.0
     shown = max(row["fit_training_percent"] for row in found.curve)
-    assert found.fit_training_percent == pytest.approx(shown, abs=0.5)
+    assert mean_fit(found.model, data.training, data) == pytest.approx(shown, abs=0.5)
 
 
 def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant
+from ssm_study.plants.plant import Equilibrium, Plant, stated
 from ssm_study.signals import Channel
 
 
@@ -43,21 +43,8 @@ class Adversary(Plant):
     def states(self) -> tuple[Channel, ...]:
         return tuple(Channel(name=f"x{i}", unit="1") for i in range(self.order))
 
-    @property
-    def initial_range(self) -> tuple[float, float]:
-        return -self.reach, self.reach
-
-    @property
-    def input_amplitude(self) -> tuple[float, ...]:
-        return (self.amplitude,)
-
-    @property
-    def input_clock_s(self) -> float:
-        return self.clock_s
-
-    @property
-    def noise_variance(self) -> tuple[float, ...]:
-        return (self.noise,)
+    initial_range, input_clock_s = stated("reach", (-1, 1)), stated("clock_s")
+    input_amplitude, noise_variance = stated("amplitude", (1,)), stated("noise", (1,))
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(self.order), y=np.zeros(1))

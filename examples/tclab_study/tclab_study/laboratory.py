@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs
+from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 from tclab_study import board
@@ -66,17 +66,8 @@ class TemperatureLab(Plant):
         if self.hardware:
             board.release()
 
-    @property
-    def initial_range(self) -> tuple[float, float]:
-        return -self.initial_offset_k, self.initial_offset_k
-
-    @property
-    def input_amplitude(self) -> tuple[float, ...]:
-        return (self.amplitude_percent,)
-
-    @property
-    def input_clock_s(self) -> float:
-        return self.clock_s
+    initial_range, input_clock_s = stated("initial_offset_k", (-1, 1)), stated("clock_s")
+    input_amplitude = stated("amplitude_percent", (1,))
 
     @property
     def noise_variance(self) -> tuple[float, ...]:

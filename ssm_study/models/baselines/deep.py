@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -13,7 +13,6 @@ from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
 from ssm_study.models.spec import ModelSpec, on_ring, scaled
 from ssm_study.models.torch_ssm import LRU, Signals, States, TorchModel, TorchSSM
-from ssm_study.refusal import at_least
 from ssm_study.signals import DataSet, Scale
 
 SLOPES = (0.01, 1.0)  # of each scaffolding, scaled units
@@ -68,15 +67,13 @@ class TorchDeepSSM(TorchModel):
 class DeepSSMSpec(ModelSpec):
     """`layers` blocks of order `order`, `channels` signals between them, `scaffold` in front of each."""
 
+    sizes: ClassVar = ("layers", "order", "channels", "hidden_width")
+
     layers: int
     order: int
     channels: int
     hidden_width: int
     scaffold: Trainable
-
-    def __post_init__(self) -> None:
-        for name in ("layers", "order", "channels", "hidden_width"):
-            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     def build(self, data: DataSet, seed: int) -> TorchDeepSSM:
         rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """dynoNet baseline: two blocks of transfer functions around a static network, by its authors' package (MIT)."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -12,7 +13,6 @@ from ssm_study.models.identified import Inputs, Outputs, Simulator
 from ssm_study.models.scaffolds.scaffold import numbers
 from ssm_study.models.spec import ModelSpec
 from ssm_study.models.torch_ssm import Signals, States, TorchModel
-from ssm_study.refusal import at_least
 from ssm_study.signals import DataSet, Scale
 
 Filter = Float[np.ndarray, "_ _ _"]  # (outputs, inputs, terms)
@@ -85,15 +85,13 @@ class DynoNetSpec(ModelSpec):
     `integrated`: the last block gives a rate, whose running sum is the output, as its authors model a position.
     """
 
+    sizes: ClassVar = ("wires", "numerator", "denominator", "hidden")
+
     wires: int
     numerator: int
     denominator: int
     hidden: int
     integrated: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("wires", "numerator", "denominator", "hidden"):
-            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     def build(self, data: DataSet, seed: int) -> TorchDynoNet:
         with torch.random.fork_rng(devices=[]):

@@ -1,16 +1,16 @@
 """Baselines that libraries solve without gradient steps: N4SID (nfoursid) and polynomial NARX (SysIdentPy)."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ssm_study.models.identified import SSM, Inputs, Outputs, Simulator
 from ssm_study.models.spec import ModelSpec, Pairs, scaled
-from ssm_study.models.torch_ssm import TorchModel
 from ssm_study.refusal import BadRequest, at_least, require
 from ssm_study.signals import DataSet, Scale
 from ssm_study.systems import StateSpace
@@ -24,14 +24,11 @@ INSTALL = {
 OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
 
 
-class SolvedSpec(ModelSpec):
+class SolvedSpec(ModelSpec, ABC):
     """A model found without training; `solve` returns its explicit numbers."""
 
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator: ...
-
-    def build(self, data: DataSet, seed: int) -> TorchModel:  # noqa: ARG002
-        raise TypeError("solved, not trained")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,13 +106,11 @@ class Polynomial(Simulator, names=("narx",)):
 class NARX(SolvedSpec):
     """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward regression (FROLS)."""
 
+    sizes: ClassVar = ("lags", "degree", "terms")
+
     lags: int
     degree: int
     terms: int
-
-    def __post_init__(self) -> None:
-        for name in ("lags", "degree", "terms"):
-            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     def solve(self, data: DataSet) -> Polynomial:
         channels = (data.scale.inputs, data.scale.outputs)
@@ -124,9 +119,22 @@ class NARX(SolvedSpec):
         u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
         polynomial, lags = basis.Polynomial(degree=self.degree), {"ylag": self.lags, "xlag": self.lags}
         method = frols.FROLS(order_selection=False, n_terms=self.terms, basis_function=polynomial, **lags)
+        own, first = own_rows([len(record) for record in data.training], self.lags), y[: self.lags]
+
+        def of_records(psi: Any, y: Any, count: int) -> tuple[Any, ...]:  # what FROLS calls with all rows
+            target = y[self.lags :][own]
+            return *method.error_reduction_ratio(psi[own], np.concatenate([first, target]), count), target
+
+        method.run_mss_algorithm = of_records
         method.fit(X=u, y=y)
         codes, theta = np.asarray(method.final_model, dtype=np.int64), np.asarray(method.theta, dtype=float).ravel()
         return Polynomial(codes=codes, theta=theta, scale=data.scale)
+
+
+def own_rows(lengths: Sequence[int], lags: int) -> Bool[np.ndarray, "rows"]:
+    """Which samples from number `lags` on, of all records in a row, have their `lags` past samples in one record."""
+    within = np.concatenate([np.arange(length) for length in lengths])
+    return within[lags:] >= lags
 
 
 def library(name: str) -> Any:

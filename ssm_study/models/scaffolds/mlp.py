@@ -60,15 +60,13 @@ class MlpScaffold(Scaffold, names=("mlp",)):
 class Mlp(Trainable):
     """The paper's perceptron: `depth` hidden layers of leaky ReLU, slopes fixed at the sector's ends or trained in it.
 
-    `certified` keeps every Jacobian in the sector by construction; without it the weights are free, as in [Z26], and
-    the exact slopes may be negative. One certified channel always has leaky slopes at the ends: there the slopes of the
-    whole map are trained (`OneChannel`), and `train_slopes` makes no difference. Certified in several channels:
+    `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the whole map are
+    trained, whatever `train_slopes` says (`OneChannel`); of several
 
         S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l, upper_l]
 
-    Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`, so for one hidden layer
-    all Jacobians lie in the ball of the sector `[lower, upper]`. Deeper: `layer_sector` splits the sector so that the
-    composition stays inside.
+    Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`; `layer_sector` splits the
+    sector so that the composition of all layers stays inside.
     """
 
     depth: int
@@ -158,9 +156,7 @@ class OneChannel(Trainable):
     """`S = S_L o ... o S_1`, any piecewise-linear maps of one channel whose sectors multiply to the one asked for.
 
     `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`: `width - 1` leaky
-    ReLUs with slopes `lower, upper` and one linear neuron can write every such map, and no positivity of weights is
-    needed: positive weights alone would force the two outer slopes to add up to `lower + upper`, which no saturation
-    satisfies.
+    ReLUs with slopes `lower, upper` and one linear neuron write every such map, without weights that must be positive.
     """
 
     depth: int
