@@ -17,7 +17,7 @@ from ssm_study.models.torch_recurrence import forward_derivatives, hankel_singul
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, fit_of_error
-from ssm_study.training.optimisers import Lbfgs, Levenberg, trainable
+from ssm_study.training.optimisers import Levenberg, trainable
 from ssm_study.training.training import Training
 from ssm_study.training.windows import Cut, Windows
 
@@ -163,8 +163,7 @@ class Fit(pl.LightningModule):
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
         """An epoch: what Lightning does around each call costs more than a step of a small model."""
         optimiser: Any = self.optimizers()
-        own = self.settings.optimiser
-        for _ in range(1 if isinstance(own, Lbfgs) else own.steps_per_epoch):
+        for _ in range(self.settings.optimiser.calls_per_epoch):
             optimiser.step(self._evaluate)
         rates: Any = self.lr_schedulers()
         if rates is not None:

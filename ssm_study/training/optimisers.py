@@ -18,13 +18,17 @@ if TYPE_CHECKING:
 class OptimiserSpec(ABC):
     """`build` returns what Lightning takes: a torch optimiser over the trainable parameters, perhaps with a schedule.
 
-    An epoch is `steps_per_epoch` calls of it; of `Lbfgs`, which iterates by itself, one.
+    An epoch is `calls_per_epoch` calls of it.
     """
 
     steps_per_epoch: int
 
     def __post_init__(self) -> None:
         at_least(1, "optimiser.steps_per_epoch", self.steps_per_epoch, "use 10 or so")
+
+    @property
+    def calls_per_epoch(self) -> int:
+        return self.steps_per_epoch
 
     @abstractmethod
     def build(self, fit: "Fit") -> Any: ...
@@ -39,6 +43,10 @@ class Lbfgs(OptimiserSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         at_least(1, "optimiser.history", self.history, "use 20 or so")
+
+    @property
+    def calls_per_epoch(self) -> int:
+        return 1  # it iterates by itself
 
     def build(self, fit: "Fit") -> "torch.optim.Optimizer":
         sizes: dict[str, Any] = {"max_iter": self.steps_per_epoch, "history_size": self.history}
