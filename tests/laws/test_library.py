@@ -108,6 +108,20 @@ def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
     assert len(st.fit(u, y, STEP_S, *QUICK).data.training) == 2
 
 
+def test_other_channels_than_were_fitted_are_refused(design: library.Design, log: pd.DataFrame) -> None:
+    model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
+    u, y = np.zeros((50, 1)), np.zeros((50, 1))
+    for refused, said in (
+        (lambda: model.predict(np.zeros((50, 2))), r"u = \(50, 2\): needs one column per channel: 1"),
+        (lambda: model.score(u, np.zeros((50, 2))), r"y = \(50, 2\): the model answers with \(50, 1\)"),
+        (lambda: model.score(u, y[1:]), r"y = \(49, 1\): the model answers with \(50, 1\)"),
+        (lambda: st.simulate(model, np.zeros((50, 2))), r"u = \(50, 2\): needs one column"),
+        (lambda: st.simulate(design, np.zeros((3, 2))), r"y0 = \(3, 2\): needs one column per channel: 1"),
+    ):
+        with pytest.raises(BadRequest, match=said):
+            refused()
+
+
 def test_study_gives_its_table(design: library.Design) -> None:
     table = st.study(*design.overrides)
     assert list(table["run"]) == [design.folder.name]
