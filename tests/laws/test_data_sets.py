@@ -9,7 +9,7 @@ import pytest
 from plants_cases import choices, from_yaml
 
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
-from ssm_study.data.simulated import TrainingAlone
+from ssm_study.data.simulated import TrainingAlone, trials
 from ssm_study.library import composed
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
@@ -74,6 +74,19 @@ def test_every_plant_takes_every_excitation(plant: str, excitation: str) -> None
     data = made.build(from_yaml("plant", plant), from_yaml("excitation", excitation), 0)
     assert np.isfinite(data.scale.output_scale).all()
     assert (data.scale.output_scale > 0).all()
+
+
+def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
+    """Named by their shares of the plant's own amplitude, of which each has just so much."""
+    plant = from_yaml("plant", "cascaded_tanks")
+    driven = {
+        t.name: np.abs(t.u - plant.equilibrium().u).max() for t in trials(plant, 0, np.zeros(1)) if "_at_" in t.name
+    }
+    shares = np.array([float(name.rpartition("_")[2]) for name in driven])
+    assert shares.max() == 1
+    whole = driven["trial_at_1"]
+    assert 0.9 * plant.input_amplitude[0] < whole <= plant.input_amplitude[0]
+    assert np.array([*driven.values()]) == pytest.approx(shares * whole)
 
 
 def test_tensors_round_trip_bit_for_bit() -> None:

@@ -102,7 +102,9 @@ TOY = {
     "b.py": "import numpy as np\n\nSCALE = 2\nif SCALE:\n    SHIFT = 1\n\ndef used(x):\n    from toy.c import inner\n"
     "    return inner(x) * SCALE + SHIFT\n\ndef unused(x):\n    return np.zeros(x)\n",
     "room/__init__.py": "",
-    "room/member.py": "found = 1\n",
+    "room/member.py": "from ..e import near\nfrom .beside import said\n\nfound = 1, near, said\n",
+    "room/beside.py": "said = 1\n",
+    "e.py": "near = 1\nfar = 1\n",
     "c.py": "from toy import room\n\ndef inner(x: 'Hint') -> 'Hint':\n"
     "    try:\n        return deep(room, x)\n    finally:\n        pass\n\n"
     "def deep(room, x):\n    return x\n",
@@ -115,6 +117,9 @@ EDITS = {
     ("c.py", "    return x", "    return -x"): True,
     ("c.py", "'Hint'", "'Other'"): True,
     ("room/member.py", "= 1", "= 2"): True,
+    ("room/beside.py", "= 1", "= 2"): True,
+    ("e.py", "near = 1", "near = 2"): True,
+    ("e.py", "far = 1", "far = 2"): False,
     ("b.py", "np.zeros", "np.ones"): False,
     ("d.py", "= 1", "= 2"): False,
     ("b.py", "def unused", "def another"): False,

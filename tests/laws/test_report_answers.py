@@ -77,6 +77,9 @@ def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart()
     missed = row(status="infeasible", rate_controller=0.2, controller_certified=None)
     text = said(pd.DataFrame([row(), beyond, missed]), "feasibility")
     assert "1 of 3 requests lie beyond it, and none of those was certified" in text
+    assert "certified for is 0.3 per sample" in text
+    two = said(pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}]), "feasibility")
+    assert "certified for is from 0.25 to 0.3 per sample" in two
     assert "Inside it, 1 got no certificate" in text
 
 

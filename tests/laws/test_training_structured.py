@@ -11,7 +11,7 @@ from plants_cases import from_yaml
 from structured_adjoint import stepped_gradient
 
 from ssm_study.bounds.metrics import bound_facts
-from ssm_study.models.contracting import Core, Free, explicit, in_metric, metric, parameters, projected
+from ssm_study.models.contracting import Core, Free, _balancing, explicit, in_metric, metric, parameters, projected
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.spec import scaled
 from ssm_study.models.structured import StructuredSSM
@@ -36,7 +36,7 @@ from ssm_study.training.structured_problem import (
     step,
     unpack,
 )
-from ssm_study.training.structured_start import linear_start, screened_poles
+from ssm_study.training.structured_start import LONGEST, _drawn_poles, linear_start, screened_poles
 from ssm_study.training.training import Training
 
 SIZES = {"seed": st.integers(0, 2**31), "n": st.integers(1, 5), "q": st.integers(0, 4), "rate": st.floats(0.3, 1.0)}
@@ -338,3 +338,23 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
     assert "hankel_largest" not in bound_facts(model)  # no infinite-horizon Gramian: withheld, and no refusal
     y = fit.problem.output(fit.theta)[0]
     np.testing.assert_allclose(data.scale.scaled_output(model.simulate(data.training[0].u)), y, atol=1e-9)
+
+
+def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
+    """Osborne: off the diagonal, rows and columns of `diag(1/d) G diag(d)` are equally long."""
+    gains = np.random.default_rng(0).uniform(0.1, 10.0, (5, 5)) * np.geomspace(1, 100, 5)[:, None]
+    d = _balancing(gains + 50.0 * np.eye(5))
+    assert d == pytest.approx(_balancing(gains))
+    scaled = gains / d[:, None] * d
+    np.fill_diagonal(scaled, 0.0)
+    assert np.linalg.norm(scaled, axis=0) == pytest.approx(np.linalg.norm(scaled, axis=1), rel=1e-6)
+
+
+def test_drawn_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        poles = np.linalg.eigvals(_drawn_poles(5, rng))
+        samples = -1.0 / np.log(np.abs(poles))
+        assert (samples > 1 - 1e-9).all()
+        assert (samples < LONGEST * (1 + 1e-9)).all()
+        assert (np.abs(np.angle(poles)) <= 0.5 * np.pi).all()

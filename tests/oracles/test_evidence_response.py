@@ -13,6 +13,7 @@ from ssm_study.evidence import feedback, records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
 from ssm_study.evidence.metrics import judge
+from ssm_study.evidence.records import _range
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
@@ -225,3 +226,16 @@ def test_a_short_record_is_said_to_have_the_lags_it_has():
     part = replace(late.validation, records=(record,), simulated=(drifted,))
     (found,) = whiteness(replace(late, validation=part))
     assert "of 14 lags" in found.sentence
+
+
+@pytest.mark.parametrize("moved", ["input", "output"])
+def test_a_test_record_beyond_the_training_records_is_told_of_the_signal_that_is(moved):
+    """Twice the input far away; or the same input, and an output that something else has lifted."""
+    u, y = LEVELS.copy(), answer(LEVELS)
+    if moved == "input":
+        u[5000:] *= 2.0
+    else:
+        y[5000:] += 3.0 * np.ptp(y[:4000])
+    (told,) = _range(case(u, y))
+    assert f"test record's {moved} is beyond the training records" in told
+    assert not [*_range(case(LEVELS, answer(LEVELS)))]

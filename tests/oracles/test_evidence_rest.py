@@ -15,7 +15,7 @@ from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.rest import AT_REST, after_returns
+from ssm_study.synthesis.rest import AT_REST, SURE, _apart, _tail, after_returns
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
@@ -184,3 +184,16 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     told = [found.sentence for found in findings(begun, mismatch(log.model, log.data.validation))]
     assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
     assert any("times as far out" in sentence for sentence in told) == (times > 1.2)
+
+
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
+    """Of means with equal variances v the difference from the mean of n others has the variance v + v / n."""
+    rng = np.random.default_rng(0)
+    noise = 0.01 * rng.standard_normal((400, 1))
+    outputs = [level + noise for level in rng.uniform(-1, 1, count)]
+    tail, variance = _tail(outputs[0])
+    means = np.array([_tail(y)[0].mean() for y in outputs])
+    others = np.array([np.delete(means, i).mean() for i in range(count)])
+    doubt = SURE * np.sqrt(float(variance[0]) / len(tail) * (1 + 1 / (count - 1)))
+    assert _apart(outputs, centred=False) == pytest.approx(np.abs(means - others) - doubt)
