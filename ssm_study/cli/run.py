@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ssm_study.cli.endings import conclude_run, conclude_sweep
 from ssm_study.cli.explained import advised, refuse_dashes
-from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden
+from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden, limit_threads
 from ssm_study.cli.request import JUST_ASKING, check_request, translate
 from ssm_study.engine.compose import Command, forget
 from ssm_study.refusal import require
@@ -50,6 +50,7 @@ def configuration_folder() -> Path:
 def run(overrides: list[str]) -> int:
     """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
     warnings.formatwarning = _warned
+    limit_threads()  # a program that calls this has not
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     overrides = translate(overrides)

@@ -1,6 +1,7 @@
 """`import ssm_study as st`: the same runs, numbers and refusals as the command, from arrays."""
 
 import doctest
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -128,6 +129,14 @@ def test_study_gives_its_table(design: library.Design) -> None:
     assert not HydraConfig.initialized()  # the next run here would keep these words as its own
     with pytest.raises(BadRequest, match="a contraction rate lies in"):
         st.study(*design.overrides, "synthesis.rate_controller=2")
+
+
+def test_a_program_needs_no_environment(tmp_path: Path) -> None:
+    told = f"from ssm_study import library; library.study('results_dir={tmp_path}', 'seed=-1')"
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    said = subprocess.run([sys.executable, "-c", told], env=clean, capture_output=True, text=True).stderr
+    assert "KeyError" not in said
+    assert "BadRequest: seed = -1" in said
 
 
 @pytest.mark.parametrize(
