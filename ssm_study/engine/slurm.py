@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from traceback import format_exception
 from typing import Any
 
 import submitit
@@ -12,7 +13,7 @@ from submitit.core.utils import UncompletedJobError
 from ssm_study.engine.compose import Composer
 from ssm_study.engine.jobs import Job, note_death
 from ssm_study.engine.launcher import Launcher, Sweep
-from ssm_study.engine.runs import Outcome
+from ssm_study.engine.runs import Outcome, error_facts
 
 # What submitit's executor knows for every scheduler; all else is Slurm's own.
 AUTO = frozenset({"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"})
@@ -52,7 +53,7 @@ def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 
 
 def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """What the job returned; or, if Slurm ended it, a failed run that the same command does again."""
+    """What the job returned; or a failed run: where Slurm ended it, one that the same command does again."""
     state = ended(submitted, patience_s)
     try:
         if state != FORGOTTEN:
@@ -61,6 +62,8 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
         problem = "Slurm no longer knows of it: it was cancelled before it began"
     except UncompletedJobError as error:
         problem = str(error)
+    except Exception as error:  # the job's own, from its node: the others are waited for
+        return note_death(job.folder, error_facts(error, job.folder), "".join(format_exception(error)))
     message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
     death = {"error_type": state.title().replace("_", ""), "error_message": message, "failure_transient": True}
     return note_death(job.folder, death, problem)

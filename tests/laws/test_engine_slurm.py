@@ -82,6 +82,25 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     assert begun(tmp_path / "study" / "killed", "returns").return_value.status == "ok"
 
 
+def refusing(folder: Path) -> JobReturn:
+    """What a node runs whose job raises before the run has a record."""
+    returned = JobReturn(overrides=[str(folder)], status=JobStatus.FAILED)
+    returned.return_value = ValueError("no such thing on this node")
+    return returned
+
+
+def test_what_a_job_raises_on_its_node_is_a_failed_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    local = submitit.AutoExecutor(cluster="local", folder=tmp_path / "logs")
+    local.update_parameters(timeout_min=10)
+    job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
+    assert settled(job, local.submit(refusing, job.folder), patience_s=600.0).status == "failed"
+    record = read_record(job.folder)
+    assert record is not None
+    assert (record["error_type"], record["failure_transient"]) == ("ValueError", False)
+    assert "no such thing" in (job.folder / "traceback.txt").read_text()
+
+
 def count(folder: Path, *, calls: str) -> None:
     with Path(calls).open("a") as stream:
         stream.write("computed\n")
