@@ -14,11 +14,14 @@ MOST = 200  # runs: a player lists every topic, and each run has ten cases
 def export_mcap(study: Path) -> Path:
     """Write `closed_loops.mcap` into the study: each run's recording, its topics below `/run_` and the run's digits.
 
-    A run's own digits are those after the last dash of its name; the metadata says which name they stand for. Raises
-    `BadRequest` for a study without a closed loop, with more than `MOST`, or with a damaged recording.
+    A run's own digits are those after the last dash of its name, or the whole name where two runs share them; the
+    metadata says which name they stand for. Raises `BadRequest` for a study without a closed loop, with more than
+    `MOST`, or with a damaged recording.
     """
-    found = {f"run_{path.parent.name.rpartition('-')[2]}": path for path in sorted(study.glob(f"*/{LOOP}"))}
-    kept = {digits: path for digits, path in found.items() if (path.parent / RECORD).is_file()}
+    found = [path for path in sorted(study.glob(f"*/{LOOP}")) if (path.parent / RECORD).is_file()]
+    kept = {f"run_{path.parent.name.rpartition('-')[2]}": path for path in found}
+    if len(kept) < len(found):
+        kept = {f"run_{path.parent.name}": path for path in found}
     require(len(kept) > 0, "study", study, "no run closed a loop", "name a study whose runs did")
     require(len(kept) <= MOST, "study", study, f"{len(kept)} runs are more than {MOST}", "open their own recordings")
     groups = [

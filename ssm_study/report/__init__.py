@@ -1,1 +1,1 @@
-"""From the table to figures, a page, and controllers for use elsewhere."""
+"""From the table to figures and a page."""

@@ -46,6 +46,14 @@ def test_every_signal_of_every_run_is_read_back_under_its_run(study: Path) -> No
     assert not found
 
 
+def test_runs_whose_names_end_alike_are_all_there(study: Path) -> None:
+    for name, short in zip(RUNS, ("a-1", "b-1"), strict=True):
+        (study / name).rename(study / short)
+    groups, about = read_mcap(one_recording.export_mcap(study))
+    assert about == {"run_a-1": "a-1", "run_b-1": "b-1"}
+    assert len({group.topic for group in groups}) == len(groups) == 8
+
+
 def test_refusals(study: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadRequest, match="no run closed a loop"):
         one_recording.export_mcap(tmp_path_factory.mktemp("empty"))
