@@ -71,27 +71,17 @@ class Model:
 
     def predict(self, u: Values) -> Values:
         """Free run from rest at the equilibrium: `u (T, m)` or `(T,)` to `y (T, p)`, a frame if `u` is one."""
-        y = self._run(u)
+        y = self.simulator.simulate(signal(u, "u", len(self.data.inputs))[1])
         if not isinstance(u, pd.DataFrame | pd.Series):
             return y
         return pd.DataFrame(y, index=u.index, columns=[channel.name for channel in self.data.outputs])
 
     def score(self, u: Values, y: Values) -> float:
-        """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)` of a free run from rest, percent.
-
-        A record that begins elsewhere scores less. Raises `BadRequest` for other channels or lengths.
-        """
-        measured, predicted = signal(y, "y")[1], self._run(u)
-        problem = f"the model answers with {predicted.shape}, samples by channels"
-        require(
-            measured.shape == predicted.shape, "y", measured.shape, problem, "give the outputs that it was fitted to"
-        )
+        """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)` of a free run from rest, percent. Refuses other shapes."""
+        measured, predicted = signal(y, "y")[1], signal(self.predict(u), "y")[1]
+        problem = f"the model answers with {predicted.shape}"
+        require(measured.shape == predicted.shape, "y", measured.shape, problem, "give the outputs of this input")
         return fit_percent(measured, predicted)
-
-    def _run(self, u: Values) -> Float[np.ndarray, "T p"]:
-        values = signal(u, "u")[1]
-        _one_per_channel("u", values, len(self.data.inputs))
-        return self.simulator.simulate(values)
 
     @property
     def ssm(self) -> SSM | StructuredSSM:
@@ -237,9 +227,8 @@ def simulate(what: Model | Design, given: Values, *overrides: str, plant: Plant 
     if isinstance(what, Model):
         predicted = pd.DataFrame(what.predict(pd.DataFrame(signal(given, "u")[1])))
         return predicted.assign(time_s=np.arange(len(predicted)) * what.data.step_s)
-    controller, y0 = ObserverFeedback.of(what.model, what.certificate), signal(given, "y0")[1]
-    plant = plant or IdentifiedPlant.of(what.model)
-    _one_per_channel("y0", y0, len(plant.outputs))
+    controller, plant = ObserverFeedback.of(what.model, what.certificate), plant or IdentifiedPlant.of(what.model)
+    y0 = signal(given, "y0", len(plant.outputs))[1]
     loop = Specification.from_config(composed((*what.overrides, *overrides))).loop
     quiet = np.zeros((len(y0), loop.samples(plant.step_s), y0.shape[1]))
     rollouts = loop.simulate(plant, controller, y0, quiet)
@@ -249,11 +238,6 @@ def simulate(what: Model | Design, given: Values, *overrides: str, plant: Plant 
         case.insert(0, "case", i)
         case.insert(1, "time_s", rollouts.time_s)
     return pd.concat(cases, ignore_index=True)
-
-
-def _one_per_channel(name: str, values: Float[np.ndarray, "T c"], channels: int) -> None:
-    problem, remedy = f"needs one column per channel: {channels}", "give the channels that the model was fitted to"
-    require(values.shape[1] == channels, name, values.shape, problem, remedy)
 
 
 def study(*overrides: str) -> pd.DataFrame:

@@ -26,6 +26,7 @@ PYTHONS_WARNING = warnings.formatwarning
 
 def refuse_more_threads_than_cores() -> None:
     """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
+    limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
     for variable in COUNTS:
         asked = os.environ[variable]
@@ -50,7 +51,6 @@ def configuration_folder() -> Path:
 def run(overrides: list[str]) -> int:
     """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
     warnings.formatwarning = _warned
-    limit_threads()  # a program that calls this has not
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     overrides = translate(overrides)

@@ -33,8 +33,8 @@ def logged(u: Any, y: Any, folder: Path) -> tuple[list[str], list[str], list[str
     return paths, inputs, outputs
 
 
-def signal(values: Any, name: str) -> tuple[list[str], Float[np.ndarray, "T c"]]:
-    """Names and numbers of one signal; raises `BadRequest` for what is no table of numbers."""
+def signal(values: Any, name: str, channels: int | None = None) -> tuple[list[str], Float[np.ndarray, "T c"]]:
+    """Names and numbers of one signal; raises `BadRequest` for what is no table of numbers or has other channels."""
     remedy = "give an array (T, channels)"
     try:
         table = np.asarray(values, dtype=np.float64)
@@ -42,6 +42,8 @@ def signal(values: Any, name: str) -> tuple[list[str], Float[np.ndarray, "T c"]]
         raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
     require(table.ndim in (1, 2) and table.size, name, f"shape {table.shape}", "not a signal", remedy)
     table = table.reshape(len(table), -1)
+    problem = f"needs one column per channel: {channels}"
+    require(channels in (None, table.shape[1]), name, table.shape, problem, "give those that the model was fitted to")
     if isinstance(values, pd.Series) and values.name is not None:
         return [str(values.name)], table
     if isinstance(values, pd.DataFrame):
