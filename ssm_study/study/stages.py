@@ -31,7 +31,7 @@ from ssm_study.synthesis.certificate import Design
 from ssm_study.synthesis.commanded import shown_to
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
 from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import mean_fit, training_facts
 
 if TYPE_CHECKING:
     from ssm_study.bounds.reduction import Reduction
@@ -99,8 +99,7 @@ def read_trained(folder: Path) -> Trained:
 
 def measure_model(trained: Trained, _: DataSet) -> Facts:
     """The columns of the training: its time, its end, the model's size."""
-    told = {"training_seconds": trained.seconds, "training_ended": trained.ended}
-    return told | size_facts(trained.model)
+    return training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
 
 
 def read_model(folder: Path) -> Any:

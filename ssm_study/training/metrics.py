@@ -41,3 +41,8 @@ class Identification:
 def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
     """`Simulation.fit_percent` of the records of a data set."""
     return Simulation.of(model, records, data.start_up_samples).fit_percent
+
+
+def training_facts(seconds: float, ended: str) -> dict[str, Any]:
+    """The numbers of one training."""
+    return {"training_seconds": seconds, "training_ended": ended}
