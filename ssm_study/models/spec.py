@@ -1,5 +1,6 @@
 """What `conf/model/ssm.yaml` says, where training starts (on a ring, or fitted to data), and the trainable model."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
@@ -149,11 +150,8 @@ def modal_start(system: StateSpace) -> Start:
     return Start(modes=modes, b=b, c=c, d=system.d)
 
 
-class ModelSpec:
-    """A choice of model structure; `build` returns it at its starting point, drawn from `seed`.
-
-    Raises `TypeError` there where the model is solved, or has a training of its own.
-    """
+class ModelSpec(ABC):
+    """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
 
     # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only.
     gives_ssm: ClassVar[bool] = False
@@ -163,8 +161,8 @@ class ModelSpec:
         for name in self.sizes:
             at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
-    def build(self, data: DataSet, seed: int) -> "TorchModel":  # noqa: ARG002
-        raise TypeError("solved, or with a training of its own")
+    @abstractmethod
+    def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
     def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
         """The model of training number `start` among several: the same, as each has a seed of its own."""

@@ -165,3 +165,7 @@ class StructuredSpec(ModelSpec):
         shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper", "feedthrough")}
         width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
+
+    def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
+        """Raises `TypeError`: there is a training of its own (`training.structured_fit`)."""
+        raise TypeError("it has a training of its own")

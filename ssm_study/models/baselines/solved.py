@@ -30,6 +30,9 @@ class SolvedSpec(ModelSpec, ABC):
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator: ...
 
+    def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
+        raise TypeError("solved: it has a training of its own")
+
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
