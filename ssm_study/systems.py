@@ -53,12 +53,13 @@ class StateSpace(_Recurrence):
 
         `V = I` and `r = m`, one for each constant input, but of a model that integrates.
         """
-        m, left = self.b.shape[1], np.eye(self.order) - self.a
+        left = np.eye(self.order) - self.a
         if self.integrates:
-            *_, basis = np.linalg.svd(np.hstack([left, -self.b]))
-            x, v = np.split(basis[np.linalg.matrix_rank(np.hstack([left, self.b])) :].T, [self.order])
+            from scipy.linalg import null_space  # slow to load
+
+            x, v = np.split(null_space(np.hstack([left, -self.b])), [self.order])
         else:
-            x, v = np.linalg.solve(left, self.b), np.eye(m)
+            x, v = np.linalg.solve(left, self.b), np.eye(self.b.shape[1])
         return x, v, self.c @ x + self.d @ v
 
     def simulate(

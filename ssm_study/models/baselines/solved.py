@@ -31,7 +31,7 @@ class SolvedSpec(ModelSpec, ABC):
     def solve(self, data: DataSet) -> Simulator: ...
 
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
-        raise TypeError("solved: it has a training of its own")
+        raise TypeError("solved, which is a training of its own")
 
 
 @dataclass(frozen=True, kw_only=True)
