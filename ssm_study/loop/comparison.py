@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ssm_study.loop import peers
 from ssm_study.loop.metrics import pooled
@@ -94,7 +94,7 @@ class Comparison(ComparisonTable):
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))
         require(not missing, "loop.comparison.spread_fields", missing, "not fields of this plant", "name its own")
-        sampler = qmc.LatinHypercube(d=len(self.spread_fields), rng=np.random.default_rng([seed, 2]))
+        sampler = scipy.stats.qmc.LatinHypercube(d=len(self.spread_fields), rng=np.random.default_rng([seed, 2]))
         factors = 1 + self.spread_share * (2 * sampler.random(self.spread_plants) - 1)  # in [1 - share, 1 + share]
         nominal = np.array([float(getattr(plant, name)) for name in self.spread_fields])
         varied = [dict(zip(self.spread_fields, row, strict=True)) for row in (factors * nominal).tolist()]

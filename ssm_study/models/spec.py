@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.linalg import block_diag, svd
-from scipy.signal import lfilter
 
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
 from ssm_study.refusal import at_least, one_of, positive, require
@@ -42,7 +41,8 @@ class Start:
 
     def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
         """The output to `u` from rest."""
-        x = np.stack([lfilter([0.0, 1.0], [1.0, -z], u @ b) for z, b in zip(self.modes, self.b, strict=True)])
+        filtered = scipy.signal.lfilter  # SciPy loads a part at its first use: this one takes half a second
+        x = np.stack([filtered([0.0, 1.0], [1.0, -z], u @ b) for z, b in zip(self.modes, self.b, strict=True)])
         twice = np.where(self.modes.imag == 0, 1.0, 2.0)
         return np.asarray((twice * self.c @ x).real.T + u @ self.d.T)
 
@@ -125,7 +125,7 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     p, m = h.shape[1:]
     lags = 1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]  # h[1 + i + j]: the direct term h[0] is D
     hankel = h[lags].transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
-    left, values, right = svd(hankel, full_matrices=False)
+    left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
     kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
     root = np.sqrt(values[:kept])
     observe, reach = left[:, :kept] * root, root[:, None] * right[:kept]
@@ -134,7 +134,7 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     spare = rng.uniform(0.1, 0.4, size=order - kept)  # forgotten within a few samples
     b = np.vstack([reach[:, :m], 0.1 * rng.normal(size=(order - kept, m))])
     c = np.hstack([observe[:p], 0.1 * rng.normal(size=(p, order - kept))])
-    return StateSpace(a=block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
+    return StateSpace(a=scipy.linalg.block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
 
 
 def modal_start(system: StateSpace) -> Start:

@@ -224,6 +224,17 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     assert failing(path.parent) == set()
 
 
+@pytest.mark.parametrize("words", [["show", "STUDY"], ["run", "model.order=-1"]], ids=["show", "a wrong value"])
+def test_what_answers_at_once_loads_no_part_that_takes_long(smoke_run: Path, words: list[str]) -> None:
+    """Torch, Lightning, CVXPY, Matplotlib and SciPy's statistics and filters take half a second each, or more."""
+    heavy = "{'torch', 'lightning', 'cvxpy', 'matplotlib.pyplot', 'scipy.stats', 'scipy.signal._filter_design'}"
+    program = f"import atexit, sys; atexit.register(lambda: print({heavy} & set(sys.modules))); "
+    program += "from ssm_study.cli.main import main; main(sys.argv[1:])"
+    words = [str(smoke_run.parent) if word == "STUDY" else word for word in words]
+    ended = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True)
+    assert ended.returncode in (0, 2) and ended.stdout.endswith("set()\n"), ended.stderr
+
+
 def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(
     smoke_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
