@@ -37,7 +37,7 @@ ConfigStore.instance().store(group="hydra/sweeper", name="grid", node=GridConf, 
 
 
 class GridSweeper(BasicSweeper):
-    """Hydra's own grid, without composing every job once more: the launcher or the callback checks them all.
+    """Hydra's own grid, without composing every job once more: the launcher checks them all, or `cli/request.py`.
 
     A sweep that was only planned, or refused, leaves nothing behind.
     """
@@ -48,7 +48,7 @@ class GridSweeper(BasicSweeper):
         finally:
             assert self.config is not None
             folder = Path(self.config.hydra.sweep.dir)
-            if [path.name for path in folder.iterdir()] == ["multirun.yaml"]:
+            if folder.is_dir() and [path.name for path in folder.iterdir()] == ["multirun.yaml"]:
                 (folder / "multirun.yaml").unlink()
                 folder.rmdir()
                 with suppress(OSError):  # the results folder, where it holds nothing else

@@ -1,21 +1,18 @@
-"""How a run and a sweep begin and end: refused, or gathered, drawn, and told in one table."""
+"""How a run and a sweep end: gathered, drawn, and told in one table."""
 
 import io
 import json
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.text import Text
 
 from ssm_study import __version__
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
-from ssm_study.refusal import BadRequest
 from ssm_study.study.line import study_folder
 
 RUN_FIGURES = ("validation_trajectory", "closed_loop_responses")  # the paper's two
@@ -78,47 +75,3 @@ def conclude_sweep(config: DictConfig) -> bool:
     table = show(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
     return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)
-
-
-class StudyCallback(Callback):
-    """Before a run or a sweep: refuse what is wrong. While another launcher works: tell how far it is."""
-
-    stop_watching: Callable[[], None] | None = None
-
-    def on_run_start(self, config: DictConfig, **_: Any) -> None:
-        from ssm_study.study import line as study
-
-        _refusing(lambda: study.STUDY.finished(config) or study.STUDY.request(config))  # built only if it is to run
-        _refusing(lambda: study.check_retry(config, str(config.run)))
-
-    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        from ssm_study.cli.request import check_sweep
-        from ssm_study.engine.jobs import Job
-        from ssm_study.engine.progress import Watch
-        from ssm_study.study import line as study
-
-        jobs: list[Job] = []
-        _refusing(lambda: study.check_retry(config))
-        if "ssm_study" not in str(config.hydra.launcher._target_):  # our launcher checks its jobs itself
-            _refusing(lambda: jobs.extend(check_sweep(config, study.STUDY)))
-        if jobs:
-            watch = Watch([job.folder for job in jobs])
-            watch.start()
-            self.stop_watching = watch.finish
-
-    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:  # noqa: ARG002
-        if self.stop_watching:
-            self.stop_watching()  # its last line comes before the table
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Ray sends this along with every job; a thread cannot travel, and there is nothing to watch there."""
-        return {}
-
-
-def _refusing(check: Callable[[], object]) -> None:
-    """Hydra swallows the exceptions of callbacks, but not an exit."""
-    try:
-        check()
-    except BadRequest as refusal:
-        print(f"ssm-study: {refusal}", file=sys.stderr)
-        raise SystemExit(2) from refusal

@@ -1,15 +1,15 @@
 """What Hydra refuses, said in one sentence with the request that was probably meant."""
 
 import re
-from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
 
 import yaml  # type: ignore[import-untyped]
 from hydra.errors import OverrideParseException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from ssm_study.cli.request import OPTIONS
+from ssm_study.engine.settings import nodes
 from ssm_study.refusal import BadRequest, require
 
 ASK = "see `ssm-study run --help`"
@@ -78,7 +78,7 @@ def meant(key: str, overrides: list[str], folder: Path) -> str:
         ]
         config = compose("study", [word.split(",")[0] for word in chosen])  # of a sweep the first choice
     groups = [path.name for path in folder.iterdir() if path.is_dir()]
-    known = [*keys_of(config), *groups]
+    known = [*(path for path, _, _ in nodes(OmegaConf.to_container(config))), *groups]
     near = get_close_matches(key, known, n=1) or [group for group in groups if len(key) > 2 and group.startswith(key)]
     return f"did you mean {near[0]}?" if near else ""
 
@@ -97,15 +97,6 @@ def choices_with(key: str, folder: Path) -> list[str]:
     for cut in range(1, len(parts)):
         rest = ".".join(parts[cut:])
         for path in sorted(folder.joinpath(*parts[:cut]).glob("*.yaml")):
-            loaded = yaml.safe_load(path.read_text())
-            if isinstance(loaded, dict) and rest in keys_of(OmegaConf.create(loaded)):
+            if rest in (at for at, _, _ in nodes(yaml.safe_load(path.read_text()))):
                 found.append(f"{'/'.join(parts[:cut])}={path.stem}")
     return found
-
-
-def keys_of(config: DictConfig, prefix: str = "") -> Iterator[str]:
-    """Every key of the configuration, dotted."""
-    for key in map(str, config):
-        yield prefix + key
-        if not OmegaConf.is_missing(config, key) and isinstance(config[key], DictConfig):
-            yield from keys_of(config[key], f"{prefix}{key}.")

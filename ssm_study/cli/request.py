@@ -1,17 +1,16 @@
 """A request, checked before Hydra acts on it: our three options, and every configuration of a sweep."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 
-from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from ssm_study.engine.compose import Command, Composer, combinations
-from ssm_study.engine.jobs import Job, jobs_of
+from ssm_study.engine.jobs import jobs_of
+from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
-from ssm_study.engine.task import Task
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 OPTIONS = {
@@ -53,14 +52,25 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     return request
 
 
-def check_sweep(config: DictConfig, task: Task[Any]) -> list[Job]:
-    """Compose every job of the sweep, whatever its launcher, and refuse it whole if one of them is wrong.
+@contextmanager
+def checked(request: Command) -> Iterator[None]:
+    """Raise `BadRequest` before Hydra makes anything; while a launcher works that tells nothing, tell how far it is.
 
-    For `on_multirun_start`, where `config` is the sweep's own configuration. A search does not know its jobs
-    beforehand; the launcher checks them as they come.
+    The jobs that a search asks for are not known beforehand: a wrong one is a failed row.
     """
-    composer = Composer(GlobalHydra.instance().config_loader(), config, task.refuse)
-    jobs = jobs_of(composer, combinations(config))
-    for job in jobs:
-        job.check(task)
-    return jobs
+    from ssm_study.study.line import STUDY, check_retry
+
+    config, launcher = request.config, str(request.config.hydra.launcher._target_)
+    check_retry(config, "*" if request.many else str(config.run))
+    if not request.many:
+        settings = STUDY.settings(config)
+        _ = STUDY.finished(settings) or STUDY.request(settings)  # built only if it is to run
+    if not request.many or launcher.endswith("ProcessesLauncher"):  # ours checks its jobs, and counts them
+        yield
+        return
+    jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), combinations(config))
+    for job in jobs if "ssm_study" not in launcher else ():  # on Slurm our launcher checks them, too
+        if STUDY.finished(job.settings) is None:
+            job.check(STUDY)
+    with Watch([job.folder for job in jobs]) if jobs else nullcontext():
+        yield

@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from ssm_study.cli.endings import conclude_run, conclude_sweep
 from ssm_study.cli.explained import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden, limit_threads
-from ssm_study.cli.request import JUST_ASKING, check_request, translate
+from ssm_study.cli.request import JUST_ASKING, check_request, checked, translate
 from ssm_study.engine.compose import Command, forget
 from ssm_study.refusal import require
 
@@ -64,8 +64,8 @@ def run(overrides: list[str]) -> int:
             answered(lambda _: None)()
         else:
             request = check_request(overrides, configuration_folder(), "study")
-            request.do(_job())
-            # Here and not in a callback, for Hydra swallows what that raises.
+            with checked(request):
+                request.do(_job())
             return SOME_FAILED if not request.config.dry_run and concluded(request) else DONE
         return DONE
     except (HydraException, OmegaConfBaseException) as error:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl, get_overrides_dirname
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import IConfigRepository
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.hydra import Hydra
@@ -186,14 +186,10 @@ class Composer:
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
         """The whole configuration, Hydra's section included; the next one may be the same object."""
         chosen, values = self._split(overrides)
-        config, parsed = chosen.config, [self._parse(word)[0] for word in overrides]
+        config = chosen.config
         ConfigLoaderImpl._apply_overrides_to_config(values, config)
-        naming = config.hydra.job.config.override_dirname
         with open_dict(config):
             config.hydra.overrides.task = list(overrides)
-            config.hydra.job.override_dirname = get_overrides_dirname(
-                overrides=parsed, kv_sep=naming.kv_sep, item_sep=naming.item_sep, exclude_keys=naming.exclude_keys
-            )
             if number is not None:
                 config.hydra.job.id = config.hydra.job.num = number
         OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
@@ -227,7 +223,7 @@ class Composer:
     def _parse(self, word: str) -> tuple[Override, bool]:
         if word not in self.parsed:
             override = self.parser.parse_override(word)
-            refuse_unbounded(override.value(), str(override.key_or_group))
+            refuse_unbounded({str(override.key_or_group): override.value()})
             self.parsed[word] = override, is_plain_value(override, self.loader.repository)
         return self.parsed[word]
 

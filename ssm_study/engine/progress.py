@@ -1,6 +1,5 @@
 """One line over the whole sweep: runs done, failed, infeasible, time left."""
 
-import atexit
 import sys
 import time
 from collections import Counter
@@ -75,7 +74,15 @@ class Watch(Thread):
         super().__init__(daemon=True)
         self.folders, self.every_s, self.over = list(dict.fromkeys(folders)), every_s, Event()
         self.there_before = sum(status in FINAL for status in self._statuses())
-        atexit.register(self.finish)  # Hydra tells nobody of a sweep that ends by an exception
+
+    def __enter__(self) -> "Watch":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Look a last time, say the last line, and stop."""
+        self.over.set()
+        self.join(timeout=30)  # a dead network file system must not hold up the end
 
     def run(self) -> None:
         with Progress(total=len(self.folders)) as progress:
@@ -83,12 +90,6 @@ class Watch(Thread):
             while not self.over.wait(self.every_s):  # sleeps, yet wakes at once when the sweep is over
                 self._look(progress)
             self._look(progress)  # the last line is of how it ended
-
-    def finish(self) -> None:
-        """Look a last time, say the last line, and stop."""
-        self.over.set()
-        if self.is_alive():
-            self.join(timeout=30)  # a dead network file system must not hold up the end
 
     def _look(self, progress: Progress) -> None:
         statuses = self._statuses()

@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping, Set
+from collections.abc import Iterator, Mapping, Set
 from functools import cached_property
 from typing import Any
 
@@ -70,14 +70,18 @@ def resolved(node: Any) -> Any:
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
-def refuse_unbounded(node: Any, path: str = "") -> None:
+def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
+    """Dotted path, last key and value of everything in plain containers, from the outside in."""
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
+        yield f"{prefix}{key}", str(key), value
+        yield from nodes(value, f"{prefix}{key}.")
+
+
+def refuse_unbounded(tree: Any) -> None:
     """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by them."""
-    if isinstance(node, float):
-        remedy = "leave the field out, or give a finite value"
-        require(math.isfinite(node), path, node, "is not a finite number", remedy)
-    pairs = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, value in pairs:
-        refuse_unbounded(value, f"{path}.{key}" if path else str(key))
+    for path, _, value in nodes(tree):
+        finite, remedy = not isinstance(value, float) or math.isfinite(value), "leave it out, or give a finite value"
+        require(finite, path, value, "is not a finite number", remedy)
 
 
 def canonical_json(value: Any) -> str:

@@ -1,14 +1,13 @@
 """A configuration from a stranger must not run a program: only what is named here may be instantiated."""
 
 import re
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.engine.settings import plain
+from ssm_study.engine.settings import nodes, plain
 from ssm_study.extensions import packages
 from ssm_study.refusal import require
 
@@ -21,7 +20,6 @@ LIGHTNING = re.compile(
 )
 # Hydra's own section: what Hydra instantiates before any of our code is asked.
 PLUGINS = re.compile(r"(hydra\._internal\.core_plugins|hydra_plugins)(\.[a-z_]\w*)+\.[A-Z]\w*")
-OUR_CALLBACKS = re.compile(r"ssm_study\.cli\.endings\.StudyCallback")
 FOLDERS = {
     "hydra.output_subdir": (None,),
     "hydra.run.dir": ("${results_dir}/${study}/${run}",),
@@ -43,7 +41,7 @@ def refuse_foreign_targets(config: DictConfig) -> None:
     """Walk the whole tree before anything is instantiated; raises `BadRequest` for the first key that is not ours.
 
     Allowed as `_target_`: classes defined in our own specification rooms, `torch.optim`, and the named Lightning parts;
-    in Hydra's section its plugins and our callbacks. Refused as well: interpolations that read the environment (secrets
+    in Hydra's section its plugins. Refused as well: interpolations that read the environment (secrets
     would end up in saved configurations) or build nodes from text, and logging handlers made by factories.
     """
     tree = OmegaConf.to_container(config, resolve=False)
@@ -56,14 +54,6 @@ def refuse_foreign_targets(config: DictConfig) -> None:
         _refuse_in_task(plain(config))  # what the remaining interpolations bring in
 
 
-def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
-    """Dotted path, last key and value of everything in plain containers, from the outside in."""
-    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
-        yield f"{prefix}{key}", str(key), value
-        if isinstance(value, dict | list):
-            yield from nodes(value, f"{prefix}{key}.")
-
-
 def _refuse_in_task(tree: Any) -> None:
     problem = "this interpolation reads the environment or builds configuration from text"
     for path, key, value in nodes(tree):
@@ -74,7 +64,7 @@ def _refuse_in_task(tree: Any) -> None:
 
 def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
     if key == "_target_":
-        allowed = (OUR_CALLBACKS if path.startswith("hydra.callbacks.") else PLUGINS).fullmatch(str(value)) is not None
+        allowed = PLUGINS.fullmatch(str(value)) is not None
         require(allowed, path, value, "this may not be instantiated", "use Hydra's own plugins")
     if key in ("()", "class") and "_logging." in path:  # `()` is the factory of logging.config: any function at all
         standard, remedy = key == "class" and str(value).startswith("logging."), "use a handler class of logging"

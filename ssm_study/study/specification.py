@@ -17,9 +17,9 @@ from omegaconf import DictConfig
 
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.engine.durable import sha256_of_file
-from ssm_study.engine.settings import Settings, plain
+from ssm_study.engine.settings import Settings, nodes, plain
 from ssm_study.refusal import BadRequest, require
-from ssm_study.study.allow_list import PARTS, nodes
+from ssm_study.study.allow_list import PARTS
 
 if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
     from ssm_study.bounds.reduction import Reduction

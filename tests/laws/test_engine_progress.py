@@ -1,11 +1,9 @@
 """One line says how far a sweep is, whoever runs it."""
 
-import pickle
 from pathlib import Path
 
 import pytest
 
-from ssm_study.cli.endings import StudyCallback
 from ssm_study.engine.progress import Progress, Watch
 from ssm_study.engine.records import write_record
 
@@ -28,18 +26,7 @@ def test_a_watch_reads_the_run_folders(tmp_path: Path, capsys: pytest.CaptureFix
         folder.mkdir()
     write_record(folders[0], {"status": "ok"})
     write_record(folders[1], {"status": "running"})
-    watch = Watch([*folders, folders[0]], every_s=0.01)
-    watch.start()
-    write_record(folders[1], {"status": "failed"})
-    watch.finish()
+    with Watch([*folders, folders[0]], every_s=0.01) as watch:
+        write_record(folders[1], {"status": "failed"})
     assert not watch.is_alive()
     assert "2/4 runs: 1 ok, 0 infeasible, 1 failed; 1 there before" in capsys.readouterr().err
-
-
-def test_the_callback_of_a_sweep_travels_to_the_nodes_of_ray(tmp_path: Path) -> None:
-    """With its watch, a thread, no job of a sweep could be sent."""
-    callback = StudyCallback()
-    callback.stop_watching = Watch([tmp_path]).finish
-    with pytest.raises(TypeError):
-        pickle.dumps(callback.stop_watching)
-    assert pickle.loads(pickle.dumps(callback)).stop_watching is None
