@@ -96,7 +96,7 @@ def _drift(case: Case) -> Iterator[str]:
 def _same(case: Case) -> Iterator[str]:
     def windows(record: Trajectory) -> set[bytes]:
         y = np.ascontiguousarray(record.y)
-        moving = (y[k : k + WINDOW] for k in range(len(y) - WINDOW))
+        moving = (y[k : k + WINDOW] for k in range(len(y) - WINDOW + 1))
         return {piece.tobytes() for piece in moving if np.ptp(piece) > 0}
 
     trained = set().union(*(windows(record) for record in case.data.training))

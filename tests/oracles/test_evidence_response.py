@@ -239,3 +239,13 @@ def test_a_test_record_beyond_the_training_records_is_told_of_the_signal_that_is
     (told,) = _range(case(u, y))
     assert f"test record's {moved} is beyond the training records" in told
     assert not [*_range(case(LEVELS, answer(LEVELS)))]
+
+
+@pytest.mark.parametrize("kept", [records.WINDOW, records.WINDOW + 1])
+def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last_sample(kept):
+    found = case(WHITE, answer(WHITE))
+    end = found.data.training[0]
+    assert list(records._same(found)) == []
+    taken = replace(found, data=replace(found.data, test=(replace(end, u=end.u[-kept:], y=end.y[-kept:]),)))
+    (said,) = records._same(taken)
+    assert said.startswith("100 % of the test record is part of the training records")

@@ -39,7 +39,7 @@ class N4SID(SolvedSpec):
     """Linear state space by subspace identification with `block_rows` block rows; an SSM without nonlinearity.
 
     A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts, and B is fitted
-    again without it.
+    again without it. N4SID takes one record: several are joined end to end, and each joint is an error in A and C.
     """
 
     gives_ssm: ClassVar[bool] = True
