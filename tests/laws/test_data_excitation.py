@@ -130,6 +130,13 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     u = OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(ONE, np.random.default_rng(0))[:, 0]
     start = int(np.argmax(values == u[0]))
     np.testing.assert_array_equal(u, values[start : start + 1000])
+    plant = from_yaml("plant", "dc_motor")
+    asked = from_yaml("data", "simulated", "samples=1000", "trajectories=2")
+    own = OwnSignal(path=str(tmp_path / "u.csv"), column="volt")
+    for record in asked.build(plant, own, 0).training:  # from rest on, as the file has it
+        applied = record.u[:, 0] - plant.equilibrium().u[0]
+        start = int(np.abs(values - applied[0]).argmin())
+        np.testing.assert_allclose(applied, values[start : start + 1000], atol=1e-12)
     scaled = OwnSignal(path=str(tmp_path / "u.csv"), column="volt", amplitude=1.0)
     assert np.abs(scaled.signal(ONE, np.random.default_rng(0))).max() <= 1.0
     long = SignalRequest(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)

@@ -34,6 +34,13 @@ def test_plain_in_a_pipe_and_coloured_on_a_terminal() -> None:
     assert "\x1b[" in printed(a_run("ok"), terminal=True)
 
 
+def test_an_outcome_that_cannot_be_judged_is_no_success_in_its_colour() -> None:
+    bold_yellow, run = "\x1b[1;33m", a_run("ok")
+    run |= {"stable_count": run["initial_conditions"], "stable_fraction": 1.0}
+    assert bold_yellow not in printed(run | {"evidence": "sound"}, terminal=True)
+    assert bold_yellow in printed(run | {"evidence": "cannot judge"}, terminal=True)
+
+
 def test_every_number_of_the_argument_is_there() -> None:
     record = a_run("ok") | {"fit_test_percent": 91.27, "stable_count": 9, "initial_conditions": 10}
     record |= {"settling_time_mean_s": 0.07, "settling_time_open_loop_s": 0.21, "controller_rate_limit": 0.3141}

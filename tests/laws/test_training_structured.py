@@ -86,6 +86,18 @@ def test_the_projection_contracts_whatever_it_is_given(seed: int, n: int, q: int
     assert analysis_gap(in_metric(found), np.ones(q), 0.95) > 0
 
 
+def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
+    """A hardly contracting pair: as the neurons' share shrinks, `A + E diag(slope) F` stays what it was."""
+    rng = np.random.default_rng(3)
+    core, slope = Core(0.5 * np.eye(2), 4 * rng.normal(size=(2, 2)), 4 * rng.normal(size=(2, 2))), np.array([0.2, 0.3])
+    scaled = core._replace(e=core.e * 0.6 / np.abs(np.linalg.eigvals(core.a + (core.e * slope) @ core.f)).max())
+    found = projected(scaled, slope, 0.9).core
+    assert np.abs(found.e).max() < np.abs(scaled.e).max()
+    average = scaled.a + scaled.e @ np.diag(slope) @ scaled.f
+    average *= min(1.0, 0.99 * 0.9 / np.abs(np.linalg.eigvals(average)).max())
+    np.testing.assert_allclose(found.a + found.e @ np.diag(slope) @ found.f, average, atol=1e-12)
+
+
 def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
     free = free_core(1, 3, 2)
     core = explicit(free._replace(x_e=0.2 * free.x_e, x_g=0.3 * free.x_g), 0.9)

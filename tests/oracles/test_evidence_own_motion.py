@@ -93,6 +93,13 @@ def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refu
     assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
 
 
+@pytest.mark.parametrize(("noise", "share"), [(0.0, 1.0), (0.5, 0.8)])
+def test_of_a_plant_that_the_input_moves_both_runs_predict_all_but_the_noise(noise, share):
+    system = swinging(0.9)
+    found = own_motion.shares_predicted(case(measured(system, noise, np.zeros(2)), system))
+    assert found == pytest.approx((share, share), abs=0.1 if noise else 1e-4)
+
+
 def test_pieces_of_no_common_log_say_nothing():
     judged = case(drifting_phase(0.0), swinging(0.9995), log=0)
     assert own_motion.shares_predicted(judged) is None

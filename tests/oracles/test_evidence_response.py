@@ -249,3 +249,12 @@ def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last
     taken = replace(found, data=replace(found.data, test=(replace(end, u=end.u[-kept:], y=end.y[-kept:]),)))
     (said,) = records._same(taken)
     assert said.startswith("100 % of the test record is part of the training records")
+
+
+def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
+    """With little noise the present output explains less than the limit, and so do those of two samples ago."""
+    u, y = in_loop(REFERENCES["steps"], 0.007, 1)
+    present, before, two_ago = (feedback.fed_back(case(u, y).data, first) for first in (0, 1, 2))
+    assert two_ago < feedback.EARLIER < before < feedback.PRESENT > present
+    (found,) = feedback.findings(case(u, y))
+    assert "as in a closed-loop log" in found.sentence

@@ -69,6 +69,14 @@ def test_the_header_counts_the_multiplications_of_a_sample(tmp_path: Path, kind:
     assert free.multiplications == products(free, tmp_path / "c")
 
 
+@pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
+def test_the_header_counts_the_bytes_of_its_constants(tmp_path: Path, real: str, size: int) -> None:
+    header = (written(device(tmp_path, kind="mlp", real=real), tmp_path / "c") / "controller.h").read_text()
+    tables = re.findall(rf"static const {real} \w+\[\d+\] = \{{(.*?)\}};", header, re.DOTALL)
+    numbers = sum(len(table.split(",")) for table in tables)
+    assert f"CONSTANT_BYTES {numbers * size} " in header
+
+
 @pytest.mark.parametrize("integral", [False, True, ["ramp"]])
 @pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 1), ("residual", 1)])
 def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool | list[str]) -> None:

@@ -241,6 +241,9 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(si
     balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in (-0.5, 0.5)]
     turned = replace(pair, k=-pair.k)  # the same loop
     assert noise_peak(falling, turned, balls[0], shown) == noise_peak(rising, pair, balls[1], shown)
+    # of a ball the slope at rest alone counts
+    point = replace(ONES, input=JacobianBall(alpha=0.5, beta=0.0))
+    assert noise_peak(rising, pair, balls[1], shown) == noise_peak(rising, pair, point, shown)
 
 
 def drive() -> StribeckDrive:

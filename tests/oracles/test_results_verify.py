@@ -33,7 +33,7 @@ from ssm_study.study.claims import data as section_data
 from ssm_study.study.claims import loop as section_loop
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
-from ssm_study.study.verify import compared, judge, verify
+from ssm_study.study.verify import _short, compared, judge, verify
 from ssm_study.synthesis.certificate import digest
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.synthesis.mismatch import mismatch
@@ -680,3 +680,7 @@ def test_the_command_ends_with_one_line_and_speaks_json(smoke_run: Path, capsys:
     held = sum(claim["holds"] for claim in said["claims"])
     assert last.startswith(f"{held} of {len(said['claims'])} claims hold; {len(said['not_checked'])} not checked: ")
     assert said["holds"] is True
+
+
+def test_a_long_value_is_told_in_eighty_characters() -> None:
+    assert [len(_short("x" * length)) for length in (79, 80, 81, 500)] == [79, 80, 80, 80]

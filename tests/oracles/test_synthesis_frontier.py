@@ -19,6 +19,7 @@ from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
 from ssm_study.synthesis.modes import doubled, solve_riccati, split_modes
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.theorem import condition
+from ssm_study.synthesis.theorems import minimum_energy
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
 from ssm_study.synthesis.theorems.minimum_energy import (
     SHARES,
@@ -103,6 +104,23 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
         method = ClosedFormSynthesis(rate_controller=problem.rate, rate_observer=0.5)
         linear = StateSpace(a=problem.a, b=problem.b, c=np.ones((1, 8)), d=np.zeros((1, 1)))
         assert method.state_feedback(linear, problem.ball).certified
+
+
+def test_a_slow_mode_out_of_reach_of_the_input_joins_the_metric_and_one_on_the_circle_does_not() -> None:
+    ball = JacobianBall(alpha=1.0, beta=0.3)
+    problem = Problem(
+        a=np.diag([1.1, 0.5]),
+        b=np.array([[1.0], [0.0]]),
+        ball=ball,
+        rate=0.2,
+        state_weight=np.eye(2),
+        input_weight=np.eye(1),
+    )
+    assert holds(problem, whole_solution(problem, 0.5, 1.0))
+    on = replace(problem, a=np.diag([1.1, problem.contraction]))
+    apart = split_modes(on.a, on.b, on.contraction * (1 + 1e-12))
+    with pytest.raises(NoSolution, match="on the circle"):
+        modes.whole_metric(on, apart, minimum_energy.fast_gain(apart, ball, on.contraction), 0.9)
 
 
 def test_without_fast_modes_there_is_nothing_to_couple() -> None:

@@ -127,3 +127,7 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
     loop = Loop(horizon_s=1.0, measurement_noise_variance=0.0, reference=reference, input_upper=3.0, input_lower=-3.0)
     with pytest.raises(BadRequest, match=r"loop\.reference"):
         loop.run(motor(), motor_model(), motor_design(), seed=0)
+
+
+def test_a_horizon_shorter_than_a_sample_has_two() -> None:
+    assert [Loop(horizon_s=horizon).samples(0.01) for horizon in (1e-6, 0.02, 0.031)] == [2, 2, 3]
