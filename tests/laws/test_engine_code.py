@@ -90,6 +90,23 @@ def test_training_does_not_make_data_stale_nor_the_other_way_round(scratch: Path
     assert "dataset" not in stale(scratch, "loop/rollout.py", r"^def close_loop\(", "@staticmethod\ndef close_loop(")
 
 
+def test_what_a_cache_knows_of_a_file_ends_with_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And is not read twice while that stays the same."""
+    file, scans = tmp_path / "one.py", list[Path]()
+    scan = code._scanned
+    monkeypatch.setattr(code, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(code, "_scanned", lambda path, module: scans.append(path) or scan(path, module))
+
+    def read() -> set[str]:
+        return set(code._kept(file, "one").parts)
+
+    file.write_text("first = 1\n")
+    assert read() == read() == {"first"}
+    assert len(scans) == 1
+    file.write_text("second = 2\n")
+    assert read() == {"second"}
+
+
 def test_an_import_inside_a_function_counts(scratch: Path) -> None:
     """`compute_synthesis` imports the slopes inside itself."""
     edited = stale(scratch, "bounds/slopes.py", r"^def certified_balls\(", "@staticmethod\ndef certified_balls(")

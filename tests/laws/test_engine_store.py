@@ -295,7 +295,7 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(tmp_path: Path, monkeypa
     walks = [walk("model", k) for k in range(3)]
     assert plan(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
     assert plan(store, [*walks, walk("data", 0)], 3, 0, 2)[-1] == "estimated time: at least 21 s with 2 at a time"
-    for seconds, said in ((66.0, "99 s"), (70.0, "2 min"), (2000.0, "50 min"), (4000.0, "1.7 h")):
+    for seconds, said in ((66.0, "99 s"), (200 / 3, "2 min"), (2000.0, "50 min"), (4000.0, "1.7 h")):
         known["model"] = seconds
         assert plan(store, walks, 3, 0, 2)[-1] == f"estimated time: about {said} with 2 at a time"
 

@@ -81,6 +81,8 @@ def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart()
     two = said(pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}]), "feasibility")
     assert "certified for is from 0.25 to 0.3 per sample" in two
     assert "Inside it, 1 got no certificate" in text
+    assert "2 runs are infeasible, which" in said(pd.DataFrame([row(), beyond, missed]), "failed")
+    assert "1 run is infeasible, which" in said(pd.DataFrame([row(), beyond]), "failed")
 
 
 def test_the_observers_frontier_is_told_where_a_request_went_beyond_it() -> None:

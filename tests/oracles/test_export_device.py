@@ -1,5 +1,6 @@
 """The C code against the same law in NumPy, the law against the Python loop, rounding against exact arithmetic."""
 
+import hashlib
 import json
 import re
 from dataclasses import replace
@@ -193,6 +194,7 @@ def test_export_writes_what_was_asked(tmp_path: Path, smoke_run: Path) -> None:
     assert main(["export", str(smoke_run), "--to", str(to), "--real", "float", "--prefix", "drive"]) == 0
     text = (to / "drive.h").read_text()
     assert "input 0: armature_voltage (V), limited to" in text
+    assert text.count(hashlib.sha256((smoke_run / "certificate.json").read_bytes()).hexdigest()) == 2
     assert "output 0: load_speed (rad/s), seen from" in text
     assert "controller" not in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     assert re.search(r"Rates proved for the numbers below, in float: state feedback 0\.\d+, observer 0\.\d+", text)

@@ -7,7 +7,9 @@ import pytest
 from plants_cases import from_yaml
 from scipy.integrate import solve_ivp
 
+from ssm_study.loop import regulation
 from ssm_study.plants.cascaded_tanks import CascadedTanks
+from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.refusal import BadRequest
 
@@ -121,3 +123,11 @@ def test_the_drive_saturates(drive: StribeckDrive) -> None:
     np.testing.assert_array_equal(
         drive.simulate(np.full((1, 50, 1), 3 * limit))[0], drive.simulate(np.full((1, 50, 1), limit))[0]
     )
+
+
+def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, seen = from_yaml("plant", "quadruple_tank"), dict[str, np.ndarray]()
+    monkeypatch.setattr(regulation, "close_loop", lambda *_, **asked: seen.update(asked))
+    loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
+    loop.simulate(plant, None, plant.equilibrium().y[None], np.zeros((1, 5, 2)))
+    np.testing.assert_array_equal(seen["disturbance"][0], [[2.0, 0.0]] * 5)
