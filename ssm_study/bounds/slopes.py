@@ -70,14 +70,10 @@ def network_bound(network: Network) -> SlopeBound:
 
     interval = interval_bound(network)
     try:
-        return min(interval, lipsdp_bound(network), key=_width)
+        # balls that exclude zero by their relative radius, as the frontier sees them; the others by their radius
+        return min(interval, lipsdp_bound(network), key=lambda one: (min(one.ball.relative_radius, 1.0), one.ball.beta))
     except BadRequest:  # the solver failed: what it was to improve on stands
         return interval
-
-
-def _width(bound: SlopeBound) -> tuple[float, float]:
-    """Balls that exclude zero by their relative radius, as the frontier sees them; the others by their radius."""
-    return min(bound.ball.relative_radius, 1.0), bound.ball.beta
 
 
 def interval_bound(network: Network) -> SlopeBound:

@@ -11,7 +11,7 @@ from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.mismatch import ANGLES, Mismatch
-from ssm_study.synthesis.rest import AT_REST, FAINT, RESPONSES, ends_apart, is_return, stuck
+from ssm_study.synthesis.rest import AT_REST, FAINT, RESPONSES, after_motion, ends_apart, is_return, left
 
 BEYOND, ROOM = 0.05, 0.05  # share of samples that may lie beyond the range of training, by more than this share of it
 PART = 0.05  # share of the test record that may be part of the training records
@@ -122,7 +122,8 @@ def _spectrum(case: Case) -> Iterator[str]:
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
-    off = max((*shown.stuck, *(stuck(*case.scaled(record), response) for record in case.data.test)))
+    still = (after_motion(*case.scaled(record), response) for record in case.data.test)
+    off = max((*shown.stuck, *(left(y) for y in still if len(y))), default=0.0)
     if not shown.rests:
         told = f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield doubt(f"The output does not come to rest by itself ({told}): no loop is predicted to settle it.")

@@ -77,12 +77,6 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
     return [float(off) for off in (np.abs(means) - SURE * np.sqrt(spread)).max(axis=1)]
 
 
-def stuck(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> float:
-    """What is left of an output after its input has moved and come to rest; zero unless that outlasts the response."""
-    still = after_motion(u, y, response)
-    return left(still) if len(still) else 0.0
-
-
 def after_motion(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> Float[np.ndarray, "K p"]:
     """The output from where the input has come to rest; nothing unless that outlasts the response."""
     still = y[int(np.flatnonzero(u.any(axis=1))[-1]) + 1 :] if u.any() else y[:0]

@@ -204,14 +204,6 @@ def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
     assert feedback.fed_back(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < feedback.EARLIER / 2
 
 
-def test_an_input_that_hardly_ever_changes_tells_of_no_loop():
-    """More than half of what is new in it is exactly zero, so nothing is left of it once it is clipped."""
-    u = np.zeros(6000)
-    u[::1500] = 1.0
-    y = answer(u, noise=0.0)
-    assert feedback.fed_back(case(u, y).data, 0) == 0.0
-
-
 def test_a_model_with_neurons_is_judged():
     """One that has nothing to do with the log: no judgement of the plant."""
     data, other = case(LEVELS, answer(LEVELS)).data, model()

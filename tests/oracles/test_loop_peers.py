@@ -12,7 +12,7 @@ from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.metrics import behaviour
-from ssm_study.loop.peers.lqg import linearised, lqg
+from ssm_study.loop.peers.lqg import lqg
 from ssm_study.loop.peers.mpc import MPC
 from ssm_study.loop.peers.peer import Identified, compared
 from ssm_study.loop.peers.pi import tyreus_luyben, ultimate
@@ -35,7 +35,7 @@ SMALL = Auto(stretch_shares=(0.3,), observer_rates=(0.1, 0.3), input_weights=(1e
 
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
     model, limit = motor_model(), ultimate(motor_model())
-    plain = linearised(model)
+    plain = lqg(model, RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)).model
     b = plain.linear.b @ plain.scaffold_in.jacobian(np.zeros(1))
     scaled = limit.gain * model.scale.output_scale[0] / model.scale.input_scale[0]
     for factor, stable in ((0.999, True), (1.001, False)):

@@ -19,12 +19,11 @@ from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
 from ssm_study.synthesis.modes import doubled, solve_riccati, split_modes
 from ssm_study.synthesis.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.theorem import condition
-from ssm_study.synthesis.theorems import minimum_energy
 from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
 from ssm_study.synthesis.theorems.minimum_energy import (
     SHARES,
     ClosedFormSynthesis,
-    minimum_energy_gain,
+    fast_gain,
     minimum_energy_solution,
     whole_solution,
 )
@@ -114,13 +113,13 @@ def test_a_slow_mode_out_of_reach_of_the_input_joins_the_metric_and_one_on_the_c
         ball=ball,
         rate=0.2,
         state_weight=np.eye(2),
-        input_weight=np.eye(1),
+        input_weight=1.0,
     )
     assert holds(problem, whole_solution(problem, 0.5, 1.0))
     on = replace(problem, a=np.diag([1.1, problem.contraction]))
     apart = split_modes(on.a, on.b, on.contraction * (1 + 1e-12))
     with pytest.raises(NoSolution, match="on the circle"):
-        modes.whole_metric(on, apart, minimum_energy.fast_gain(apart, ball, on.contraction), 0.9)
+        modes.whole_metric(on, apart, fast_gain(apart, ball, on.contraction), 0.9)
 
 
 def test_without_fast_modes_there_is_nothing_to_couple() -> None:
@@ -206,7 +205,7 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
         return
     b = np.linalg.solve(vectors, linear.b.astype(complex))[:, 0]
     k = modal_gain(values, b, ball, r) @ np.linalg.inv(vectors)
-    schur = minimum_energy_gain(linear.a, linear.b, ball, r)[0]
+    schur = fast_gain(split_modes(linear.a, linear.b, r), ball, r, widen=False).k[0]
     np.testing.assert_allclose(k.real, schur, rtol=1e-6, atol=1e-8 * np.abs(schur).max(initial=1e-9))
     np.testing.assert_allclose(k.imag, 0, atol=1e-8 * np.abs(schur).max(initial=1e-9))
     fast = np.abs(values) > r
@@ -223,7 +222,8 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
 
 def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     linear = random_model(np.random.default_rng(5), 6, "unstable", mixed=True)
-    gain = minimum_energy_gain(linear.a, linear.b, JacobianBall(alpha=2.0, beta=0.0), 0.8)
+    ball = JacobianBall(alpha=2.0, beta=0.0)
+    gain = fast_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
     before, after = np.linalg.eigvals(linear.a), np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
     mirrored = np.where(np.abs(before) > 0.8, 0.64 / np.maximum(np.abs(before), 1e-9), np.abs(before))
     np.testing.assert_allclose(np.sort(np.abs(after)), np.sort(mirrored), rtol=1e-6)

@@ -20,19 +20,16 @@ from ssm_study.systems import JacobianBall, Pair
 LINEAR = JacobianBall(alpha=1.0, beta=0.0)
 
 
-def linearised(model: SSM) -> SSM:
-    """The model as a linear design sees it: S_u replaced by its mean slope."""
-    return replace(model, scaffold_in=LinearScaffold(gain=mean_slope(model)))
-
-
 def lqg(model: SSM, weights: Synthesis) -> ObserverFeedback:
-    """`K = -(R + B^T S B)^{-1} B^T S A` and the predictor's Kalman gain, both for the linearised model.
+    """`K = -(R + B^T S B)^{-1} B^T S A` and the predictor's Kalman gain, S_u replaced by its mean slope.
 
     Of `weights` the cost and the noise count, as `Synthesis` has them, not the rates.
     """
-    linear = replace(model.linear, b=model.linear.b @ mean_slope(model))
+    slope = mean_slope(model)
+    linear = replace(model.linear, b=model.linear.b @ slope)
     k, dual = (_gain(weights.problem(linear, LINEAR, observes)) for observes in (False, True))
-    return ObserverFeedback(model=linearised(model), gains=Pair(k=k, l=dual.T))
+    plain = replace(model, scaffold_in=LinearScaffold(gain=slope))
+    return ObserverFeedback(model=plain, gains=Pair(k=k, l=dual.T))
 
 
 def _gain(problem: Problem) -> Float[np.ndarray, "m n"]:

@@ -25,7 +25,8 @@ Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrore
 
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
->>> gain = minimum_energy_gain(np.array([[2.0]]), np.ones((1, 1)), JacobianBall.from_slopes(0.8, 1.2), contraction=1.0)
+>>> modes, ball = split_modes(np.array([[2.0]]), np.ones((1, 1)), 1.0), JacobianBall.from_slopes(0.8, 1.2)
+>>> gain = fast_gain(modes, ball, contraction=1.0, widen=False).k
 >>> print(f"{gain[0, 0]:.4f} = -1.5 / (1 - 0.2^2)")
 -1.5625 = -1.5 / (1 - 0.2^2)
 """
@@ -37,7 +38,6 @@ from typing import ClassVar
 
 import numpy as np
 import scipy
-from jaxtyping import Float
 
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier, frontier
@@ -54,15 +54,11 @@ WHOLE_SHARES = (0.5, 0.8, 0.35, 0.65, 0.9)
 SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 
 
-def minimum_energy_gain(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall, contraction: float
-) -> Float[np.ndarray, "m n"]:
-    """`K0 / ((1 - delta^2) alpha)` at `r = contraction`; zero where no mode is faster than asked."""
-    return fast_gain(split_modes(a, b, contraction), ball, contraction, widen=False).k
-
-
 def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True) -> FastGain:
-    """`widen` designs for a ball between the asked one and the widest that is possible at this r."""
+    """`K0 / ((1 - delta^2) alpha)` at `r = contraction`; zero where no mode is faster than asked.
+
+    `widen` designs for a ball between the asked one and the widest that is possible at this r.
+    """
     m = modes.b_fast.shape[1]
     if modes.fast == 0:
         return FastGain(k=np.zeros((m, len(modes.left))), p=np.zeros((0, 0)))
