@@ -12,8 +12,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
+import ssm_study.engine.settings  # noqa: F401 - the resolver of names of runs
 from ssm_study.cli.run import configuration_folder
-from ssm_study.engine.settings import register_resolver
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
@@ -169,7 +169,6 @@ def has(config: DictConfig, key: str) -> bool:
 
 def composed(words: list[str]) -> DictConfig:
     """The configuration of the first job, nothing run: unknown groups, options and values do not compose."""
-    register_resolver()
     words = [first_value(word) for word in words if not word.startswith("-")]
     with initialize_config_dir(str(configuration_folder()), version_base="1.3"):
         config = compose("study", words, return_hydra_config=True)

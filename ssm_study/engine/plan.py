@@ -35,37 +35,25 @@ class KeyedStages(PlannedStages):
         return {}
 
 
-@dataclass(frozen=True)
-class StageForecast:
-    """One stage over the whole sweep; `seconds_each` is the mean of those in the store, None if there are none yet."""
+def plan(
+    store: Store, walks: Sequence[Callable[[Stages], object]], runs: int, finished: int, jobs_at_once: int = 1
+) -> list[str]:
+    """The plan of `runs` runs as text; its time is `at least` that where a missing stage was never timed.
 
-    name: str
-    needed: int
-    missing: int
-    seconds_each: float | None
-
-
-def forecast(store: Store, walks: Sequence[Callable[[Stages], object]]) -> list[StageForecast]:
-    """What unfinished runs need, in the order of the line; `walks` take the stages of each down it."""
+    `walks` take the stages of each unfinished run down the line.
+    """
     planned = PlannedStages(store)
     for walk in walks:
         walk(planned)
     needed = Counter(result.name for result in planned.noted.values())
     there = Counter(result.name for result in planned.noted.values() if result.reused)
-    return [StageForecast(name, count, count - there[name], each(store, name)) for name, count in needed.items()]
-
-
-def plan(
-    store: Store, walks: Sequence[Callable[[Stages], object]], runs: int, finished: int, jobs_at_once: int = 1
-) -> list[str]:
-    """The plan of `runs` runs as text; its time is `at least` that where a missing stage was never timed."""
     lines, seconds, bound = [], 0.0, "about"
-    for stage in forecast(store, walks):
-        known = "unknown" if stage.seconds_each is None else f"{stage.seconds_each:.2f} s"
-        counts = f"{stage.needed:>8}{stage.needed - stage.missing:>8}{stage.missing:>9}"
-        lines.append(f"{stage.name:<14}{counts}{known:>10}")
-        seconds += stage.missing * (stage.seconds_each or 0.0) / jobs_at_once
-        bound = "at least" if stage.missing and stage.seconds_each is None else bound
+    for name, count in needed.items():  # in the order of the line
+        seconds_each, missing = each(store, name), count - there[name]
+        known = "unknown" if seconds_each is None else f"{seconds_each:.2f} s"
+        lines.append(f"{name:<14}{count:>8}{there[name]:>8}{missing:>9}{known:>10}")
+        seconds += missing * (seconds_each or 0.0) / jobs_at_once
+        bound = "at least" if missing and seconds_each is None else bound
     return [
         f"{runs} runs: {finished} finished, {runs - finished} to do",
         "",

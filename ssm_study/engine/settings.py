@@ -9,7 +9,6 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Set
-from functools import cached_property
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -30,23 +29,10 @@ class Settings(dict[str, Any]):
         except KeyError:
             raise AttributeError(name) from None
 
-    @cached_property
-    def canonical(self) -> str:
-        """Its `canonical_json`, made once: the jobs of a sweep share most of their sections."""
-        return _object_text(self)
-
-    @cached_property
-    def targets(self) -> frozenset[str]:
-        """Every class that is named by `_target_`, at any depth."""
-        own = {str(self["_target_"])} if "_target_" in self else set[str]()
-        return frozenset(own.union(*(targets(value) for value in self.values())))
-
 
 def targets(node: Any) -> frozenset[str]:
     """Every class that plain containers name by `_target_`."""
-    if isinstance(node, list | tuple):
-        return frozenset().union(*map(targets, node))
-    return settled(node).targets if isinstance(node, dict) else frozenset()
+    return frozenset(str(value) for _, key, value in nodes(node) if key == "_target_")
 
 
 def settled(value: Any) -> Any:
@@ -89,24 +75,18 @@ def canonical_json(value: Any) -> str:
 
     Raises `BadRequest` for NaN, infinity and anything that is no plain container.
     """
-    if isinstance(value, Settings):
-        return value.canonical
-    if value is None or isinstance(value, bool | str):
-        return json.dumps(value)
-    if isinstance(value, int | float):
-        finite = isinstance(value, int) or math.isfinite(value)
-        require(finite, "config", value, "not a finite number", "leave the field out or give a finite value")
-        return json.dumps(int(value) if value == int(value) else value)
+    try:
+        return json.dumps(_alike(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise BadRequest("config", value, str(error), "use finite numbers, text or lists") from error
+
+
+def _alike(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return _object_text(value)
+        return {str(key): _alike(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return f"[{','.join(map(canonical_json, value))}]"
-    raise BadRequest("config", value, f"a {type(value).__name__} has no canonical text", "use numbers, text or lists")
-
-
-def _object_text(value: Mapping[Any, Any]) -> str:
-    pairs = sorted((str(key), item) for key, item in value.items()) if value else []
-    return f"{{{','.join(f'{json.dumps(key)}:{canonical_json(item)}' for key, item in pairs)}}}"
+        return [_alike(item) for item in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def digest(value: Any) -> str:
@@ -135,13 +115,6 @@ def entry(settings: Any, path: str) -> Any:
     return settings
 
 
-def register_resolver() -> None:
-    """Make `${run_name:word:key,...}` usable in configurations; harmless when repeated."""
-    OmegaConf.register_new_resolver(
-        "run_name", lambda *shown, _root_: run_name(_root_, *shown), replace=True, use_cache=False
-    )
-
-
 class _Dumper(yaml.CSafeDumper):
     """PyYAML's fast one; quotes what OmegaConf, unlike YAML, would read as a number (`1e5`, `nan`)."""
 
@@ -163,4 +136,7 @@ def yaml_text(value: Any) -> str:
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 
 
-register_resolver()
+# Makes `${run_name:word:key,...}` usable in configurations.
+OmegaConf.register_new_resolver(
+    "run_name", lambda *shown, _root_: run_name(_root_, *shown), replace=True, use_cache=False
+)

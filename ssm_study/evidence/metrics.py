@@ -59,7 +59,7 @@ def judge(data: DataSet, model: Model, validation: Simulation, test: Simulation,
     return Judgement(findings=tuple(found))
 
 
-def evidence_facts(judgement: Judgement) -> dict[str, Any]:
+def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:
     """`evidence` is sound, doubt or cannot judge; notes leave it sound."""
     return {"evidence": judgement.level, "evidence_reasons": judgement.reasons}
 

@@ -169,11 +169,6 @@ def read_judgement(folder: Path) -> Judgement:
     return Judgement.from_json(read_json(folder / "evidence.json"))
 
 
-def measure_evidence(judged: Judgement, *_: Any) -> Facts:
-    """The columns of the evidence: its level and the reasons."""
-    return evidence_facts(judged)
-
-
 def compute_synthesis(
     folder: Path,
     data: DataSet,
@@ -276,7 +271,7 @@ MODEL = Stage("model", compute_model, read_trained, measure_model, CURVES)
 SCORE = Stage("score", compute_simulated, Simulated, measure_score, SIMULATED)
 BOUNDS = Stage("bounds", compute_simulated, Simulated, measure_bounds, SIMULATED)
 MISMATCH = Stage("mismatch", compute_mismatch, recordings.read_mismatch)
-EVIDENCE = Stage("evidence", compute_evidence, read_judgement, measure_evidence, ("evidence.json",))
+EVIDENCE = Stage("evidence", compute_evidence, read_judgement, evidence_facts, ("evidence.json",))
 SYNTHESIS = Stage("synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",))
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
 STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, LOOP)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ssm_study.engine import plan as planning
 from ssm_study.engine.durable import is_locked
-from ssm_study.engine.plan import PlannedStages, forecast, plan
+from ssm_study.engine.plan import PlannedStages, plan
 from ssm_study.engine.settings import canonical_json, digest
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, Store, intact_manifest
@@ -270,18 +270,18 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
         model = stages.take(Stage(name="model", compute=write_kept), {"order": 8}, None, data)
         return stages.take(Stage(name="synthesis", compute=write_kept), {"rate": rate}, None, model).result.key
 
-    before = forecast(store, [lambda s, r=r: line(s, r) for r in range(20)])
-    assert {s.name: (s.needed, s.missing) for s in before} == {
-        "data": (1, 1),
-        "model": (1, 1),
-        "synthesis": (20, 20),
-    }
+    def planned() -> list[list[str]]:
+        """By stage: needed, there, to compute, seconds of each."""
+        return [said.split() for said in plan(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[3:6]]
+
+    rows = ["data", *"101"], ["model", *"101"], ["synthesis", "20", "0", "20"]
+    assert planned() == [[*row, "unknown"] for row in rows]
     assert not tmp_path.joinpath("model").exists()
     real = [line(store, rate) for rate in range(5)]
     assert real == [line(PlannedStages(store), rate) for rate in range(5)]
-    after = forecast(store, [lambda s, r=r: line(s, r) for r in range(20)])
-    assert {s.name: s.missing for s in after} == {"data": 0, "model": 0, "synthesis": 15}
-    assert all(s.seconds_each is not None for s in after)
+    after = planned()
+    assert {name: missing for name, _, _, missing, *_ in after} == {"data": "0", "model": "0", "synthesis": "15"}
+    assert all(row[-1] == "s" for row in after)
 
 
 def test_a_plan_reckons_with_the_mean_of_what_was_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
