@@ -1,6 +1,7 @@
 """The other plants against published figures and against scipy's integrator."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from plants_cases import from_yaml
 from scipy.integrate import solve_ivp
 
 from ssm_study.loop import regulation
+from ssm_study.loop.controller import Controller
 from ssm_study.plants.cascaded_tanks import CascadedTanks
 from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.stribeck_drive import StribeckDrive
@@ -129,5 +131,5 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(monkeypatch: 
     plant, seen = from_yaml("plant", "quadruple_tank"), dict[str, np.ndarray]()
     monkeypatch.setattr(regulation, "close_loop", lambda *_, **asked: seen.update(asked))
     loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
-    loop.simulate(plant, None, plant.equilibrium().y[None], np.zeros((1, 5, 2)))
+    loop.simulate(plant, Mock(spec=Controller), plant.equilibrium().y[None], np.zeros((1, 5, 2)))
     np.testing.assert_array_equal(seen["disturbance"][0], [[2.0, 0.0]] * 5)
