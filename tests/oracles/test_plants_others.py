@@ -128,8 +128,9 @@ def test_the_drive_saturates(drive: StribeckDrive) -> None:
 
 
 def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(monkeypatch: pytest.MonkeyPatch) -> None:
-    plant, seen = from_yaml("plant", "quadruple_tank"), dict[str, np.ndarray]()
-    monkeypatch.setattr(regulation, "close_loop", lambda *_, **asked: seen.update(asked))
+    plant, close_loop = from_yaml("plant", "quadruple_tank"), Mock(side_effect=InterruptedError)
+    monkeypatch.setattr(regulation, "close_loop", close_loop)
     loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
-    loop.simulate(plant, Mock(spec=Controller), plant.equilibrium().y[None], np.zeros((1, 5, 2)))
-    np.testing.assert_array_equal(seen["disturbance"][0], [[2.0, 0.0]] * 5)
+    with pytest.raises(InterruptedError):
+        loop.simulate(plant, Mock(spec=Controller), plant.equilibrium().y[None], np.zeros((1, 5, 2)))
+    np.testing.assert_array_equal(close_loop.call_args.kwargs["disturbance"][0], [[2.0, 0.0]] * 5)
