@@ -13,11 +13,6 @@ from ssm_study.refusal import require
 
 # The rooms whose classes are specifications; the others (cli, study, report) act on the world.
 ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop")
-TORCH = re.compile(r"torch\.optim\.(lr_scheduler\.)?[A-Z][A-Za-z]+")
-LIGHTNING = re.compile(
-    r"lightning\.pytorch\.(loggers\.(CSV|TensorBoard|Wandb|MLFlow)Logger|callbacks\.(EarlyStopping|LearningRateMonitor|"
-    r"ModelCheckpoint|Timer|RichProgressBar|TQDMProgressBar|GradientAccumulationScheduler))"
-)
 # Hydra's own section: what Hydra instantiates before any of our code is asked.
 PLUGINS = re.compile(r"(hydra\._internal\.core_plugins|hydra_plugins)(\.[a-z_]\w*)+\.[A-Z]\w*")
 FOLDERS = {
@@ -34,15 +29,15 @@ KEYS = frozenset(
 PARTS = ("plant", "excitation", "data", "model", "training", "reduction", "synthesis", "loop")
 ENVIRONMENT = re.compile(r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_")
 RESOLVERS = re.compile(r"\$\{\s*(oc\.env|env|oc\.decode|oc\.create|oc\.deprecated)\s*:")
-REMEDY = "name a part of ssm_study, of torch.optim or of Lightning (allow_list.py); your own study: add --with FOLDER"
+REMEDY = "name a part of ssm_study; your own study: add --with FOLDER"
 
 
 def refuse_foreign_targets(config: DictConfig) -> None:
     """Walk the whole tree before anything is instantiated; raises `BadRequest` for the first key that is not ours.
 
-    Allowed as `_target_`: classes defined in our own specification rooms, `torch.optim`, and the named Lightning parts;
-    in Hydra's section its plugins. Refused as well: interpolations that read the environment (secrets
-    would end up in saved configurations) or build nodes from text, and logging handlers made by factories.
+    Allowed as `_target_`: classes defined in our own specification rooms; in Hydra's section its plugins. Refused
+    as well: interpolations that read the environment (secrets would end up in saved configurations) or build nodes from
+    text, and logging handlers made by factories.
     """
     tree = OmegaConf.to_container(config, resolve=False)
     assert isinstance(tree, dict)
@@ -80,8 +75,6 @@ def is_ours(target: Any) -> bool:
     """Whether `target` names a class that a configuration may instantiate."""
     if not isinstance(target, str):
         return False
-    if TORCH.fullmatch(target) or LIGHTNING.fullmatch(target):
-        return True
     trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, packages())])
     if not re.fullmatch(rf"({trusted})(\.[a-z]\w*)+\.[A-Z]\w*", target):
         return False
