@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.config_loader_impl import ConfigLoaderImpl, get_overrides_dirname
 from hydra._internal.config_repository import IConfigRepository
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.hydra import Hydra
@@ -186,10 +186,14 @@ class Composer:
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
         """The whole configuration, Hydra's section included; the next one may be the same object."""
         chosen, values = self._split(overrides)
-        config = chosen.config
+        config, parsed = chosen.config, [self._parse(word)[0] for word in overrides]
         ConfigLoaderImpl._apply_overrides_to_config(values, config)
+        naming = config.hydra.job.config.override_dirname
         with open_dict(config):
             config.hydra.overrides.task = list(overrides)
+            config.hydra.job.override_dirname = get_overrides_dirname(
+                overrides=parsed, kv_sep=naming.kv_sep, item_sep=naming.item_sep, exclude_keys=naming.exclude_keys
+            )
             if number is not None:
                 config.hydra.job.id = config.hydra.job.num = number
         OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
