@@ -12,7 +12,6 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.bounds.network import inverse_of
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.structured import Model, StructuredSSM
@@ -115,27 +114,31 @@ def set_points(model: Model, reference: Reference) -> Plan:
 
 
 def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N m"]:
-    """`v` with `S(v) = w`: by the pieces of maps of single channels, else row by row by damped Newton steps.
+    """`v` with `S(v) = w`, row by row: scalar maps, which are monotone, in a bracket; others by damped Newton steps.
 
     Raises `BadRequest` when the map does not reach `w`.
     """
-    if (exact := inverse_of(scaffold.portable())) is not None:
-        v = exact(w)
+    from scipy.optimize import elementwise  # slow to load
+
+    def missing(v: Vector, w: Vector) -> Vector:
+        return scaffold(v[:, None])[:, 0] - w if scalar else scaffold(v[None])[0] - w
+
+    scalar = w.shape[1] == 1
+    if scalar:  # Chandrupatla's method for all rows at once; not a number without a bracket
+        with np.errstate(invalid="ignore"):  # SciPy takes a square root of rounding where it does not need it
+            around = elementwise.bracket_root(missing, -1.0, 1.0, args=(w[:, 0],), maxiter=60)
+            v = np.asarray(elementwise.find_root(missing, around.bracket, args=(w[:, 0],)).x)[:, None]
     else:  # a reference at rest asks the same at every sample
         values, index = np.unique(w, axis=0, return_inverse=True)
         start, enough = np.zeros(scaffold.inputs), 1e-2 * INVERSION_TOLERANCE
-        missing = (partial(_missing, scaffold, row) for row in values)
-        v = np.stack([_newton(one, scaffold.jacobian, start, enough) for one in missing])[index.reshape(-1)]
+        rows = [_newton(partial(missing, w=row), scaffold.jacobian, start, enough) for row in values]
+        v = np.stack(rows)[index.reshape(-1)]
     v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, v)  # S(0) = 0 holds exactly
     missed = np.abs(scaffold(v) - w).max(axis=1)
     enough = INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))
     problem = "the identified nonlinearity does not reach this scaled value"
     _reached(missed.max() <= enough, w[missed.argmax()], problem, ", or raise model.slope_lower")
     return v
-
-
-def _missing(scaffold: Scaffold, w: Vector, v: Vector) -> Vector:
-    return np.asarray(scaffold(v[None])[0] - w)
 
 
 def _reached(reached: np.bool_, value: Vector, problem: str, more: str) -> None:
