@@ -17,13 +17,13 @@ import pandas as pd
 from benchmarks.adversarial.__main__ import plant_of
 from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.excitations.own_plant import OwnPlantRecord
+from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 from ssm_study.data.recorded import RecordedData
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet
-from ssm_study.synthesis.rest import is_return
+from ssm_study.robustness.return_to_rest import is_return
 
 PLANTS = ["dc_motor", "stribeck_drive", "peaking_gain", "thinning_damping", "stiction", "hysteresis", "play",
           "rate_limited"]  # fmt: skip

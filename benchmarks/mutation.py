@@ -274,7 +274,7 @@ def main() -> None:
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--again", action="store_true", help="plant the survivors again")
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--modules", default="", help="of these groups, these modules alone: synthesis/rest.py,...")
+    parser.add_argument("--modules", default="", help="of these groups, these modules alone: robustness/return_to_rest.py,...")
     parser.add_argument("--seed", type=int, default=SEED, help="another draw: written to fresh.csv and fresh.diff")
     parser.add_argument("--name", help="of the two files, in place of faults or fresh")
     parser.add_argument("--share", type=float, default=1.0, help="of each group's faults")

@@ -21,8 +21,8 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.prediction import predict
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.prediction import predict
 
 # radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at rest would
 PLANTS: dict[str, dict[str, float]] = {"pendulum": {"amplitude": 0.85, "reach": 1.8}, "hardening": {"amplitude": 2.0}}

@@ -3,7 +3,7 @@
     python -m benchmarks.own_motion --aside --to results/reference/evidence     (five minutes on one core)
     python -m benchmarks.own_motion --drawn --to results/reference/evidence     (a minute)
 
-`--aside`: 20 logs that had no part in setting the limits of `ssm_study/evidence/own_motion.py` and `feedback.py`, each
+`--aside`: 20 logs that had no part in setting the limits of `ssm_study/evidence/autonomous_motion.py` and `feedback.py`, each
 fitted by `ssm_study.fit` as it is by default. Writes own_motion.csv: level of the evidence, first reason against any
 judgement, the shares of the output's power that follow from where each piece begins and from the input, the fit.
 `--drawn`: 1,500 stable open-loop logs and 1,500 integrators in open loop, of 300 to 1,500 samples each, with no model
@@ -25,9 +25,9 @@ from benchmarks.feedback_shares import drawn, levels, opened
 from ssm_study.evidence.feedback import runs_away
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.metrics import judge
-from ssm_study.evidence.own_motion import shares_predicted
+from ssm_study.evidence.autonomous_motion import shares_predicted
 from ssm_study.models.metrics import Simulation
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.robustness.mismatch import mismatch
 
 sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/laws")]
 from test_evidence_controls import multilevel

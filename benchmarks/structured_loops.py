@@ -22,8 +22,8 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import judge
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.prediction import predict
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.prediction import predict
 from ssm_study.training.metrics import mean_fit
 
 PLANTS, MODELS = ("dc_motor", "stribeck_drive", "cascaded_tanks"), ("ssm", "structured")

@@ -21,12 +21,12 @@ import numpy as np
 from common import REFERENCE, study_of, write
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.synthesis.among_starts import fastest
-from ssm_study.synthesis.area import at_rest
+from ssm_study.synthesis.model_selection import fastest
+from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.problem import dual
+from ssm_study.certificates.problem import dual
 from ssm_study.synthesis.structured_lmi import largest_rate
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training

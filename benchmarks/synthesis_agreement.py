@@ -20,8 +20,8 @@ from synthesis_instances import Instance
 
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
 from ssm_study.synthesis.modes import energy_root, split_modes
-from ssm_study.synthesis.problem import NoSolution, Problem
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.problem import NoSolution, Problem
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 FEASIBLE, INFEASIBLE, CANNOT_TELL = "feasible", "infeasible", "cannot tell"
 TELLING = 1e-7  # Clarabel stops at 1e-8

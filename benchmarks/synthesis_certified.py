@@ -18,8 +18,8 @@ from synthesis_instances import Instance, random_instance
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
 FOLDER = REFERENCE / "certificates"

@@ -12,11 +12,11 @@ import numpy as np
 from common import write
 from synthesis_certified import FOLDER, trained
 
-from ssm_study.synthesis.certificate import StateFeedback
+from ssm_study.certificates.certificate import StateFeedback
 from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
 FLOORS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)

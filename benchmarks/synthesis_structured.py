@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, dual
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual
 from ssm_study.synthesis.structured_lmi import StructuredLmi, holds, largest_rate
 from ssm_study.synthesis.structured_riccati import least_cost
 from ssm_study.systems import JacobianBall, StructuredSystem

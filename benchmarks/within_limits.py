@@ -25,9 +25,9 @@ from ssm_study.loop.regulation import LoopRuns
 from ssm_study.plants.wrapper import SaturatedInput
 from ssm_study.report import style
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of, with_limits
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 LIMITS = {"dc_motor": (-1.5, 1.5), "stribeck_drive": (-0.5, 0.5), "cascaded_tanks": (1.7, 3.3)}
 INTEGRAL = RiccatiSynthesis(rate_controller=0.003, rate_observer=0.1, input_weight=0.1, output_noise=0.1)

@@ -29,9 +29,9 @@ from ssm_study.cli.main import main
 from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.study.verify import verify
-from ssm_study.synthesis.certificate import Infeasible
+from ssm_study.certificates.certificate import Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall
 
 EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny

@@ -25,7 +25,7 @@ from omegaconf import DictConfig
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli import run as command
-from ssm_study.cli.explained import advised
+from ssm_study.cli.hydra_errors import advised
 from ssm_study.cli.request import quoted
 from ssm_study.data.arrays import logged, signal
 from ssm_study.engine.records import FAILED, read_record
@@ -42,8 +42,8 @@ from ssm_study.signals import DataSet, fit_percent
 from ssm_study.study import line
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated, write_json
-from ssm_study.synthesis import certificate
-from ssm_study.synthesis.area import at_rest
+from ssm_study.certificates import certificate
+from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
 from ssm_study.systems import StateSpace
 from ssm_study.table.gather import gather

@@ -133,7 +133,7 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
     module = request.module.__name__.rpartition(".")[2]
     with shapes_unchecked(module in WHOLE_RUNS), pytest.MonkeyPatch.context() as patch:
         if module in WHOLE_RUNS - DRAWING:  # a third of a short run, and rendering is half of a report
-            patch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())
+            patch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())
             patch.setattr(
                 "matplotlib.figure.Figure.savefig", vectors_alone(resolve_name("matplotlib.figure:Figure.savefig"))
             )

@@ -11,9 +11,9 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.dc_motor import DCMotor
 from ssm_study.signals import Scale, Trajectory
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.mismatch import ANGLES, Mismatch, View
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.certificate import Design
+from ssm_study.robustness.mismatch import ANGLES, Mismatch, View
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 INPUT_BALL = JacobianBall.from_slopes(0.12, 1.0)

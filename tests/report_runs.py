@@ -14,10 +14,10 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.models.scaffolds.residual import ResidualScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.signals import Channel, Scale
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.theorems.integral_action import internal_model
-from ssm_study.synthesis.theorems.observer import ObserverOfBall
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.theorems.integral_action import internal_model
+from ssm_study.certificates.theorems.observer import ObserverOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import StateSpace, feed
 
 KINDS = ("linear", "mlp", "monotone", "residual")

@@ -6,7 +6,7 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Scale
-from ssm_study.synthesis.problem import Neurons, Problem, dual
+from ssm_study.certificates.problem import Neurons, Problem, dual
 from ssm_study.systems import JacobianBall, StructuredSystem
 
 KNOWN = JacobianBall(alpha=1.0, beta=0.0)

@@ -19,7 +19,7 @@ from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.lmi import OBJECTIVES, SOLVERS, CompiledLmi
 from ssm_study.synthesis.modes import FastGain, energy_root, split_modes, with_slow_modes
-from ssm_study.synthesis.problem import Problem, Solution
+from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.systems import JacobianBall
 
 # The inequality is asked for a rate this share of the room faster, so that the slow modes find room beside it.

@@ -28,8 +28,8 @@ from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet
-from ssm_study.synthesis.mismatch import Mismatch, View
-from ssm_study.synthesis.prediction import predict
+from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.prediction import predict
 
 HERE = Path(__file__).resolve().parent
 

@@ -134,7 +134,7 @@ def new(folder: Path) -> list[Path]:
 
 
 def _excite(options: argparse.Namespace) -> None:
-    from ssm_study.data.excitations.own_plant import OwnPlantRecord
+    from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 
     known: dict[str, float] = {}
     if options.after is not None:
@@ -171,7 +171,7 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _refine(options: argparse.Namespace) -> int:
-    from ssm_study.cli.endings import conclude_run
+    from ssm_study.cli.summary import conclude_run
     from ssm_study.study.refine import refine
 
     at_least(1, "--times", options.times, "use 4 or so")

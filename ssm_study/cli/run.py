@@ -14,8 +14,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from ssm_study.cli.endings import conclude_run, conclude_sweep
-from ssm_study.cli.explained import advised, refuse_dashes
+from ssm_study.cli.summary import conclude_run, conclude_sweep
+from ssm_study.cli.hydra_errors import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden, limit_threads
 from ssm_study.cli.request import JUST_ASKING, check_request, checked, translate
 from ssm_study.engine.compose import Command, forget

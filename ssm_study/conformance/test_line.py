@@ -33,7 +33,7 @@ def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
     No generator: of a module that jaxtyping checks, pytest would take its fixture for one that returns.
     """
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
-    monkeypatch.setattr("ssm_study.cli.endings.RUN_FIGURES", ())  # each draws the same two, for a third of its time
+    monkeypatch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())  # each draws the same two, for a third of its time
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from ssm_study.engine.code import code_version
+from ssm_study.engine.fingerprint import code_version
 from ssm_study.engine.settings import digest, targets
 
 T = TypeVar("T")

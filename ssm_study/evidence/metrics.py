@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from ssm_study.columns import Column
-from ssm_study.evidence import feedback, fit, own_motion, records, response
+from ssm_study.evidence import feedback, fit, autonomous_motion as own_motion, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, note
 from ssm_study.models.metrics import NOT_KEPT, Simulation
 from ssm_study.models.structured import Model
 from ssm_study.refusal import one_of, require
 from ssm_study.signals import DataSet
-from ssm_study.synthesis.mismatch import Mismatch
+from ssm_study.robustness.mismatch import Mismatch
 
 COLUMNS = (
     Column("evidence", "string", word="Evidence", unchecked=NOT_KEPT),

@@ -10,8 +10,8 @@ from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.mismatch import ANGLES, Mismatch
-from ssm_study.synthesis.rest import AT_REST, FAINT, RESPONSES, after_motion, ends_apart, is_return, left
+from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.robustness.return_to_rest import AT_REST, FAINT, RESPONSES, after_motion, ends_apart, is_return, left
 
 BEYOND, ROOM = 0.05, 0.05  # share of samples that may lie beyond the range of training, by more than this share of it
 PART = 0.05  # share of the test record that may be part of the training records

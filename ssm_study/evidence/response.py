@@ -13,8 +13,8 @@ from jaxtyping import Complex, Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS
-from ssm_study.synthesis.rest import RESPONSES
-from ssm_study.synthesis.sensitivity import gains
+from ssm_study.robustness.return_to_rest import RESPONSES
+from ssm_study.robustness.sensitivity import gains
 
 AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
 USED = 0.1  # the controller's band: where the model answers with this share of its largest gain

@@ -11,7 +11,7 @@ from ssm_study.bounds.network import PortableMap
 from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Scale
-from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.systems import StateSpace, StructuredSystem, System, feed, held
 
 Vector = Float[np.ndarray, "_"]

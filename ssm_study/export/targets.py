@@ -27,11 +27,11 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.deployed import within_limits
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.theorem import Known, Theorem
-from ssm_study.synthesis.theorems.integral_action import augmented, controlled_system
+from ssm_study.certificates.theorem import Known, Theorem
+from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.systems import Balls, JacobianBall
 
 UNLIMITED = 1e38  # either float's largest number stands for no limit

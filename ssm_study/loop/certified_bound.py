@@ -12,8 +12,8 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.loop.rollout import squared_shrink
-from ssm_study.synthesis.certificate import Observer, StateFeedback
-from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
+from ssm_study.certificates.certificate import Observer, StateFeedback
+from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
 
 ROUNDING = 1e-9  # relative: what float64 may add to a distance over a thousand steps
 RESOLUTION = 1e-12  # of the bound's own start: below it both sides are rounding

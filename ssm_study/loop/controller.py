@@ -16,7 +16,7 @@ from ssm_study.loop.trajectory import Plan, Reference, feasible_trajectory, guid
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 from ssm_study.systems import Pair, feed, held
 
 Memory = Float[np.ndarray, "N s"]

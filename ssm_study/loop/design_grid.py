@@ -14,10 +14,10 @@ from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.loop.rollout import motions, settling_times_s
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import at_least
-from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.prediction import predict
+from ssm_study.robustness.prediction import predict
 from ssm_study.systems import Pair
 
 WIDE: dict[str, Any] = {

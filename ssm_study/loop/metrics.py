@@ -9,7 +9,7 @@ from ssm_study.columns import Column
 from ssm_study.loop.certified_bound import decay_rate, excess, violations
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 
 Columns = dict[str, float | int | str | None]
 BEYOND = "Beyond the certified bound on the plant"

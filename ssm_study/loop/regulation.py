@@ -17,8 +17,8 @@ from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, input_limits
-from ssm_study.synthesis.area import at_rest
-from ssm_study.synthesis.certificate import Design
+from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.certificates.certificate import Design
 
 Channels = tuple[Channel, ...]
 

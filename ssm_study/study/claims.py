@@ -29,18 +29,18 @@ from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings, trials
-from ssm_study.study.labels import mislabelled
+from ssm_study.study.recording_labels import mislabelled
 from ssm_study.study.line import STUDY, further
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
-from ssm_study.synthesis.certificate import SIDES, Infeasible, StateFeedback
-from ssm_study.synthesis.commanded import shown_behind
+from ssm_study.certificates.certificate import SIDES, Infeasible, StateFeedback
+from ssm_study.synthesis.input_inversion import shown_behind
 from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.theorem import UNFIT, Theorem, condition, margin
-from ssm_study.synthesis.theorems.integral_action import controlled_system, internal_model
-from ssm_study.synthesis.theorems.unlimited_start import UnlimitedStart
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
+from ssm_study.certificates.theorems.integral_action import controlled_system, internal_model
+from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ssm_study.signals import DataSet
     from ssm_study.study.specification import Specification
     from ssm_study.study.stages import Simulated, Trained
-    from ssm_study.synthesis.certificate import Design
+    from ssm_study.certificates.certificate import Design
 
 LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jobs on this machine
 
@@ -159,7 +159,7 @@ class Study(Task["Specification"]):
         return further(request.configuration, {word.partition("=")[0] for word in overrides})
 
     def warm(self, again: Set[str]) -> None:
-        from ssm_study.study.warm import warm
+        from ssm_study.study.preload import warm
 
         warm(again)
 

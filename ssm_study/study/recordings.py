@@ -18,7 +18,7 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
-from ssm_study.synthesis.mismatch import Mismatch, View
+from ssm_study.robustness.mismatch import Mismatch, View
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop

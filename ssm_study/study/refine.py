@@ -18,7 +18,7 @@ from ssm_study.study.line import STUDY
 from ssm_study.study.recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
 from ssm_study.study.trials import named, of_loops, read_logs
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.robustness.mismatch import mismatch
 
 TIMES = 4  # iterations at most: of the designs that failed on plants whose record hid something, two mended most
 

@@ -22,8 +22,8 @@ from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import Simulated
 from ssm_study.study.trials import repeated
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.certificates.certificate import Design
+from ssm_study.robustness.mismatch import mismatch
 
 LEFT_AT_REST = 0.02  # share of the summed impulse response that is left when a plant counts as at rest
 CONFIGURATION, OVERRIDES = ".hydra/config.yaml", ".hydra/overrides.yaml"

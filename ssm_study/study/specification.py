@@ -98,7 +98,7 @@ class Specification:
         """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is known beforehand."""
         words, step_s = getattr(self.synthesis, "modes", ()), getattr(self.plant or self.data, "step_s", None)
         if words and step_s:
-            from ssm_study.synthesis.theorems.integral_action import internal_model
+            from ssm_study.certificates.theorems.integral_action import internal_model
 
             internal_model(words, step_s, outputs=1)
 

@@ -27,10 +27,10 @@ from ssm_study.models.structured import model_from_json
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.commanded import shown_to
+from ssm_study.certificates.certificate import Design
+from ssm_study.synthesis.input_inversion import shown_to
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
-from ssm_study.synthesis.mismatch import Mismatch, mismatch
+from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.training.metrics import mean_fit, training_facts
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from ssm_study.refusal import at_least, require
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 from ssm_study.study import recordings
 from ssm_study.study.stages import read_dataset, read_json, read_model, write_dataset, write_json
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 
 if TYPE_CHECKING:
     from ssm_study.data.recorded import RecordedSource

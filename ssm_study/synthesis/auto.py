@@ -18,18 +18,18 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, phi
 from ssm_study.refusal import require
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.candidates import Candidates, Found
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.commanded import designed
+from ssm_study.certificates.certificate import Design
+from ssm_study.synthesis.input_inversion import designed
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import noise_peak, predict, worst
-from ssm_study.synthesis.problem import NoSolution, Solution, dual
-from ssm_study.synthesis.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import frequencies, internal_model, with_modes
+from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.prediction import noise_peak, predict, worst
+from ssm_study.certificates.problem import NoSolution, Solution, dual
+from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_radius, peaks_on_grid
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.integral_action import frequencies, internal_model, with_modes
 from ssm_study.systems import Balls, JacobianBall, StateSpace, System
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.

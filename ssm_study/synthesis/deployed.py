@@ -16,20 +16,20 @@ from jaxtyping import Float
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
-from ssm_study.synthesis.commanded import of_commands
-from ssm_study.synthesis.mismatch import ANGLES, Mismatch
-from ssm_study.synthesis.problem import NoSolution, within_floats
-from ssm_study.synthesis.theorem import Known, Theorem
-from ssm_study.synthesis.theorems.integral_action import controlled_system
-from ssm_study.synthesis.theorems.limited_input import LimitedFeedback, from_everywhere
-from ssm_study.synthesis.theorems.noise_gain import NoiseGain
-from ssm_study.synthesis.theorems.observer import ObserverOfBall
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
-from ssm_study.synthesis.theorems.structured_tolerance import StructuredTolerance
-from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
-from ssm_study.synthesis.theorems.unlimited_start import unlimited
+from ssm_study.certificates.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
+from ssm_study.synthesis.input_inversion import of_commands
+from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.theorem import Known, Theorem
+from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.certificates.theorems.limited_input import LimitedFeedback, from_everywhere
+from ssm_study.certificates.theorems.noise_gain import NoiseGain
+from ssm_study.certificates.theorems.observer import ObserverOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorems.structured_observer import StructuredObserver
+from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
+from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
+from ssm_study.certificates.theorems.unlimited_start import unlimited
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]

@@ -15,17 +15,17 @@ import numpy as np
 
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
-from ssm_study.synthesis.commanded import designed
+from ssm_study.certificates.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
+from ssm_study.synthesis.input_inversion import designed
 from ssm_study.synthesis.frontier import Frontier, controller_frontier
-from ssm_study.synthesis.mismatch import Mismatch
-from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
-from ssm_study.synthesis.theorem import Known, Theorem, theorem_named
-from ssm_study.synthesis.theorems.integral_action import frequencies, with_modes
-from ssm_study.synthesis.theorems.observer import ObserverOfBall
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
-from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
+from ssm_study.certificates.theorem import Known, Theorem, theorem_named
+from ssm_study.certificates.theorems.integral_action import frequencies, with_modes
+from ssm_study.certificates.theorems.observer import ObserverOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorems.structured_observer import StructuredObserver
+from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 
 ILL = 1e6  # a metric of a smaller condition number gains nothing from fewer states

@@ -11,7 +11,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import require
-from ssm_study.synthesis.problem import NoSolution
+from ssm_study.certificates.problem import NoSolution
 from ssm_study.systems import JacobianBall, StateSpace, System
 
 REACH_FLOOR = 1e-12  # a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14

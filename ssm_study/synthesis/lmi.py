@@ -18,12 +18,12 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.refusal import BadRequest, one_of
-from ssm_study.synthesis.certificate import Side
+from ssm_study.certificates.certificate import Side
 from ssm_study.synthesis.design import Request, Synthesis
 from ssm_study.synthesis.frontier import Frontier
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution, symmetric
-from ssm_study.synthesis.theorem import Blocks, full
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.theorem import Blocks, full
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall, StateSpace
 
 OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")

@@ -7,13 +7,13 @@ from typing import Any
 
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
 from ssm_study.models.structured import Model
-from ssm_study.synthesis.certificate import Design, Infeasible, Observer, StateFeedback
-from ssm_study.synthesis.commanded import of_commands
+from ssm_study.certificates.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.synthesis.input_inversion import of_commands
 from ssm_study.synthesis.deployed import SETS, WithinLimits
-from ssm_study.synthesis.mismatch import Mismatch
-from ssm_study.synthesis.prediction import predict
-from ssm_study.synthesis.theorems.observer import ObserverOfBall
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.certificates.theorems.observer import ObserverOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"

@@ -11,9 +11,9 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.synthesis.frontier import MOST_STEPS, energy_root
-from ssm_study.synthesis.problem import NoSolution, Problem, symmetric
-from ssm_study.synthesis.theorem import margin
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.problem import NoSolution, Problem, symmetric
+from ssm_study.certificates.theorem import margin
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
 RESIDUAL_SHARE = 1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows

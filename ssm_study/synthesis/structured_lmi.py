@@ -16,12 +16,12 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.certificate import LETTERS, Side
+from ssm_study.certificates.certificate import LETTERS, Side
 from ssm_study.synthesis.lmi import aim, solved
-from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
 from ssm_study.synthesis.structured_riccati import logs_of, without_ball
-from ssm_study.synthesis.theorem import Blocks
-from ssm_study.synthesis.theorems import structured_observer, structured_state_feedback
+from ssm_study.certificates.theorem import Blocks
+from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
 
 Rows = Float[np.ndarray, "_ _"]
 

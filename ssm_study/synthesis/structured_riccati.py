@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.synthesis.game_kernel import saddle_point
-from ssm_study.synthesis.problem import Neurons, NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
 
 Matrix = Float[np.ndarray, "_ _"]
 Vector = Float[np.ndarray, "_"]

@@ -17,15 +17,15 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
-from ssm_study.synthesis.certificate import Design, Infeasible
+from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.prediction import Prediction, predict
-from ssm_study.synthesis.problem import NoSolution
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.prediction import Prediction, predict
+from ssm_study.certificates.problem import NoSolution
 from ssm_study.synthesis.structured_lmi import StructuredLmi
-from ssm_study.synthesis.theorems.integral_action import with_modes
+from ssm_study.certificates.theorems.integral_action import with_modes
 from ssm_study.systems import Balls, JacobianBall, Pair
 
 SMALL = Auto(

@@ -10,7 +10,7 @@ from plants_cases import choices, from_yaml
 
 from ssm_study.data.excitations.excitation import PRBS, SignalRequest
 from ssm_study.data.excitations.multisine import Multisine
-from ssm_study.data.excitations.own_signal import OwnSignal
+from ssm_study.data.excitations.file_signal import OwnSignal
 from ssm_study.data.metrics import (
     SlopesNotIdentifiable,
     input_coverage,

@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.cli.main import main
-from ssm_study.data.excitations.own_plant import AMPLITUDES, PERIOD_IN_SETTLINGS, PERIODS, OwnPlantRecord
+from ssm_study.data.excitations.user_excitation import AMPLITUDES, PERIOD_IN_SETTLINGS, PERIODS, OwnPlantRecord
 from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Scale
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.rest import is_return
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.return_to_rest import is_return
 from ssm_study.systems import StateSpace
 
 LEVEL = st.floats(-1e3, 1e3)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ssm_study.engine import code
-from ssm_study.engine.code import Code, code_version, symbol_of
+from ssm_study.engine import fingerprint as code
+from ssm_study.engine.fingerprint import Code, code_version, symbol_of
 from ssm_study.study.stages import BOUNDS, DATASET, LOOP, MODEL, STAGES, SYNTHESIS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -16,7 +16,7 @@ TARGETS = {
     DATASET.name: ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.data.simulated.SimulatedData"),
     MODEL.name: ("ssm_study.models.spec.SSMSpec", "ssm_study.training.training.Training"),
     BOUNDS.name: ("ssm_study.bounds.reduction.Reduction",),
-    SYNTHESIS.name: ("ssm_study.synthesis.theorems.minimum_energy.ClosedFormSynthesis",),
+    SYNTHESIS.name: ("ssm_study.synthesis.minimum_energy.ClosedFormSynthesis",),
     LOOP.name: ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.loop.regulation.Loop"),
 }
 
@@ -170,7 +170,7 @@ def test_a_library_counts_by_its_version_where_it_is_used(tmp_path: Path, monkey
         return Code({"toy": tmp_path}).version(("toy.b", root))
 
     before = seen("used"), seen("unused")
-    monkeypatch.setattr("ssm_study.engine.code.library_version", lambda name: f"{name} 99")
+    monkeypatch.setattr("ssm_study.engine.fingerprint.library_version", lambda name: f"{name} 99")
     assert (seen("used") == before[0], seen("unused") == before[1]) == (True, False)
 
 

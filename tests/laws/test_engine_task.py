@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from engine_study import Badly
 
-from ssm_study.engine import code
+from ssm_study.engine import fingerprint as code
 from ssm_study.engine.jobs import Job
 from ssm_study.engine.launcher import warm
 from ssm_study.engine.records import read_record
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.store import Store
-from ssm_study.study.warm import modules_for
+from ssm_study.study.preload import modules_for
 from ssm_study.table.gather import gather
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,7 +94,7 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
 
 
 def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
-    program = "import sys; from ssm_study.study.warm import warm; warm(set()); "
+    program = "import sys; from ssm_study.study.preload import warm; warm(set()); "
     program += "print({'cvxpy', 'torch', 'lightning'} & set(sys.modules))"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
     assert ended.stdout.strip() == "set()"

@@ -10,7 +10,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.among_starts import FastestCertified, fastest
+from ssm_study.synthesis.model_selection import FastestCertified, fastest
 from ssm_study.systems import JacobianBall, StructuredSystem
 from tests.structured_cases import drawn, model
 

@@ -8,9 +8,9 @@ import scipy.linalg
 
 from ssm_study.synthesis.design import REPAIRS
 from ssm_study.synthesis.frontier import Frontier, frontier
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
-from ssm_study.synthesis.theorems.minimum_energy import SHARES, minimum_energy_attempts
+from ssm_study.certificates.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall
 
 BALLS = [JacobianBall(alpha=1.0, beta=0.0), JacobianBall.from_slopes(0.4, 1.0)]  # a frontier at r = 0, one above it

@@ -16,11 +16,11 @@ from ssm_study.loop.certified_bound import certified_bound, distances, violation
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Scale
-from ssm_study.synthesis.certificate import Design, Observer, StateFeedback
+from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.problem import dual
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
+from ssm_study.certificates.problem import dual
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)

@@ -16,8 +16,8 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import as_deployed
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.sensitivity import hinf_norm
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.sensitivity import hinf_norm
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 GRIDS = {"stretch_shares": (0.1, 0.9), "observer_rates": (0.05,), "input_weights": (1e-3, 1e2), "output_noises": (1.0,)}

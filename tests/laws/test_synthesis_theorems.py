@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.synthesis.certificate import Design, StateFeedback, digest
+from ssm_study.certificates.certificate import Design, StateFeedback, digest
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.theorem import theorem_named
+from ssm_study.certificates.theorem import theorem_named
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "synthesis" / "theorems"
@@ -54,7 +54,7 @@ def test_a_reference_names_its_equation_or_theorem(path: Path) -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_the_example_prints_what_it_says(path: Path) -> None:
-    found = doctest.testmod(importlib.import_module(f"ssm_study.synthesis.theorems.{path.stem}"))
+    found = doctest.testmod(importlib.import_module(f"ssm_study.certificates.theorems.{path.stem}"))
     assert found.attempted > 0
     assert found.failed == 0
 
@@ -64,7 +64,7 @@ def test_an_example_that_is_wrong_is_found(path: Path) -> None:
     """Negative control: the last line that is printed, altered."""
     said = ast.get_docstring(ast.parse(path.read_text())) or ""
     example = doctest.DocTestParser().get_examples(said)[-1]
-    module = importlib.import_module(f"ssm_study.synthesis.theorems.{path.stem}")
+    module = importlib.import_module(f"ssm_study.certificates.theorems.{path.stem}")
     assert example.want
     wrong = said.replace(example.want.rstrip().splitlines()[-1], "something else")
     test = doctest.DocTestParser().get_doctest(wrong, vars(module).copy(), path.stem, None, None)
@@ -112,9 +112,9 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.certificate import StateFeedback
+from ssm_study.certificates.certificate import StateFeedback
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.theorems.minimum_energy import minimum_energy_solution
+from ssm_study.synthesis.minimum_energy import minimum_energy_solution
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ ADDED = {
 PROGRAM = """
 import json
 from pathlib import Path
-from ssm_study.cli import endings
+from ssm_study.cli import summary as endings
 from ssm_study.cli.main import main
 from ssm_study.report.page.data import page_data
 from ssm_study.report.study_folder import StudyFolder

@@ -8,7 +8,7 @@ from test_loop_prediction import linear_model
 
 from ssm_study.data.assembly import assemble
 from ssm_study.data.splits import by_time, in_blocks
-from ssm_study.evidence import feedback, own_motion
+from ssm_study.evidence import feedback, autonomous_motion as own_motion
 from ssm_study.evidence.finding import Case
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory

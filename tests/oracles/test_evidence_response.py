@@ -17,7 +17,7 @@ from ssm_study.evidence.records import _range
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.robustness.mismatch import mismatch
 from ssm_study.systems import StateSpace
 
 RNG = np.random.default_rng(0)

@@ -8,14 +8,14 @@ import pytest
 import scipy
 from test_evidence_response import LEVELS, answer, case
 
-from ssm_study.data.excitations.own_plant import OwnPlantRecord
+from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Scale, Trajectory
-from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.rest import AT_REST, SURE, _apart, _tail, after_returns
+from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.return_to_rest import AT_REST, SURE, _apart, _tail, after_returns
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 

@@ -22,7 +22,7 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import set_points
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 
 SAMPLES = 150
 

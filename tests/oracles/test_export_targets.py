@@ -20,8 +20,8 @@ from ssm_study.export.targets import c_sources, deployed_rates, export, limits, 
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.certificate import Design
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 SAMPLES = 300
 Replay = Callable[[Path, np.ndarray], np.ndarray]

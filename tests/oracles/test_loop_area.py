@@ -8,8 +8,8 @@ from loop_cases import motor_design, motor_model, motor_record, random_model
 
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.area import relative_areas, release
-from ssm_study.synthesis.theorems.integral_action import output_gain
+from ssm_study.synthesis.integrated_error import relative_areas, release
+from ssm_study.certificates.theorems.integral_action import output_gain
 from ssm_study.systems import Pair, StateSpace
 
 PAIR = np.zeros((1, 2), dtype=int)

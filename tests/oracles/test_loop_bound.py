@@ -11,9 +11,9 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.loop.rollout import Rollouts, close_loop
 from ssm_study.models.identified import SSM
-from ssm_study.synthesis.certificate import Observer, StateFeedback
+from ssm_study.certificates.certificate import Observer, StateFeedback
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, Pair
 
 IDENTITY = JacobianBall(alpha=1.0, beta=0.0)

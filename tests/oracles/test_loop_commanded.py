@@ -16,15 +16,15 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.area import relative_areas
+from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.certificate import Design, digest
-from ssm_study.synthesis.commanded import commanded, shown_behind
+from ssm_study.certificates.certificate import Design, digest
+from ssm_study.synthesis.input_inversion import commanded, shown_behind
 from ssm_study.synthesis.deployed import as_deployed
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.mismatch import ANGLES, mismatch
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import controlled_system
+from ssm_study.robustness.mismatch import ANGLES, mismatch
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.integral_action import controlled_system
 
 ASKED = RiccatiSynthesis(rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True)
 SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)

@@ -16,7 +16,7 @@ from ssm_study.plants.wrapper import DelayedInput
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 LATE = 8

@@ -16,13 +16,13 @@ from ssm_study.loop.trajectory import equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.prediction import predict
-from ssm_study.synthesis.sensitivity import gains, peaks_on_grid, sensitivity
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import controlled_system, with_modes
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.certificate import Design, Infeasible
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.sensitivity import gains, peaks_on_grid, sensitivity
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.integral_action import controlled_system, with_modes
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import Pair
 
 LOADED = Loop(

@@ -16,16 +16,16 @@ from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.study.specification import part
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import (
+from ssm_study.robustness.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.integral_action import (
     controlled_system,
     internal_model,
     with_modes,
 )
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import StateSpace
 
 HERTZ, STEP_S = 0.5, 0.01

@@ -10,10 +10,10 @@ from loop_cases import BALLS, INPUT_BALL, flat, motor_design, motor_model, motor
 
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.mismatch import ANGLES as BANDS
-from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import Prediction, predict
-from ssm_study.synthesis.sensitivity import (
+from ssm_study.robustness.mismatch import ANGLES as BANDS
+from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.prediction import Prediction, predict
+from ssm_study.robustness.sensitivity import (
     controller_radius,
     gains,
     hinf_norm,

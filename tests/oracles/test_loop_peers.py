@@ -22,9 +22,9 @@ from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.prediction import predict
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Pair
 
 KNOWN = Identified(model=motor_model(), balls=BALLS, validation=(motor_record(),))

@@ -18,9 +18,9 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.signals import Scale, Trajectory
-from ssm_study.synthesis.mismatch import ANGLES, BAND, Mismatch, View, mismatch
-from ssm_study.synthesis.prediction import PEAK, noise_peak, predict, worst
-from ssm_study.synthesis.sensitivity import (
+from ssm_study.robustness.mismatch import ANGLES, BAND, Mismatch, View, mismatch
+from ssm_study.robustness.prediction import PEAK, noise_peak, predict, worst
+from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
     controller_radius,
@@ -29,7 +29,7 @@ from ssm_study.synthesis.sensitivity import (
     sensitivity,
     sizes,
 )
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace
 
 STEEP_AND_FLAT = (JacobianBall(alpha=1.0, beta=0.0), JacobianBall(alpha=0.1, beta=0.0))

@@ -14,7 +14,7 @@ from ssm_study.loop.trajectory import equilibrium, guided_trajectory
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.disturbance import NoDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Pair
 
 

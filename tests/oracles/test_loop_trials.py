@@ -9,11 +9,11 @@ from test_loop_prediction import ONES, linear_model
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.mismatch import mismatch
-from ssm_study.synthesis.prediction import predict
-from ssm_study.synthesis.sensitivity import sensitivity_peak
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.certificate import Design
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.sensitivity import sensitivity_peak
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import StateSpace
 
 SAMPLES = 900

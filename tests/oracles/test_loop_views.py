@@ -14,10 +14,10 @@ from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, t
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory, repetition
 from ssm_study.study.recordings import read_mismatch, write_mismatch
-from ssm_study.synthesis.mismatch import BAND, Mismatch, mismatch
-from ssm_study.synthesis.prediction import predict
-from ssm_study.synthesis.rest import AT_REST
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.robustness.mismatch import BAND, Mismatch, mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.return_to_rest import AT_REST
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Pair
 
 

@@ -17,11 +17,11 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.deployed import WithinLimits, with_limits, within_limits
 from ssm_study.synthesis.metrics import limit_facts
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.limited_input import from_everywhere, limited
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.limited_input import from_everywhere, limited
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 LIMIT = np.array([0.6])

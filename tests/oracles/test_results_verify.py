@@ -34,9 +34,9 @@ from ssm_study.study.claims import loop as section_loop
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compared, judge, verify
-from ssm_study.synthesis.certificate import digest
+from ssm_study.certificates.certificate import digest
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.mismatch import mismatch
+from ssm_study.robustness.mismatch import mismatch
 from ssm_study.table.columns import declared
 from ssm_study.table.gather import MARKS, gather
 

@@ -10,17 +10,17 @@ from loop_cases import flat
 from structured_cases import drawn, model
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.synthesis.certificate import Design, digest
+from ssm_study.certificates.certificate import Design, digest
 from ssm_study.synthesis.deployed import as_deployed, within_reach
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.mismatch import ANGLES
-from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
+from ssm_study.robustness.mismatch import ANGLES
+from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
 from ssm_study.synthesis.structured_lmi import largest_rate
-from ssm_study.synthesis.theorem import Known
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import controlled_system
-from ssm_study.synthesis.theorems.structured_tolerance import StructuredTolerance
-from ssm_study.synthesis.theorems.tolerance import largest_tolerance as without_neurons
+from ssm_study.certificates.theorem import Known
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
+from ssm_study.certificates.theorems.tolerance import largest_tolerance as without_neurons
 from ssm_study.systems import Balls, JacobianBall, Pair, StructuredSystem
 
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))

@@ -13,17 +13,17 @@ from loop_cases import BALLS as MOTOR_BALLS
 from loop_cases import INPUT_BALL, OUTPUT_BALL, flat, motor_model
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
-from ssm_study.synthesis.certificate import Design, Observer, StateFeedback, digest
+from ssm_study.certificates.certificate import Design, Observer, StateFeedback, digest
 from ssm_study.synthesis.deployed import as_deployed, covering_weight
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.mismatch import ANGLES
-from ssm_study.synthesis.sensitivity import hinf_norm, sensitivity
-from ssm_study.synthesis.theorem import Known
-from ssm_study.synthesis.theorems.deployed_rate import largest_rate
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.integral_action import controlled_system
-from ssm_study.synthesis.theorems.noise_gain import NoiseGain
-from ssm_study.synthesis.theorems.tolerance import Tolerance, largest_tolerance
+from ssm_study.robustness.mismatch import ANGLES
+from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
+from ssm_study.certificates.theorem import Known
+from ssm_study.certificates.theorems.deployed_rate import largest_rate
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.certificates.theorems.noise_gain import NoiseGain
+from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
-from ssm_study.synthesis.exact import Exact
+from ssm_study.certificates.exact import Exact
 from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.modes import _scale, split_modes
-from ssm_study.synthesis.problem import Problem
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis, fast_gain
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.problem import Problem
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis, fast_gain
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from structured_cases import KNOWN, asked, controlled_steps, drawn, observing_steps, slopes_of_all, slowest
 
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.problem import NoSolution, dual
+from ssm_study.certificates.problem import NoSolution, dual
 from ssm_study.synthesis.structured_lmi import StructuredLmi, fastest, holds, largest_rate
 from ssm_study.synthesis.structured_riccati import TRIES, Game, descend, evaluate, least_cost, logs_of, searched
-from ssm_study.synthesis.theorems.integral_action import augmented
-from ssm_study.synthesis.theorems.structured_observer import StructuredObserver
-from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
+from ssm_study.certificates.theorems.integral_action import augmented
+from ssm_study.certificates.theorems.structured_observer import StructuredObserver
+from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
 from ssm_study.systems import JacobianBall, StructuredSystem
 
 WIDE = JacobianBall.from_slopes(0.6, 1.0)

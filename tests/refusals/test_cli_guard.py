@@ -17,7 +17,7 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
-from ssm_study.synthesis.certificate import digest
+from ssm_study.certificates.certificate import digest
 from ssm_study.table.gather import gather
 
 NEEDED_BY_EXCITE = ("to", "lower", "upper", "rest", "step-s", "settle-s")

@@ -13,8 +13,8 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.certificate import Design
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, Pair, StateSpace
 
 LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)

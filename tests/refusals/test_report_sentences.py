@@ -10,7 +10,7 @@ import pytest
 
 from ssm_study.cli.main import main
 from ssm_study.export.targets import describe
-from ssm_study.synthesis.certificate import digest
+from ssm_study.certificates.certificate import digest
 from ssm_study.table import gather
 
 

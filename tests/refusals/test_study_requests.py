@@ -11,7 +11,7 @@ import pytest
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
-from ssm_study.cli.explained import meant
+from ssm_study.cli.hydra_errors import meant
 from ssm_study.cli.main import main
 from ssm_study.cli.run import _warned, configuration_folder
 from ssm_study.data.metrics import SlopesNotIdentifiable

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from synthesis_ratio import ratio_limit
 
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis import exact
-from ssm_study.synthesis.certificate import Design, Infeasible, StateFeedback, digest
+from ssm_study.certificates import exact
+from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
 from ssm_study.synthesis.design import Request, broken_claims
-from ssm_study.synthesis.exact import Exact
+from ssm_study.certificates.exact import Exact
 from ssm_study.synthesis.frontier import frontier, unreached_modulus
 from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.theorems.minimum_energy import ClosedFormSynthesis
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 RATES = {"rate_controller": 0.3, "rate_observer": 0.3}

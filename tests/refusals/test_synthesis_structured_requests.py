@@ -8,9 +8,9 @@ import pytest
 from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.synthesis.certificate import Design, digest
+from ssm_study.certificates.certificate import Design, digest
 from ssm_study.synthesis.design import broken_claims
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 
 @pytest.fixture(scope="module")

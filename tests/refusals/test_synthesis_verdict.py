@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis import exact
-from ssm_study.synthesis.certificate import Design, Infeasible, StateFeedback, digest
+from ssm_study.certificates import exact
+from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
 from ssm_study.synthesis.design import Request, broken_claims
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.theorem import Known, margin, unit_diagonal
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.problem import NoSolution, Problem, Solution
+from ssm_study.certificates.theorem import Known, margin, unit_diagonal
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 BALLS = Balls(input=JacobianBall.from_slopes(0.3, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))

@@ -16,8 +16,8 @@ from typing import ClassVar
 from ssm_study.refusal import require
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier
-from ssm_study.synthesis.problem import Problem, Solution
-from ssm_study.synthesis.theorems.guaranteed_cost import guaranteed_cost
+from ssm_study.certificates.problem import Problem, Solution
+from ssm_study.synthesis.guaranteed_cost import guaranteed_cost
 
 
 @dataclass(frozen=True, kw_only=True)

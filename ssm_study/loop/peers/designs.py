@@ -5,9 +5,9 @@ from ssm_study.loop.controller import Uncontrolled
 from ssm_study.loop.peers.peer import Identified, Peer
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.certificate import Design
+from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 
 class UncontrolledPeer(Peer, names=("uncontrolled",)):

@@ -13,8 +13,8 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.problem import Problem
-from ssm_study.synthesis.theorems.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.problem import Problem
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, Pair
 
 LINEAR = JacobianBall(alpha=1.0, beta=0.0)

@@ -12,10 +12,10 @@ from ssm_study.models.structured import Model
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
-from ssm_study.synthesis.area import at_rest
-from ssm_study.synthesis.certificate import Design
-from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.prediction import predict
+from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.certificates.certificate import Design
+from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.prediction import predict
 from ssm_study.systems import Balls
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ Reference. [Z26] Theorem 3 without noise; docs/theory.md; Megretski & Rantzer 19
 Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: y answers n as `-0.125 / (z (z - 0.25))`, at most 1/6 at z = 1.
 
 >>> import numpy as np
->>> from ssm_study.synthesis.theorems.tolerance import largest_tolerance
+>>> from ssm_study.certificates.theorems.tolerance import largest_tolerance
 >>> from ssm_study.systems import Balls, JacobianBall, StateSpace
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
@@ -34,8 +34,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ssm_study.synthesis.theorem import Known
-from ssm_study.synthesis.theorems.tolerance import Tolerance
+from ssm_study.certificates.theorem import Known
+from ssm_study.certificates.theorems.tolerance import Tolerance
 
 
 @dataclass(frozen=True, kw_only=True)

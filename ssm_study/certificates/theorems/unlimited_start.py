@@ -19,7 +19,7 @@ Reference. [Z26] Theorem 1, eq. (11); level sets: Boyd et al. 1994, section 5.2;
 Example. `x+ = x + u`, `u = -0.5 x`, `|u| < 1`: no limit acts from within 2.
 
 >>> import numpy as np
->>> from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+>>> from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 >>> one = np.ones((1, 1))
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
 >>> numbers = dict(a=one, b=one, k=-0.5 * one, p=one, y=one, sigma=0.1, alpha=1.0, beta=0.0, rate=0.5)
@@ -37,8 +37,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.theorem import Blocks
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorem import Blocks
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 ROUNDING = 1e-9  # relative room that exact arithmetic finds between the level and the limits, starts and the level
 FARTHEST = 1e6  # scaled: a gain that hardly moves an input reaches no limit from anywhere near

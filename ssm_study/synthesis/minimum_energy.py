@@ -42,7 +42,7 @@ import scipy
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier, frontier
 from ssm_study.synthesis.modes import FastGain, Modes, energy_root, split_modes, whole_metric, with_slow_modes
-from ssm_study.synthesis.problem import Problem, Solution
+from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.systems import JacobianBall
 
 FASTEST = 0.5  # where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most

@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.synthesis.problem import DUAL, Neurons, Problem, Solution, dual
-from ssm_study.synthesis.theorem import AGAIN, Blocks, Known, Theorem, theorem_named, value_of
+from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual
+from ssm_study.certificates.theorem import AGAIN, Blocks, Known, Theorem, theorem_named, value_of
 from ssm_study.systems import JacobianBall, Pair
 
 # The letter of each matrix in a state feedback's problem, and an observer's for the same matrix, transposed.

@@ -19,10 +19,10 @@ from jaxtyping import Float
 
 from ssm_study.extensions import load
 from ssm_study.refusal import require
-from ssm_study.synthesis.exact import Exact, is_positive_definite
+from ssm_study.certificates.exact import Exact, is_positive_definite
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
-FOLDER = "ssm_study.synthesis.theorems"
+FOLDER = "ssm_study.certificates.theorems"
 AGAIN = "synthesise again"
 UNFIT = "the matrices do not fit the model"
 

@@ -39,8 +39,8 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.certificate import Observer, OfProblem
-from ssm_study.synthesis.theorem import Blocks, Known, diagonal
+from ssm_study.certificates.certificate import Observer, OfProblem
+from ssm_study.certificates.theorem import Blocks, Known, diagonal
 
 
 @dataclass(frozen=True, kw_only=True)

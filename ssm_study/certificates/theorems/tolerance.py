@@ -46,9 +46,9 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.synthesis.modes import doubled
-from ssm_study.synthesis.problem import DUAL, symmetric
-from ssm_study.synthesis.sensitivity import frequency_response
-from ssm_study.synthesis.theorem import Blocks, Known, Theorem, diagonal, full, stacked
+from ssm_study.certificates.problem import DUAL, symmetric
+from ssm_study.robustness.sensitivity import frequency_response
+from ssm_study.certificates.theorem import Blocks, Known, Theorem, diagonal, full, stacked
 from ssm_study.systems import JacobianBall, StateSpace, feed
 
 # Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again around the worst.

@@ -25,7 +25,7 @@ False
 
 from dataclasses import dataclass
 
-from ssm_study.synthesis.theorems.structured_state_feedback import StructuredStateFeedback
+from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ True False
 
 from dataclasses import dataclass
 
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 
 @dataclass(frozen=True, kw_only=True)

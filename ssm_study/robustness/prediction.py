@@ -24,9 +24,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ssm_study.models.structured import Model, StructuredSSM, phi
-from ssm_study.synthesis import sensitivity as loops
-from ssm_study.synthesis.mismatch import ANGLES, Mismatch
-from ssm_study.synthesis.sensitivity import frequency_response
+from ssm_study.robustness import sensitivity as loops
+from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.systems import Balls, JacobianBall, Pair
 
 HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time

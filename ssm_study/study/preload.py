@@ -14,7 +14,7 @@ import numpy as np
 from hydra.core.plugins import Plugins
 
 import ssm_study
-from ssm_study.engine.code import CODE
+from ssm_study.engine.fingerprint import CODE
 from ssm_study.plants.dc_motor import MotorConstants
 from ssm_study.plants.dc_motor_kernel import advance_batch
 from ssm_study.study.allow_list import ROOMS

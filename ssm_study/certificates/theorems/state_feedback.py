@@ -36,8 +36,8 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.certificate import OfProblem, StateFeedback
-from ssm_study.synthesis.theorem import Blocks
+from ssm_study.certificates.certificate import OfProblem, StateFeedback
+from ssm_study.certificates.theorem import Blocks
 
 
 @dataclass(frozen=True, kw_only=True)

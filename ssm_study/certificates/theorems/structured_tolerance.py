@@ -28,7 +28,7 @@ Reference. docs/theory.md, "With neurons"; Megretski & Rantzer 1997, Theorem 1; 
 Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e answers u by `1.2 / (8 * 0.7 * 0.95)`.
 
 >>> import numpy as np
->>> from ssm_study.synthesis.theorems.tolerance import largest_tolerance
+>>> from ssm_study.certificates.theorems.tolerance import largest_tolerance
 >>> from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
@@ -46,8 +46,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.theorem import Known, stacked
-from ssm_study.synthesis.theorems.tolerance import Candidates, Tolerance
+from ssm_study.certificates.theorem import Known, stacked
+from ssm_study.certificates.theorems.tolerance import Candidates, Tolerance
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
 from ssm_study.signals import Trajectories, Trajectory, repetition
-from ssm_study.synthesis.rest import AT_REST, FAINT, SURE, after_motion, after_returns, is_return, left, swing
+from ssm_study.robustness.return_to_rest import AT_REST, FAINT, SURE, after_motion, after_returns, is_return, left, swing
 
 # Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in 4,000 samples.
 SEGMENT = 64

@@ -29,8 +29,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ssm_study.synthesis.certificate import StateFeedback  # or Observer, or Theorem where there is neither gain
-from ssm_study.synthesis.theorem import Blocks, Known
+from ssm_study.certificates.certificate import StateFeedback  # or Observer, or Theorem where there is neither gain
+from ssm_study.certificates.theorem import Blocks, Known
 
 
 @dataclass(frozen=True, kw_only=True)

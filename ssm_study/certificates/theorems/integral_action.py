@@ -43,9 +43,9 @@ from jaxtyping import Float
 
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.synthesis.area import at_rest
-from ssm_study.synthesis.certificate import StateFeedback
-from ssm_study.synthesis.sensitivity import frequency_response
+from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.certificates.certificate import StateFeedback
+from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.systems import StateSpace, StructuredSystem, System, feed
 
 FIELD = "synthesis.internal_model"

@@ -15,9 +15,9 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, Scale, Trajectories
-from ssm_study.synthesis.certificate import Design, Infeasible
-from ssm_study.synthesis.mismatch import Mismatch, mismatch
-from ssm_study.synthesis.theorem import theorem_named
+from ssm_study.certificates.certificate import Design, Infeasible
+from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.certificates.theorem import theorem_named
 from ssm_study.systems import Balls
 
 # Theorems of a state feedback, and those of the same gain behind `S_u^{-1}`.

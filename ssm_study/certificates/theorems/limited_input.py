@@ -20,7 +20,7 @@ Reference. [Z26] Theorem 1, eq. (11), with another ball; docs/theory.md, "The ga
 Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, at a limit 0.5.
 
 >>> import numpy as np
->>> from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+>>> from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 >>> one = np.ones((1, 1))
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
 >>> numbers = dict(a=0.5 * one, b=one, k=-0.4 * one, p=one, y=one, sigma=0.5, alpha=1.0, beta=0.0, rate=0.1)
@@ -33,9 +33,9 @@ import math
 from dataclasses import dataclass, replace
 
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.theorem import Known
-from ssm_study.synthesis.theorems.deployed_rate import at_largest_rate
-from ssm_study.synthesis.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorem import Known
+from ssm_study.certificates.theorems.deployed_rate import at_largest_rate
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import JacobianBall
 
 LEAST = 1e-6  # below it nothing is said to contract
