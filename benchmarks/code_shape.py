@@ -1,8 +1,12 @@
-"""Sizes and types of Python packages, ours and others': `python benchmarks/code_shape.py ssm_study [FOLDER ...]`.
+"""Sizes and types of Python packages, ours and others': `python benchmarks/code_shape.py ssm_study
+[FOLDER ...]`.
 
-One row per folder: files and lines; lines of code per function body (docstring left out); share of functions over 30
-lines; share of public functions whose every argument and result has a type; share of public functions and classes with
-a docstring; share of comment lines. Of tests: how many functions, how many of them demand that something is refused,
+One row per folder: files and lines; lines of code per function body (docstring left out); share of
+functions over 30
+lines; share of public functions whose every argument and result has a type; share of public
+functions and classes with
+a docstring; share of comment lines. Of tests: how many functions, how many of them demand that
+something is refused,
 and how often (`pytest.raises`, `assertRaises`; a parametrised test counts once).
 """
 
@@ -39,7 +43,8 @@ def comments(text: str) -> int:
 def refusals(function: Function) -> int:
     called = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
     return sum(
-        isinstance(f, ast.Attribute) and f.attr in ("raises", "assertRaises", "assertRaisesRegex") for f in called
+        isinstance(f, ast.Attribute) and f.attr in ("raises", "assertRaises", "assertRaisesRegex")
+        for f in called
     )
 
 
@@ -48,8 +53,15 @@ def shape(folder: Path) -> dict[str, object]:
     nodes = [node for text in texts.values() for node in ast.walk(ast.parse(text))]
     functions = [node for node in nodes if isinstance(node, Function)]
     public = [node for node in functions if not node.name.startswith("_")]
-    told = [node for node in nodes if isinstance(node, Function | ast.ClassDef) and not node.name.startswith("_")]
-    sizes, lengths = np.array([len(t.splitlines()) for t in texts.values()]), np.array([*map(body_lines, functions)])
+    told = [
+        node
+        for node in nodes
+        if isinstance(node, Function | ast.ClassDef) and not node.name.startswith("_")
+    ]
+    sizes, lengths = (
+        np.array([len(t.splitlines()) for t in texts.values()]),
+        np.array([*map(body_lines, functions)]),
+    )
     lines = int(sizes.sum())
     refused = [refusals(node) for node in functions if node.name.startswith("test")]
     return {
@@ -64,7 +76,8 @@ def shape(folder: Path) -> dict[str, object]:
         "body_90_percent": float(np.quantile(lengths, 0.9)),
         "body_over_30": int((lengths > 30).sum()),
         "typed_percent": 100 * float(np.mean([typed(node) for node in public])),
-        "docstring_percent": 100 * float(np.mean([ast.get_docstring(node) is not None for node in told])),
+        "docstring_percent": 100
+        * float(np.mean([ast.get_docstring(node) is not None for node in told])),
         "comment_percent": 100 * sum(map(comments, texts.values())) / lines,
         "tests": len(refused),
         "tests_of_a_refusal": sum(n > 0 for n in refused),
@@ -73,9 +86,15 @@ def shape(folder: Path) -> dict[str, object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", nargs="+", type=Path)
-    table = pd.DataFrame([shape(folder) for folder in parser.parse_args().folders]).set_index("package").T
+    table = (
+        pd.DataFrame([shape(folder) for folder in parser.parse_args().folders])
+        .set_index("package")
+        .T
+    )
     print(table.to_string(float_format=lambda value: f"{value:.4g}"))
 
 

@@ -1,6 +1,8 @@
-"""What several benchmarks need: where the tables lie, how one is written, the parts of a study, processor time.
+"""What several benchmarks need: where the tables lie, how one is written, the parts of a study,
+processor time.
 
-It imports none of them. A script takes it from beside itself (`from common import ROOT`), so that a copy of the folder
+It imports none of them. A script takes it from beside itself (`from common import ROOT`), so that a
+copy of the folder
 writes beside the copy; what runs as `python -m benchmarks.NAME` takes `benchmarks.common`.
 """
 
@@ -41,14 +43,16 @@ def keep(
     order: Callable[[Row], Any],
     columns: Sequence[str] | None = None,
 ) -> None:
-    """Write these rows in place of those that share their `key`, with all others of the table, sorted by `order`."""
+    """Write these rows in place of those that share their `key`, with all others of the table,
+    sorted by `order`."""
     fresh = {tuple(str(row[name]) for name in key) for row in rows}
     others = [row for row in rows_of(path) if tuple(row[name] for name in key) not in fresh]
     write(path, sorted([*rows, *others], key=order), columns)
 
 
 def study_of(*settings: str) -> Any:
-    """The parts of the default study with these settings (`Specification`), without a run folder."""
+    """The parts of the default study with these settings (`Specification`), without a run
+    folder."""
     from hydra import compose, initialize_config_dir
 
     from ssm_study.study.specification import Specification
@@ -58,7 +62,8 @@ def study_of(*settings: str) -> Any:
 
 
 def cpu_seconds(work: Callable[[], object], calls: int = 1) -> float:
-    """Processor seconds, of all threads, of so many calls: other programs on the same cores do not count."""
+    """Processor seconds, of all threads, of so many calls: other programs on the same cores do not
+    count."""
     started = time.process_time()
     for _ in range(calls):
         work()

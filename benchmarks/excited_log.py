@@ -1,9 +1,12 @@
-"""What the log of `ssm-study excite` predicts: by its three amplitudes, and by the one of its validation record.
+"""What the log of `ssm-study excite` predicts: by its three amplitudes, and by the one of its
+validation record.
 
     python -m benchmarks.excited_log --seed 0 1 2 --to results/reference/adversarial/excited.csv
 
-One line per plant, seed and way of reading the log: designs drawn from a wide grid and the choice of `auto`, judged
-from the log alone, each then tried on the plant that made it (noise-free). Some 20 s of one core a plant and seed.
+One line per plant, seed and way of reading the log: designs drawn from a wide grid and the choice
+of `auto`, judged
+from the log alone, each then tried on the plant that made it (noise-free). Some 20 s of one core a
+plant and seed.
 """
 
 import argparse
@@ -22,8 +25,8 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.plants.plant import Plant
-from ssm_study.signals import DataSet
 from ssm_study.robustness.return_to_rest import is_return
+from ssm_study.signals import DataSet
 
 PLANTS = ["dc_motor", "stribeck_drive", "peaking_gain", "thinning_damping", "stiction", "hysteresis", "play",
           "rate_limited"]  # fmt: skip
@@ -34,10 +37,17 @@ def recorded(plant: Plant, seed: int, folder: Path) -> DataSet:
     """The log of one experiment, read as a stranger's."""
     rest, reach = plant.equilibrium(), float(plant.input_amplitude[0])
     settle_s = float(np.clip(HOLDS * plant.input_clock_s, 20.5 * plant.step_s, 80 * plant.step_s))
-    middle, ends = float(rest.u[0]), {"lower": float(rest.u[0]) - reach, "upper": float(rest.u[0]) + reach}
-    u = OwnPlantRecord(**ends, rest=middle, step_s=plant.step_s, settle_s=settle_s, seed=seed).signal()
+    middle, ends = (
+        float(rest.u[0]),
+        {"lower": float(rest.u[0]) - reach, "upper": float(rest.u[0]) + reach},
+    )
+    u = OwnPlantRecord(
+        **ends, rest=middle, step_s=plant.step_s, settle_s=settle_s, seed=seed
+    ).signal()
     y = plant.simulate(u[None, :, None])[1][0, :, 0]
-    y = y + np.sqrt(plant.noise_variance[0]) * np.random.default_rng([seed, 3]).standard_normal(len(y))
+    y = y + np.sqrt(plant.noise_variance[0]) * np.random.default_rng([seed, 3]).standard_normal(
+        len(y)
+    )
     pd.DataFrame({"u": u, "y": y}).to_csv(folder / "log.csv", index=False)
     read = {"path": str(folder / "log.csv"), "input": "u", "output": "y", "step_s": plant.step_s}
     around = {"input_equilibrium": [middle], "output_equilibrium": [float(rest.y[0])]}
@@ -49,7 +59,9 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
     plant, parts = plant_of(name), study_of(f"model.order={order}", f"seed={seed}")
     with TemporaryDirectory() as folder:
         data = recorded(plant, seed, Path(folder))
-        model = parts.reduction.reduce(parts.training.identify(parts.model, data, seed, Path(folder), False).model)
+        model = parts.reduction.reduce(
+            parts.training.identify(parts.model, data, seed, Path(folder), False).model
+        )
     loop, made = parts.loop.fitted(model), []
     for views, trials in (("three", data.trials), ("one", tuple(filter(is_return, data.trials)))):
         known = Identified.of(model, certified_balls(model), replace(data, trials=trials))
@@ -67,7 +79,9 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--plant", nargs="+", default=PLANTS)
     parser.add_argument("--seed", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--order", type=int, default=4)
@@ -79,7 +93,9 @@ def main() -> None:
         for seed in asked.seed:
             found += lines(name, seed, asked.order, asked.designs)
             print(*found[-2:], sep="\n", flush=True)
-            pd.DataFrame(found).to_csv(asked.to, index=False, lineterminator="\n", float_format="%.4g")
+            pd.DataFrame(found).to_csv(
+                asked.to, index=False, lineterminator="\n", float_format="%.4g"
+            )
     print(pd.DataFrame(found).groupby("views").sum(numeric_only=True))
 
 

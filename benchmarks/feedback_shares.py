@@ -1,11 +1,17 @@
-"""How much of what is new in the input is found in the output, in open-loop logs and in logs of a loop.
+"""How much of what is new in the input is found in the output, in open-loop logs and in logs of a
+loop.
 
-    python -m benchmarks.feedback_shares --to results/reference/evidence        (half a minute on one core)
+    python -m benchmarks.feedback_shares --to results/reference/evidence        (half a minute on
+    one core)
 
-The two shares of `ssm_study/evidence/feedback.py`, without and with the present output, and how many of the logs the
-check takes for closed-loop logs: measured records, simulated plants, and drawn logs of 300 to 1,500 samples each. Drawn
-are plants of one to four real poles, inputs of held levels or of filtered noise, sensor noise of up to all that the
-input moves; in the loops a PI, levels as its set point, and noise from a tenth on. Writes feedback_shares.csv.
+The two shares of `ssm_study/evidence/feedback.py`, without and with the present output, and how
+many of the logs the
+check takes for closed-loop logs: measured records, simulated plants, and drawn logs of 300 to 1,500
+samples each. Drawn
+are plants of one to four real poles, inputs of held levels or of filtered noise, sensor noise of up
+to all that the
+input moves; in the loops a PI, levels as its set point, and noise from a tenth on. Writes
+feedback_shares.csv.
 """
 
 import argparse
@@ -20,7 +26,10 @@ from benchmarks.common import study_of
 from ssm_study.evidence.feedback import fed_back, is_closed
 from ssm_study.signals import DataSet, Scale, Trajectory
 
-MEASURED, SIMULATED = ("ced", "cascaded_tanks", "silverbox", "emps"), ("dc_motor", "stribeck_drive", "cascaded_tanks")
+MEASURED, SIMULATED = (
+    ("ced", "cascaded_tanks", "silverbox", "emps"),
+    ("dc_motor", "stribeck_drive", "cascaded_tanks"),
+)
 OPEN, CLOSED = 4000, 1000
 SHOWN = ("least", "5th", "median", "95th", "largest")
 Samples = np.ndarray
@@ -40,7 +49,11 @@ def opened(rng: np.random.Generator) -> tuple[Samples, Samples]:
     """Input and output of one log without a loop."""
     samples, poles = int(rng.integers(300, 1501)), plant(rng)
     slow = rng.uniform(0, 0.95)
-    u = levels(rng, samples) if rng.random() < 0.5 else lfilter([1], [1, -slow], rng.standard_normal(samples))
+    u = (
+        levels(rng, samples)
+        if rng.random() < 0.5
+        else lfilter([1], [1, -slow], rng.standard_normal(samples))
+    )
     y = u
     for pole in poles:
         y = lfilter([0, 1 - pole], [1, -pole], y)
@@ -48,10 +61,15 @@ def opened(rng: np.random.Generator) -> tuple[Samples, Samples]:
 
 
 def closed(rng: np.random.Generator) -> tuple[Samples, Samples]:
-    """Input and output of one log of a PI loop that settles; the noise is a share of what the set point moves."""
+    """Input and output of one log of a PI loop that settles; the noise is a share of what the set
+    point moves."""
     while True:
         samples, poles = int(rng.integers(300, 1501)), plant(rng)
-        gain, integral, noise = rng.uniform(0.3, 3), rng.uniform(0.01, 0.2), rng.uniform(0.1, 1) * 0.5
+        gain, integral, noise = (
+            rng.uniform(0.3, 3),
+            rng.uniform(0.01, 0.2),
+            rng.uniform(0.1, 1) * 0.5,
+        )
         r, states, summed = levels(rng, samples), np.zeros(len(poles)), 0.0
         u, y = np.zeros(samples), np.zeros(samples)
         for k in range(samples):
@@ -67,7 +85,9 @@ def drawn(log: Callable, count: int) -> Iterator[DataSet]:
         u, y = (side[:, None] for side in log(np.random.default_rng(seed)))
         record = Trajectory(u=u, y=y, step_s=0.1)
         once = (record,)
-        yield DataSet(training=once, validation=once, test=once, inputs=(), outputs=(), scale=Scale.unit(1, 1))
+        yield DataSet(
+            training=once, validation=once, test=once, inputs=(), outputs=(), scale=Scale.unit(1, 1)
+        )
 
 
 def measured() -> Iterator[tuple[str, DataSet]]:
@@ -94,10 +114,17 @@ def row(name: str, logs: Iterable[DataSet]) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--to", type=Path, required=True)
     to = parser.parse_args().to
     to.mkdir(parents=True, exist_ok=True)
     rows = [row(name, [data]) for name, data in (*measured(), *simulated())]
-    rows += [row("drawn, open loop", drawn(opened, OPEN)), row("drawn, PI loop", drawn(closed, CLOSED))]
-    pd.DataFrame(rows).to_csv(to / "feedback_shares.csv", index=False, lineterminator="\n", float_format="%.3g")
+    rows += [
+        row("drawn, open loop", drawn(opened, OPEN)),
+        row("drawn, PI loop", drawn(closed, CLOSED)),
+    ]
+    pd.DataFrame(rows).to_csv(
+        to / "feedback_shares.csv", index=False, lineterminator="\n", float_format="%.3g"
+    )

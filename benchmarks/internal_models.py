@@ -1,9 +1,12 @@
-"""Internal models on the true motor: loads and references of a constant, a ramp and a sine, under laws that know them.
+"""Internal models on the true motor: loads and references of a constant, a ramp and a sine, under
+laws that know them.
 
-    python benchmarks/internal_models.py run --to /tmp/internal        (twelve runs, three minutes on one core)
+    python benchmarks/internal_models.py run --to /tmp/internal        (twelve runs, three minutes
+    on one core)
     python benchmarks/internal_models.py table /tmp/internal --to results/reference/loop
 
-Designs of `synthesis=auto_integral` for the models of three seeds; no noise, ten starts. The error is that of the last
+Designs of `synthesis=auto_integral` for the models of three seeds; no noise, ten starts. The error
+is that of the last
 period of the sine (2 s): the largest, and its component at the sine's frequency.
 """
 
@@ -29,14 +32,22 @@ SITUATIONS = {
     "sine load": (TURNING, PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ)),
     "ramp load": (TURNING, RampDisturbance(slope_per_s=0.001, from_s=2.0, until_s=100.0)),
     "sine reference": (PeriodicDisturbance(amplitude=4.0, frequency_hz=HERTZ), NoDisturbance()),
-    "ramp reference": (RampDisturbance(slope_per_s=1.0, from_s=0.0, until_s=100.0), NoDisturbance()),
+    "ramp reference": (
+        RampDisturbance(slope_per_s=1.0, from_s=0.0, until_s=100.0),
+        NoDisturbance(),
+    ),
 }
 
 
 def run(to: Path) -> None:
     """One run for each law and seed."""
     for law in LAWS:
-        words = ["synthesis=auto_integral", f"synthesis.internal_model=[{law}]", "seed=0,1,2", "progress=false"]
+        words = [
+            "synthesis=auto_integral",
+            f"synthesis.internal_model=[{law}]",
+            "seed=0,1,2",
+            "progress=false",
+        ]
         main(["run", "-m", *words, "study=internal", "hydra/launcher=basic", f"results_dir={to}"])
 
 
@@ -46,7 +57,9 @@ def loops(folder: Path, situation: str):
     reference, disturbance = SITUATIONS[situation]
     asked = {"reference": reference, "disturbance": disturbance, "horizon_s": HORIZON_S}
     loop = replace(files.loop, **asked, measurement_noise_variance=0.0)
-    return files, loop.on_plant(files.plant, ObserverFeedback.of(files.model, files.design), seed=0).controlled
+    return files, loop.on_plant(
+        files.plant, ObserverFeedback.of(files.model, files.design), seed=0
+    ).controlled
 
 
 def row(folder: Path, situation: str) -> dict[str, object]:
@@ -56,23 +69,40 @@ def row(folder: Path, situation: str) -> dict[str, object]:
     error = (made.y - made.reference)[:, -samples:, 0]
     turn = np.exp(-2j * np.pi * np.arange(samples) / samples)
     law = ",".join(files.config.synthesis.internal_model)
-    found: dict[str, object] = {"situation": situation, "internal_model": law, "seed": files.record["seed"]}
-    found |= {"certified": files.design.certified, "rate": files.design.certified_rate("state_feedback")}
-    found |= {"predicted_stable": files.record["predicted_stable"], "stayed": int(made.stayed.sum())}
+    found: dict[str, object] = {
+        "situation": situation,
+        "internal_model": law,
+        "seed": files.record["seed"],
+    }
+    found |= {
+        "certified": files.design.certified,
+        "rate": files.design.certified_rate("state_feedback"),
+    }
+    found |= {
+        "predicted_stable": files.record["predicted_stable"],
+        "stayed": int(made.stayed.sum()),
+    }
     found["largest_error"] = float(np.abs(error).max())
     found["at_the_frequency"] = float(2 * np.abs((error * turn).mean(axis=1)).max())
     return found
 
 
 def draw(folders: list[Path], path: Path) -> None:
-    """One start of seed 0 under the sine and the ramp load, the error over time on a logarithmic axis."""
+    """One start of seed 0 under the sine and the ramp load, the error over time on a logarithmic
+    axis."""
     fig = style.canvas(style.PAGE_IN, 2.6)
-    for axis, situation in zip(fig.subplots(1, 2, sharey=True), ("sine load", "ramp load"), strict=True):
-        for folder, colour in zip(folders, (style.VERMILLION, style.BLUE, style.SKY, style.GREEN), strict=True):
+    for axis, situation in zip(
+        fig.subplots(1, 2, sharey=True), ("sine load", "ramp load"), strict=True
+    ):
+        for folder, colour in zip(
+            folders, (style.VERMILLION, style.BLUE, style.SKY, style.GREEN), strict=True
+        ):
             files, made = loops(folder, situation)
             size = np.abs(made.y - made.reference)[0, :, 0]
             law = ", ".join(files.config.synthesis.internal_model)
-            axis.semilogy(made.time_s, np.maximum(size, 1e-12), color=colour, lw=0.8, label=f"[{law}]")
+            axis.semilogy(
+                made.time_s, np.maximum(size, 1e-12), color=colour, lw=0.8, label=f"[{law}]"
+            )
         axis.set(title=situation, xlabel="Time (s)")
     fig.axes[0].set(ylabel="|speed - set point| (rad/s)")
     fig.axes[0].legend(frameon=False, loc="lower left")
@@ -80,7 +110,9 @@ def draw(folders: list[Path], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("do", choices=("run", "table"))
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--to", type=Path, required=True)
@@ -92,9 +124,12 @@ if __name__ == "__main__":
         order = {law: i for i, law in enumerate(LAWS)}
         table = pd.DataFrame([row(one, situation) for situation in SITUATIONS for one in runs])
         table = table.sort_values(
-            ["situation", "internal_model", "seed"], key=lambda c: c.map(order) if c.name == "internal_model" else c
+            ["situation", "internal_model", "seed"],
+            key=lambda c: c.map(order) if c.name == "internal_model" else c,
         )
-        table.to_csv(asked.to / "internal_models.csv", index=False, float_format="%.2g", lineterminator="\n")
+        table.to_csv(
+            asked.to / "internal_models.csv", index=False, float_format="%.2g", lineterminator="\n"
+        )
         first = {
             ",".join(RunFiles(path=one, record={}).config.synthesis.internal_model): one
             for one in runs

@@ -1,4 +1,5 @@
-"""The story of docs/log_to_device.md, done as the page says, and its picture: python benchmarks/log_to_device.py."""
+"""The story of docs/log_to_device.md, done as the page says, and its picture: python
+benchmarks/log_to_device.py."""
 
 import re
 import subprocess
@@ -18,7 +19,8 @@ COMMANDS = re.compile(r"^(?:python|ssm-study|gcc) .+$", re.M)
 
 
 def told(folder: Path) -> dict[str, str]:
-    """Do the page in `folder`: write its files, give its commands in order; what each program said, by its name."""
+    """Do the page in `folder`: write its files, give its commands in order; what each program said,
+    by its name."""
     text = PAGE.read_text()
     for name, content in re.findall(r'^```python title="(\w+\.py)"\n(.*?)^```', text, re.M | re.S):
         (folder / name).write_text(content)
@@ -29,7 +31,10 @@ def told(folder: Path) -> dict[str, str]:
                 said["replay"] = output(command)
                 said["trial.py"] = output(f"{sys.executable} trial.py")
             elif command.startswith("ssm-study"):
-                run = next((path.parent.name for path in Path("results").glob("device/*/record.json")), "RUN")
+                run = next(
+                    (path.parent.name for path in Path("results").glob("device/*/record.json")),
+                    "RUN",
+                )
                 words = command.replace("RUN", run).split()[1:]
                 if main([*words, *(["progress=false"] if words[0] == "run" else [])]):
                     raise SystemExit(f"{command} did not succeed")

@@ -2,8 +2,10 @@
 
     python benchmarks/loop_batch.py [--cases 1000] [--samples 1000] [--one-by-one 20]
 
-The design is the default (`synthesis=auto`) for the default motor and model; times in seconds of wall clock, the
-one-by-one time extrapolated from `--one-by-one` cases. Run both in one process: only the ratio travels.
+The design is the default (`synthesis=auto`) for the default motor and model; times in seconds of
+wall clock, the
+one-by-one time extrapolated from `--one-by-one` cases. Run both in one process: only the ratio
+travels.
 """
 
 import argparse
@@ -40,11 +42,15 @@ def main() -> None:
     batch_s = time.perf_counter() - started
     started = time.perf_counter()
     few = asked.one_by_one
-    singles = [loop.simulate(plant, controller, y0[i : i + 1], noise[i : i + 1]) for i in range(few)]
+    singles = [
+        loop.simulate(plant, controller, y0[i : i + 1], noise[i : i + 1]) for i in range(few)
+    ]
     single_s = (time.perf_counter() - started) / few * asked.cases
     apart = max(float(np.abs(together.y[i] - one.y[0]).max()) for i, one in enumerate(singles))
     print(f"cases {asked.cases}, samples {asked.samples}")
-    print(f"batch {batch_s:.2f} s, one by one {single_s:.1f} s (from {few} cases), ratio {single_s / batch_s:.0f}")
+    print(
+        f"batch {batch_s:.2f} s, one by one {single_s:.1f} s (from {few} cases), ratio {single_s / batch_s:.0f}"
+    )
     print(f"largest difference between the two {apart:.1e} rad/s")
 
 

@@ -1,12 +1,16 @@
-"""Does the mismatch margin predict the true plant? Certified designs of a study's models, one line per design.
+"""Does the mismatch margin predict the true plant? Certified designs of a study's models, one line
+per design.
 
     ssm-study run -m experiment=fit_versus_stability seed=0,1
     python benchmarks/loop_margin.py count results/fit_versus_stability --to results/reference/loop
     python benchmarks/loop_margin.py draw results/reference/loop
 
-Every run of that study leaves 151 certified designs, the choice of `auto` first, each closed on the plant from every
-start (`ssm_study.loop.design_grid`). `count` writes ROC and confusion table, what became of each requested rate, the
-choices beside the best design in hindsight, the exceptions, and the designs that `draw` draws, beside the figures of
+Every run of that study leaves 151 certified designs, the choice of `auto` first, each closed on the
+plant from every
+start (`ssm_study.loop.design_grid`). `count` writes ROC and confusion table, what became of each
+requested rate, the
+choices beside the best design in hindsight, the exceptions, and the designs that `draw` draws,
+beside the figures of
 `peers.csv` and `robustness.csv`.
 """
 
@@ -25,7 +29,14 @@ ABOUT = ["plant", "order", "hidden_width", "slope_lower", "seed"]
 """What tells one model of the study from another."""
 EXCEPTION = [
     *(*ABOUT, "design", "rate_controller", "rate_observer", "gain_norm", "observer_gain_norm"),
-    *("mismatch_gain", "mismatch_margin", "resolved_margin", "controller_radius", "noise_peak", "predicted_stable"),
+    *(
+        "mismatch_gain",
+        "mismatch_margin",
+        "resolved_margin",
+        "controller_radius",
+        "noise_peak",
+        "predicted_stable",
+    ),
     *("stable_count", "stable_count_noise_free", "left_bound_count", "unsettled_as", "kind"),
 ]
 
@@ -33,7 +44,8 @@ EXCEPTION = [
 def designs(folder: Path) -> pd.DataFrame:
     """Every design of every run, with the run's model beside it.
 
-    `share` is the way of the controller's rate from the model's own to the exact limit, -1 at half its own;
+    `share` is the way of the controller's rate from the model's own to the exact limit, -1 at half
+    its own;
     `relative_time` the mean settling time over that of the plant left alone (both -).
     """
     tables = []
@@ -44,7 +56,12 @@ def designs(folder: Path) -> pd.DataFrame:
         about = {name: record[name] for name in (*ABOUT, "fit_test_percent")}
         relative = table.settling_time_mean_s / table.settling_time_open_loop_s
         tables.append(
-            table.assign(**about, share=way.where(way > 0, -1).round(2), relative_time=relative, kind=outcome(table))
+            table.assign(
+                **about,
+                share=way.where(way > 0, -1).round(2),
+                relative_time=relative,
+                kind=outcome(table),
+            )
         )
     return pd.concat(tables, ignore_index=True)
 
@@ -65,7 +82,8 @@ RULES = {
 
 
 def outcome(table: pd.DataFrame) -> pd.Series:
-    """`settled`: all cases; `noisy`: all cases but for the noise; `slow`: still decaying; `lost`: none of these.
+    """`settled`: all cases; `noisy`: all cases but for the noise; `slow`: still decaying; `lost`:
+    none of these.
 
     Lost designs left the bound, oscillate or drift.
     """
@@ -77,7 +95,8 @@ def outcome(table: pd.DataFrame) -> pd.Series:
 
 
 def area_under_roc(score: pd.Series, good: pd.Series) -> float:
-    """The chance that a good design scores above a bad one (Mann and Whitney); NaN if one kind is missing."""
+    """The chance that a good design scores above a bad one (Mann and Whitney); NaN if one kind is
+    missing."""
     ranks, positives = score.rank(), int(good.sum())
     negatives = len(good) - positives
     if not positives or not negatives:
@@ -91,7 +110,8 @@ def ordered(table: pd.DataFrame) -> pd.Series:
 
 
 def summary(table: pd.DataFrame) -> dict:
-    """One group of designs as one row: areas under the ROC curve, and for each rule what it admits and leaves out."""
+    """One group of designs as one row: areas under the ROC curve, and for each rule what it admits
+    and leaves out."""
     settled = table.kind == "settled"
     admitted = {name: rule(table) for name, rule in RULES.items()}
     inside = table[admitted["predicted"]].kind.value_counts()
@@ -108,7 +128,8 @@ def summary(table: pd.DataFrame) -> dict:
 
 
 def hindsight(model: pd.DataFrame) -> dict:
-    """What auto chose (design 0) beside the best certified design found on the true plant, in uncontrolled times."""
+    """What auto chose (design 0) beside the best certified design found on the true plant, in
+    uncontrolled times."""
     all_settle, chosen = model[model.kind == "settled"], model[model.design == 0].iloc[0]
     best = all_settle.loc[all_settle.relative_time.idxmin()] if len(all_settle) else None
     return {
@@ -123,22 +144,30 @@ def hindsight(model: pd.DataFrame) -> dict:
 
 def count(arguments: argparse.Namespace) -> None:
     table, to = designs(Path(arguments.folder)), Path(arguments.to)
-    groups = {("all", "all"): table} | {(plant, "all"): own for plant, own in table.groupby("plant")}
+    groups = {("all", "all"): table} | {
+        (plant, "all"): own for plant, own in table.groupby("plant")
+    }
     groups |= {(plant, order): own for (plant, order), own in table.groupby(["plant", "order"])}
-    rows = [{"plant": plant, "order": order} | summary(own) for (plant, order), own in groups.items()]
+    rows = [
+        {"plant": plant, "order": order} | summary(own) for (plant, order), own in groups.items()
+    ]
     written = {"margin_summary.csv": pd.DataFrame(rows)}
     grid = table[table.design > 0].groupby(["plant", "share"])
     written["margin_rates.csv"] = grid.agg(
         designs=("kind", "size"), settled=("kind", lambda kind: (kind == "settled").sum())
     )
-    models = [dict(zip(ABOUT, key, strict=True)) | hindsight(own) for key, own in table.groupby(ABOUT)]
+    models = [
+        dict(zip(ABOUT, key, strict=True)) | hindsight(own) for key, own in table.groupby(ABOUT)
+    ]
     written["hindsight.csv"] = pd.DataFrame(models)
     either = (table.mismatch_margin > 1) | (table.resolved_margin > 1)
     written["margin_exceptions.csv"] = table.loc[either & (table.kind != "settled"), EXCEPTION]
     written["margin_designs.csv.gz"] = table[[*ABOUT, "design", *NEEDED[1:]]]
     for name, content in written.items():
         packed = {"method": "gzip", "mtime": 0} if name.endswith(".gz") else None
-        content.to_csv(to / name, index=name == "margin_rates.csv", float_format="%.4g", compression=packed)
+        content.to_csv(
+            to / name, index=name == "margin_rates.csv", float_format="%.4g", compression=packed
+        )
 
 
 def _of(comparison: pd.DataFrame) -> StudyFolder:
@@ -151,7 +180,9 @@ def _of(comparison: pd.DataFrame) -> StudyFolder:
 def draw(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.folder)
     drawn = pd.read_csv(folder / "margin_designs.csv.gz")
-    peers_table, robustness_table = (pd.read_csv(folder / f"{name}.csv") for name in ("peers", "robustness"))
+    peers_table, robustness_table = (
+        pd.read_csv(folder / f"{name}.csv") for name in ("peers", "robustness")
+    )
     with style.paper():
         figures = {
             "margin_roc": roc(drawn),

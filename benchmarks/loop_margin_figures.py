@@ -1,8 +1,12 @@
-"""What the prediction of `synthesis.mismatch` is worth, drawn: its ROC curve, and settling times against the margin.
+"""What the prediction of `synthesis.mismatch` is worth, drawn: its ROC curve, and settling times
+against the margin.
 
-Pure functions of a table with one certified design per row: `plant`, `mismatch_margin`, `resolved_margin`,
-`controller_radius` and `noise_peak` (all -), `kind` (`settled` if every case of the design settled; anything else did
-not) and `relative_time` (mean settling time over that of the plant left alone, missing where nothing settled).
+Pure functions of a table with one certified design per row: `plant`, `mismatch_margin`,
+`resolved_margin`,
+`controller_radius` and `noise_peak` (all -), `kind` (`settled` if every case of the design settled;
+anything else did
+not) and `relative_time` (mean settling time over that of the plant left alone, missing where
+nothing settled).
 `benchmarks/loop_margin.py` writes such a table and draws it.
 """
 
@@ -15,17 +19,28 @@ from matplotlib.figure import Figure
 from ssm_study.report import style
 from ssm_study.report.words import spoken
 
-NEEDED = ("plant", "mismatch_margin", "resolved_margin", "controller_radius", "noise_peak", "kind", "relative_time")
+NEEDED = (
+    "plant",
+    "mismatch_margin",
+    "resolved_margin",
+    "controller_radius",
+    "noise_peak",
+    "kind",
+    "relative_time",
+)
 SHOWN = (1e-3, 10.0)
-"""Margins and relative times are drawn within these limits; what lies beyond is drawn at the edge."""
+"""Margins and relative times are drawn within these limits; what lies beyond is drawn at the
+edge."""
 
 
 def roc_points(
     score: Float[np.ndarray, "N"], good: Float[np.ndarray, "N"]
 ) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
-    """`(false, true)` shares accepted by `score >= threshold`, from the strictest threshold to the loosest.
+    """`(false, true)` shares accepted by `score >= threshold`, from the strictest threshold to the
+    loosest.
 
-    `good` holds 1 and 0; equal scores are one threshold, so the area below is Mann and Whitney's statistic.
+    `good` holds 1 and 0; equal scores are one threshold, so the area below is Mann and Whitney's
+    statistic.
     """
     order = np.argsort(-score, kind="stable")
     ends = np.append(np.flatnonzero(np.diff(score[order])), len(score) - 1)
@@ -35,17 +50,23 @@ def roc_points(
 
 
 def prediction_score(table: pd.DataFrame) -> Float[np.ndarray, "N"]:
-    """In (0, 1): the share `m / (1 + m)` of the resolved margin m; less one where another condition refuses the design.
+    """In (0, 1): the share `m / (1 + m)` of the resolved margin m; less one where another condition
+    refuses the design.
 
-    That is, where the controller is unstable by itself or the noise leaves the band. Above one half: predicted to be
+    That is, where the controller is unstable by itself or the noise leaves the band. Above one
+    half: predicted to be
     stable on the plant.
     """
-    margin, others = table["resolved_margin"].to_numpy(float), table[["controller_radius", "noise_peak"]]
+    margin, others = (
+        table["resolved_margin"].to_numpy(float),
+        table[["controller_radius", "noise_peak"]],
+    )
     return 1 - 1 / (1 + margin) - (others >= 1).any(axis=1).to_numpy()
 
 
 def roc(table: pd.DataFrame) -> Figure:
-    """ROC of "all cases settle" per plant: by the prediction, its threshold as a dot, and by the margin in total."""
+    """ROC of "all cases settle" per plant: by the prediction, its threshold as a dot, and by the
+    margin in total."""
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
     for plant, own in table.groupby("plant"):
@@ -53,13 +74,28 @@ def roc(table: pd.DataFrame) -> Figure:
         if good.min() == good.max():
             continue  # one kind only: no curve
         false, true = roc_points(score, good)
-        (line,) = axes.plot(false, true, label=f"{spoken(plant)}, area {np.trapezoid(true, false):.3f}")
-        axes.plot(*roc_points(own["mismatch_margin"].to_numpy(float), good), color=line.get_color(), lw=0.7, ls=":")
+        (line,) = axes.plot(
+            false, true, label=f"{spoken(plant)}, area {np.trapezoid(true, false):.3f}"
+        )
+        axes.plot(
+            *roc_points(own["mismatch_margin"].to_numpy(float), good),
+            color=line.get_color(),
+            lw=0.7,
+            ls=":",
+        )
         kept = score > 0.5
-        axes.scatter((kept * (1 - good)).sum() / (1 - good).sum(), (kept * good).sum() / good.sum(), s=18, zorder=4)
+        axes.scatter(
+            (kept * (1 - good)).sum() / (1 - good).sum(),
+            (kept * good).sum() / good.sum(),
+            s=18,
+            zorder=4,
+        )
         axes.collections[-1].set_color(line.get_color())
     axes.plot([0, 1], [0, 1], color=style.PALE, lw=0.8, zorder=1)
-    axes.set(xlabel="Share of failing designs accepted (–)", ylabel="Share of settling designs accepted (–)")
+    axes.set(
+        xlabel="Share of failing designs accepted (–)",
+        ylabel="Share of settling designs accepted (–)",
+    )
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     if axes.get_legend_handles_labels()[0]:
         title = "what own radius and noise pass first, by margin\n(dot: margin 1); dotted: by margin in total"
@@ -68,10 +104,13 @@ def roc(table: pd.DataFrame) -> Figure:
 
 
 def settling(table: pd.DataFrame) -> Figure:
-    """Settling time relative to the plant left alone against the resolved margin, one panel per plant."""
+    """Settling time relative to the plant left alone against the resolved margin, one panel per
+    plant."""
     plants = list(dict.fromkeys(table["plant"]))
     fig = style.canvas(style.PAGE_IN, 2.7)
-    for axes, plant in zip(np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True):
+    for axes, plant in zip(
+        np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True
+    ):
         _panel(axes, table[table["plant"] == plant])
         axes.set(title=spoken(plant), xlabel="Prediction margin (–)")
     fig.axes[0].set_ylabel("Settling time / uncontrolled (–)")
@@ -83,14 +122,32 @@ def settling(table: pd.DataFrame) -> Figure:
 def _panel(axes: Axes, own: pd.DataFrame) -> None:
     margin = own["resolved_margin"].clip(*SHOWN)
     time = own["relative_time"].fillna(SHOWN[1]).clip(SHOWN[0], SHOWN[1])
-    settled, passed = own["kind"].eq("settled"), (own[["controller_radius", "noise_peak"]] < 1).all(axis=1)
+    settled, passed = (
+        own["kind"].eq("settled"),
+        (own[["controller_radius", "noise_peak"]] < 1).all(axis=1),
+    )
     for mask, colour, marker, label in (
         (settled & passed, style.BLUE, "o", "own radius and noise pass, all starts settle"),
         (settled & ~passed, style.ORANGE, "o", "one of them refuses, all starts settle"),
         (~settled & passed, style.BLUE, "x", "both pass, not all settle (at the top: none)"),
         (~settled & ~passed, style.VERMILLION, "x", "one of them refuses, not all settle"),
     ):
-        size, width = (14, 1.0) if marker == "x" and colour == style.BLUE else (5, 0.5 if marker == "x" else 0.0)
-        axes.scatter(margin[mask], time[mask], s=size, color=colour, marker=marker, alpha=0.45, lw=width, label=label)
+        size, width = (
+            (14, 1.0)
+            if marker == "x" and colour == style.BLUE
+            else (5, 0.5 if marker == "x" else 0.0)
+        )
+        axes.scatter(
+            margin[mask],
+            time[mask],
+            s=size,
+            color=colour,
+            marker=marker,
+            alpha=0.45,
+            lw=width,
+            label=label,
+        )
     axes.axvline(1.0, color=style.INK, lw=0.8, ls="--")
-    axes.set(xscale="log", yscale="log", xlim=(SHOWN[0], SHOWN[1] * 1.2), ylim=(0.08, SHOWN[1] * 1.2))
+    axes.set(
+        xscale="log", yscale="log", xlim=(SHOWN[0], SHOWN[1] * 1.2), ylim=(0.08, SHOWN[1] * 1.2)
+    )

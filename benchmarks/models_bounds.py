@@ -1,4 +1,5 @@
-"""Outside bounds of the recurrence, forward and backward in one call: JAX's compiled FFT, and numba's compiled loop."""
+"""Outside bounds of the recurrence, forward and backward in one call: JAX's compiled FFT, and
+numba's compiled loop."""
 
 from collections.abc import Callable
 
@@ -8,7 +9,8 @@ from scipy.fft import next_fast_len
 
 
 def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
-    """Gradient by every parameter and the input of the same convolution, compiled by XLA (package jax)."""
+    """Gradient by every parameter and the input of the same convolution, compiled by XLA (package
+    jax)."""
     import jax
     import jax.numpy as jnp
 
@@ -26,7 +28,9 @@ def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
         fine = jnp.exp(jnp.arange(short)[:, None] * rate)
         coarse = weights * jnp.exp(short * jnp.arange(-(-samples // short))[:, None] * rate)
         kernel = (coarse.real @ fine.real.T - coarse.imag @ fine.imag.T).ravel()[:samples]
-        y = jnp.fft.irfft(jnp.fft.rfft(signal, length) * jnp.fft.rfft(kernel, length), length)[:, :samples]
+        y = jnp.fft.irfft(jnp.fft.rfft(signal, length) * jnp.fft.rfft(kernel, length), length)[
+            :, :samples
+        ]
         return (y**2).mean()
 
     both, signal = jax.jit(jax.grad(loss, argnums=(0, 1))), jnp.asarray(u[..., 0])
@@ -37,7 +41,10 @@ def numba_loop(u: np.ndarray, modes: int) -> Callable[[], None]:
     """The recurrence sample by sample and its adjoint, compiled for this machine."""
     rng = np.random.default_rng(0)
     turn = np.sqrt(rng.uniform(0.25, 0.98, modes)) * np.exp(1j * rng.uniform(0.05, 1.5, modes))
-    parts = [part.astype(np.float32) for part in (turn.real, turn.imag, rng.normal(size=modes), rng.normal(size=modes))]
+    parts = [
+        part.astype(np.float32)
+        for part in (turn.real, turn.imag, rng.normal(size=modes), rng.normal(size=modes))
+    ]
     states = np.empty((2, u.shape[1], modes), np.float32)
     return lambda: _loop(u[..., 0], *parts, states)
 
@@ -54,7 +61,13 @@ def _loop(u, lr, li, cr, ci, states):  # type: ignore[no-untyped-def]
         np.zeros_like(lr),
         np.empty_like(u),
     )
-    y, xr, xi, sr, si = np.empty_like(u[0]), np.empty_like(lr), np.empty_like(lr), np.empty_like(lr), np.empty_like(lr)
+    y, xr, xi, sr, si = (
+        np.empty_like(u[0]),
+        np.empty_like(lr),
+        np.empty_like(lr),
+        np.empty_like(lr),
+        np.empty_like(lr),
+    )
     for e in range(records):
         xr[:], xi[:] = 0.0, 0.0
         for t in range(samples):

@@ -1,4 +1,5 @@
-"""Fair clocks for a shared machine: CPU seconds of this process, contenders interleaved, medians."""
+"""Fair clocks for a shared machine: CPU seconds of this process, contenders interleaved,
+medians."""
 
 import os
 import statistics
@@ -20,16 +21,21 @@ ALLOCATOR = {
 
 
 def as_in_a_run() -> None:
-    """Starts this program again with one thread and the allocator settings that every run of a study has."""
+    """Starts this program again with one thread and the allocator settings that every run of a
+    study has."""
     wanted = thread_limits(1) | ALLOCATOR
     if any(os.environ.get(name) != value for name, value in wanted.items()):
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **wanted})
 
 
-def interleaved(contenders: dict[str, Callable[[], object]], seconds: float = 4.0, least: int = 5) -> dict[str, float]:
-    """Median CPU milliseconds of each contender; they take turns, so that a disturbance hits all of them.
+def interleaved(
+    contenders: dict[str, Callable[[], object]], seconds: float = 4.0, least: int = 5
+) -> dict[str, float]:
+    """Median CPU milliseconds of each contender; they take turns, so that a disturbance hits all of
+    them.
 
-    A turn is one run that is not clocked and then some that are: in a training, too, a step follows its like, and what
+    A turn is one run that is not clocked and then some that are: in a training, too, a step follows
+    its like, and what
     a contender costs must not depend on whose numbers it finds in the caches.
     """
     torch.set_num_threads(1)

@@ -1,4 +1,5 @@
-"""Peers of the recurrence, rewritten from their published code so that one run compares like with like."""
+"""Peers of the recurrence, rewritten from their published code so that one run compares like with
+like."""
 
 import torch
 from scipy.fft import next_fast_len
@@ -6,9 +7,11 @@ from torch import Tensor, nn
 
 
 def associative_scan(decay: Tensor, rise: Tensor) -> Tensor:
-    """`x[k] = decay[k] x[k-1] + rise[k]` over axis 1, by the odd-even recursion of `jax.lax.associative_scan`.
+    """`x[k] = decay[k] x[k-1] + rise[k]` over axis 1, by the odd-even recursion of
+    `jax.lax.associative_scan`.
 
-    This is the scan of the public PyTorch ports of the LRU (e.g. Gothos/LRU-pytorch, after Orvieto et al. 2023): both
+    This is the scan of the public PyTorch ports of the LRU (e.g. Gothos/LRU-pytorch, after Orvieto
+    et al. 2023): both
     operands are full `(batch, T, n)` tables.
     """
     return _scan(decay, rise)[1]
@@ -34,7 +37,8 @@ def _interleave(even: Tensor, odd: Tensor) -> Tensor:
 
 
 class PublicLRU(nn.Module):
-    """The LRU layer of the public port: parameters as in Orvieto et al. (2023), states by the associative scan."""
+    """The LRU layer of the public port: parameters as in Orvieto et al. (2023), states by the
+    associative scan."""
 
     def __init__(self, modes: int, channels: int = 1) -> None:
         super().__init__()
@@ -79,7 +83,8 @@ class Recurrent(nn.Module):
 
 
 class BareFFT(nn.Module):
-    """Forward and inverse real FFT of the padded signal, nothing else: what a convolution cannot go below."""
+    """Forward and inverse real FFT of the padded signal, nothing else: what a convolution cannot go
+    below."""
 
     def __init__(self, samples: int) -> None:
         super().__init__()
@@ -92,7 +97,8 @@ class BareFFT(nn.Module):
 
 
 class DynoNetFilter(nn.Module):
-    """dynoNet's transfer function of `order` (package dynonet): SciPy's filter forward, its sensitivities back."""
+    """dynoNet's transfer function of `order` (package dynonet): SciPy's filter forward, its
+    sensitivities back."""
 
     def __init__(self, order: int) -> None:
         super().__init__()

@@ -1,6 +1,7 @@
 """Speed of the recurrence, forward and backward, batch 16, against its peers.
 
-python benchmarks/models_recurrence.py [CASE ...]    # their numbers; writes results/reference/training/recurrence.csv
+python benchmarks/models_recurrence.py [CASE ...]    # their numbers; writes
+results/reference/training/recurrence.csv
 float32; ratio: to the automatic choice of ours in the same run.
 dynonet and jax are left out where they are not installed, and the table says so.
 """
@@ -20,12 +21,22 @@ from ssm_study.models import torch_recurrence as recurrence
 from ssm_study.models.spec import on_ring
 from ssm_study.models.torch_ssm import LRU
 
-CASES = [(1_000, 8, 16), (10_000, 8, 16), (10_000, 64, 16), (10_000, 256, 16), (10_000, 256, 4), (100_000, 8, 16)]
-"""Samples, modes, batch. The public scan holds several tables of batch x T x n complex numbers: 4.6 GB at most."""
+CASES = [
+    (1_000, 8, 16),
+    (10_000, 8, 16),
+    (10_000, 64, 16),
+    (10_000, 256, 16),
+    (10_000, 256, 4),
+    (100_000, 8, 16),
+]
+"""Samples, modes, batch. The public scan holds several tables of batch x T x n complex numbers: 4.6
+GB at most."""
 TARGET = REFERENCE / "training" / "recurrence.csv"
 
 
-def step(model: nn.Module, evaluate: Callable[[torch.Tensor], torch.Tensor], u: torch.Tensor) -> Callable[[], None]:
+def step(
+    model: nn.Module, evaluate: Callable[[torch.Tensor], torch.Tensor], u: torch.Tensor
+) -> Callable[[], None]:
     def run() -> None:
         model.zero_grad(set_to_none=True)
         evaluate(u).square().mean().backward()
@@ -34,7 +45,8 @@ def step(model: nn.Module, evaluate: Callable[[torch.Tensor], torch.Tensor], u: 
 
 
 def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[[], object]]:
-    """All that finish one pass in reasonable time; u needs a gradient, since S_u stands before the recurrence."""
+    """All that finish one pass in reasonable time; u needs a gradient, since S_u stands before the
+    recurrence."""
     torch.manual_seed(0)
     u = torch.randn(batch, samples, 1, requires_grad=True)
     start = on_ring(2 * modes, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), np.random.default_rng(0))
@@ -43,7 +55,10 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
         "convolution": recurrence.by_convolution,
         "chunks": recurrence.by_chunks,
     }
-    runs = {name: step(ours, lambda v, law=law: law(ours.modes(), v), u) for name, law in evaluations.items()}
+    runs = {
+        name: step(ours, lambda v, law=law: law(ours.modes(), v), u)
+        for name, law in evaluations.items()
+    }
     runs["automatic"] = step(ours, ours, u)
     bare, public = BareFFT(samples), PublicLRU(modes)
     runs |= {"bare FFT": step(bare, bare, u), "public scan": step(public, public, u)}
@@ -81,10 +96,22 @@ def _optional(u: torch.Tensor, modes: int) -> dict[str, Callable[[], object]]:
 def measured(samples: int, modes: int, batch: int) -> list[dict[str, object]]:
     times = interleaved(contenders(samples, modes, batch), seconds=6.0, least=3)
     ours = times["automatic"]
-    print(samples, modes, batch, {name: f"{ms:.3g} ms ({ms / ours:.2f}x)" for name, ms in times.items()}, flush=True)
+    print(
+        samples,
+        modes,
+        batch,
+        {name: f"{ms:.3g} ms ({ms / ours:.2f}x)" for name, ms in times.items()},
+        flush=True,
+    )
     case = {"samples": samples, "modes": modes, "batch": batch}
     return [
-        case | {"contender": name, "cpu_ms": f"{ms:.3g}", "ratio": f"{ms / ours:.3g}", "machine": machine()}
+        case
+        | {
+            "contender": name,
+            "cpu_ms": f"{ms:.3g}",
+            "ratio": f"{ms / ours:.3g}",
+            "machine": machine(),
+        }
         for name, ms in times.items()
     ]
 

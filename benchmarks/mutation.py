@@ -1,12 +1,20 @@
-"""Seeded faults in the certificate code, and the share the tests catch: `python benchmarks/mutation.py`.
+"""Seeded faults in the certificate code, and the share the tests catch: `python
+benchmarks/mutation.py`.
 
-Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every single fault of `FAULTS` in the modules of
-a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and the group's tests
-run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of processor time
-counts as caught (a loop that no longer ends). `--folder DIR` holds the copies and a socket: start `mutation_server.py
-DIR/server` first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for the survivors' second
-(`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the tool's folder, `--groups
-a,b` restricts, `--minutes` stops a group (a second call goes on). Writes `results/reference/mutation/faults.csv`, one
+Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every single fault of
+`FAULTS` in the modules of
+a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and
+the group's tests
+run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of
+processor time
+counts as caught (a loop that no longer ends). `--folder DIR` holds the copies and a socket: start
+`mutation_server.py
+DIR/server` first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for
+the survivors' second
+(`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the tool's
+folder, `--groups
+a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
+`results/reference/mutation/faults.csv`, one
 row per planted fault, and `survivors.diff`.
 
 The tests that verify a run share one, made before any fault is planted.
@@ -28,7 +36,8 @@ from common import REFERENCE, ROOT, write
 FOLDER = REFERENCE / "mutation"
 COLUMNS = ("group", "module", "line", "fault", "occurrence", "outcome")
 SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 90, 1200
-# Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would only flatter.
+# Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would
+# only flatter.
 FAULTS = re.compile(
     r"core/(ReplaceBinaryOperator_(Add_Sub|Sub_Add|Mul_Div|Div_Mul|Pow_Mul)"
     r"|ReplaceComparisonOperator_(Lt_LtE|LtE_Lt|Gt_GtE|GtE_Gt|Lt_Gt|LtE_GtE|Gt_Lt|GtE_LtE|Eq_NotEq|NotEq_Eq|Is_IsNot"
@@ -42,7 +51,8 @@ NUMBER = re.compile(r"\b\d[\d_]*(\.\d+)?(e[+-]?\d+)?\b")
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Modules (paths under `ssm_study`), the tests that speak of them, cheapest first, and how many faults to plant."""
+    """Modules (paths under `ssm_study`), the tests that speak of them, cheapest first, and how many
+    faults to plant."""
 
     modules: tuple[str, ...]
     tests: str
@@ -60,11 +70,15 @@ ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attemp
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
 CHOSEN += " tests/oracles/test_loop_trials.py"
-VIEWS = "tests/oracles/test_loop_views.py::test_no_phase_is_read_from_noise_below_the_largest_amplitude"
+VIEWS = (
+    "tests/oracles/test_loop_views.py::test_no_phase_is_read_from_noise_below_the_largest_amplitude"
+)
 VIEWS += " tests/oracles/test_evidence_rest.py::test_an_output_that_stays_off_after_the_last_motion_is_a_doubt"
 INVERSES = "tests/oracles/test_export_device.py::test_the_inverse_undoes_the_map"
 BATCH = "tests/laws/test_loop_batch.py::test_a_batch_is_its_rows"
-INSIDE = "tests/oracles/test_loop_within_limits.py::test_inside_no_limit_acts_and_far_outside_one_does"
+INSIDE = (
+    "tests/oracles/test_loop_within_limits.py::test_inside_no_limit_acts_and_far_outside_one_does"
+)
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
 NEURONS += " tests/laws/test_training_structured.py"
 INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
@@ -98,24 +112,38 @@ GROUPS = {
     "claims": Group(modules=("study/verify.py", "study/claims.py"), tests=CLAIMS, planted=15),
     "neurons": Group(
         modules=_synthesis("structured_lmi", "structured_riccati", "among_starts")
-        + _synthesis(*(f"theorems/structured_{name}" for name in ("state_feedback", "observer", "tolerance")))
-        + ("models/contracting.py", "models/structured.py", "models/structured_spec.py", "training/levenberg.py")
+        + _synthesis(
+            *(f"theorems/structured_{name}" for name in ("state_feedback", "observer", "tolerance"))
+        )
+        + (
+            "models/contracting.py",
+            "models/structured.py",
+            "models/structured_spec.py",
+            "training/levenberg.py",
+        )
         + tuple(f"training/structured_{name}.py" for name in ("fit", "start", "problem", "choice")),
         tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py tests/oracles/test_structured_tolerance.py",
         planted=30,
     ),
     "loop": Group(
-        modules=tuple(f"loop/{name}.py" for name in ("controller", "trajectory", "regulation", "metrics", "rollout")),
+        modules=tuple(
+            f"loop/{name}.py"
+            for name in ("controller", "trajectory", "regulation", "metrics", "rollout")
+        ),
         tests=LOOPS,
         planted=15,
     ),
     "export": Group(
-        modules=tuple(f"export/{name}.py" for name in ("device", "rest_points", "portable", "c", "targets")),
+        modules=tuple(
+            f"export/{name}.py" for name in ("device", "rest_points", "portable", "c", "targets")
+        ),
         tests="tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
         planted=20,
     ),
     "engine": Group(
-        modules=tuple(f"engine/{name}.py" for name in ("store", "stages", "plan", "code", "records")),
+        modules=tuple(
+            f"engine/{name}.py" for name in ("store", "stages", "plan", "code", "records")
+        ),
         tests="tests/laws/test_engine_store.py tests/laws/test_engine_task.py tests/laws/test_engine_code.py",
         planted=20,
     ),
@@ -129,8 +157,15 @@ GROUPS = {
     ),
     "deployed": Group(
         modules=_synthesis("rest", "prediction", "mismatch", "deployed", "commanded")
-        + _synthesis(*(f"theorems/{name}" for name in ("deployed_rate", "tolerance", "limited_input", "noise_gain")))
-        + _synthesis(*(f"theorems/{name}" for name in ("inverted_input", "structured_inverted_input"))),
+        + _synthesis(
+            *(
+                f"theorems/{name}"
+                for name in ("deployed_rate", "tolerance", "limited_input", "noise_gain")
+            )
+        )
+        + _synthesis(
+            *(f"theorems/{name}" for name in ("inverted_input", "structured_inverted_input"))
+        ),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
         f"tests/oracles/test_synthesis_deployed.py {INSIDE} "
@@ -138,7 +173,10 @@ GROUPS = {
         planted=20,
     ),
     "data": Group(
-        modules=tuple(f"data/{name}.py" for name in ("splits", "recorded", "experiments", "closed_loop", "simulated")),
+        modules=tuple(
+            f"data/{name}.py"
+            for name in ("splits", "recorded", "experiments", "closed_loop", "simulated")
+        ),
         tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py tests/refusals/test_data_files.py "
         "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
         planted=20,
@@ -163,19 +201,28 @@ GROUPS = {
 
 
 def among(group: Group, modules: list[str]) -> Group:
-    """The group with those of its modules alone, or of its folders' modules; with all of them if none is named."""
-    chosen = tuple(one for one in modules if any(one == own or one.startswith(f"{own}/") for own in group.modules))
+    """The group with those of its modules alone, or of its folders' modules; with all of them if
+    none is named."""
+    chosen = tuple(
+        one
+        for one in modules
+        if any(one == own or one.startswith(f"{own}/") for own in group.modules)
+    )
     return replace(group, modules=chosen if modules else group.modules)
 
 
-def plant(name: str, group: Group, folder: Path, tool: Path, minutes: float, seed: int, share: float) -> None:
+def plant(
+    name: str, group: Group, folder: Path, tool: Path, minutes: float, seed: int, share: float
+) -> None:
     """Go on with the group's session for so many minutes."""
     session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
     fresh_copy(tree)
     (folder / "temporary").mkdir(exist_ok=True)  # shared/data is where the records are looked for
     server, socket = Path(__file__).with_name("mutation_server.py"), folder / "server"
     options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/temporary/{name} -q -x"
-    command = json.dumps(f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}")
+    command = json.dumps(
+        f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}"
+    )
     modules = json.dumps([f"ssm_study/{module}" for module in group.modules])
     config.write_text(
         f"[cosmic-ray]\nmodule-path = {modules}\ntimeout = {LIMIT_S}.0\nexcluded-modules = []\n"
@@ -190,26 +237,33 @@ def plant(name: str, group: Group, folder: Path, tool: Path, minutes: float, see
 
 
 def again(session: Path) -> None:
-    """Forget the survivors' outcomes, so that they are planted again: after tests were written for them."""
+    """Forget the survivors' outcomes, so that they are planted again: after tests were written for
+    them."""
     with sqlite3.connect(session) as base:
         base.execute("delete from work_results where test_outcome = 'SURVIVED'")
 
 
 def fresh_copy(tree: Path) -> None:
     tree.mkdir(parents=True, exist_ok=True)
-    archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
+    archive = subprocess.run(
+        ["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True
+    ).stdout
     subprocess.run(["tar", "x", "-C", tree], input=archive, check=True)
 
 
 def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
-    """Keep the session's faults that come first in an order drawn with `seed`; none in a dataclass's own decorator.
+    """Keep the session's faults that come first in an order drawn with `seed`; none in a
+    dataclass's own decorator.
 
-    A fault's place in that order hangs on its own line alone, so the draw outlives changes elsewhere.
+    A fault's place in that order hangs on its own line alone, so the draw outlives changes
+    elsewhere.
     """
     with sqlite3.connect(session) as base:
         query = "select job_id, module_path, operator_name, start_pos_row, start_pos_col from mutation_specs"
         specs = list(base.execute(f"{query} order by module_path, operator_name, occurrence"))
-        lines = {path: (tree / path).read_text().splitlines() for path in {spec[1] for spec in specs}}
+        lines = {
+            path: (tree / path).read_text().splitlines() for path in {spec[1] for spec in specs}
+        }
         place, seen = {}, Counter[tuple[str, ...]]()
         for job, path, operator, row, column in specs:
             line = lines[path][row - 1].strip()
@@ -219,7 +273,10 @@ def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
                 place[job] = hashlib.sha256(repr((seed, fault, seen[fault])).encode()).hexdigest()
         kept = set(sorted(place, key=place.__getitem__)[:planted])
         for table in ("mutation_specs", "work_items"):
-            base.executemany(f"delete from {table} where job_id = ?", [(s[0],) for s in specs if s[0] not in kept])
+            base.executemany(
+                f"delete from {table} where job_id = ?",
+                [(s[0],) for s in specs if s[0] not in kept],
+            )
     print(f"{session.stem}: {len(kept)} of {len(place)} faults planted", flush=True)
 
 
@@ -243,8 +300,12 @@ def planted_faults(session: Path) -> list[tuple[dict[str, object], str]]:
 
 def same_numbers(diff: str) -> bool:
     """Whether nothing was planted: `1e150` plus one is `1e150`."""
-    lines = [line for line in diff.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
-    removed, added = ([NUMBER.sub(_value, line[1:]) for line in lines if line[0] == sign] for sign in "-+")
+    lines = [
+        line for line in diff.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")
+    ]
+    removed, added = (
+        [NUMBER.sub(_value, line[1:]) for line in lines if line[0] == sign] for sign in "-+"
+    )
     return removed == added
 
 
@@ -261,21 +322,31 @@ def report(folder: Path, name_of: str) -> None:
     ]
     write(FOLDER / f"{name_of}.csv", [row for row, _ in rows], COLUMNS)
     survivors = [diff for row, diff in rows if row["outcome"] == "survived"]
-    (FOLDER / ("survivors.diff" if name_of == "faults" else f"{name_of}.diff")).write_text("\n".join(survivors) + "\n")
+    (FOLDER / ("survivors.diff" if name_of == "faults" else f"{name_of}.diff")).write_text(
+        "\n".join(survivors) + "\n"
+    )
     for name in GROUPS:
         said = [row["outcome"] for row, _ in rows if row["group"] == name]
         print(f"{name}: {said.count('caught')} of {len(said)} caught", flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--folder", type=Path, default=Path("/tmp/mutation"))
     parser.add_argument("--cosmic-ray", type=Path, default=Path(sys.executable).parent)
     parser.add_argument("--groups", default=",".join(GROUPS))
     parser.add_argument("--again", action="store_true", help="plant the survivors again")
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--modules", default="", help="of these groups, these modules alone: robustness/return_to_rest.py,...")
-    parser.add_argument("--seed", type=int, default=SEED, help="another draw: written to fresh.csv and fresh.diff")
+    parser.add_argument(
+        "--modules",
+        default="",
+        help="of these groups, these modules alone: robustness/return_to_rest.py,...",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=SEED, help="another draw: written to fresh.csv and fresh.diff"
+    )
     parser.add_argument("--name", help="of the two files, in place of faults or fresh")
     parser.add_argument("--share", type=float, default=1.0, help="of each group's faults")
     arguments = parser.parse_args()
@@ -285,7 +356,13 @@ def main() -> None:
             again(arguments.folder / f"{name}.sqlite")
         if group.modules:
             plant(
-                name, group, arguments.folder, arguments.cosmic_ray, arguments.minutes, arguments.seed, arguments.share
+                name,
+                group,
+                arguments.folder,
+                arguments.cosmic_ray,
+                arguments.minutes,
+                arguments.seed,
+                arguments.share,
             )
     report(arguments.folder, arguments.name or ("faults" if arguments.seed == SEED else "fresh"))
 

@@ -1,7 +1,10 @@
-"""Runs pytest in forks of a process that has the libraries imported: `python benchmarks/mutation_server.py SOCKET`.
+"""Runs pytest in forks of a process that has the libraries imported: `python
+benchmarks/mutation_server.py SOCKET`.
 
-Half of a short test run is imports; `benchmarks/mutation.py` asks this server (`... SOCKET CPU_S TREE ARGUMENT...`)
-instead of starting an interpreter for each planted fault. Nothing of the tree itself is imported before the fork.
+Half of a short test run is imports; `benchmarks/mutation.py` asks this server (`... SOCKET CPU_S
+TREE ARGUMENT...`)
+instead of starting an interpreter for each planted fault. Nothing of the tree itself is imported
+before the fork.
 """
 
 import json

@@ -1,10 +1,14 @@
-"""Plants that one layer fits badly, with neurons and without: a pendulum at large angles, a hardening spring.
+"""Plants that one layer fits badly, with neurons and without: a pendulum at large angles, a
+hardening spring.
 
     python -m benchmarks.nonlinear_plants [seeds] > results/reference/loop/nonlinear_plants.csv
 
-Per row: plant, model, seed; fit of the noise-free test record; what `auto` predicts and what its loop does on the
-plant; mean settling times with control and without. Order 4, four neurons (tanh; clipped cubics for the spring), the
-rest as configured. The plants are those of `benchmarks/adversarial`, driven and released farther out.
+Per row: plant, model, seed; fit of the noise-free test record; what `auto` predicts and what its
+loop does on the
+plant; mean settling times with control and without. Order 4, four neurons (tanh; clipped cubics for
+the spring), the
+rest as configured. The plants are those of `benchmarks/adversarial`, driven and released farther
+out.
 """
 
 import sys
@@ -24,10 +28,17 @@ from ssm_study.plants.plant import Plant
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.prediction import predict
 
-# radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at rest would
-PLANTS: dict[str, dict[str, float]] = {"pendulum": {"amplitude": 0.85, "reach": 1.8}, "hardening": {"amplitude": 2.0}}
+# radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at
+# rest would
+PLANTS: dict[str, dict[str, float]] = {
+    "pendulum": {"amplitude": 0.85, "reach": 1.8},
+    "hardening": {"amplitude": 2.0},
+}
 NEURONS = "structured model.neurons=4"
-MODELS = {"pendulum": ("ssm", NEURONS), "hardening": ("ssm", f"{NEURONS} model.kinds=clipped_cubic")}
+MODELS = {
+    "pendulum": ("ssm", NEURONS),
+    "hardening": ("ssm", f"{NEURONS} model.kinds=clipped_cubic"),
+}
 
 
 def row(name: str, plant: Plant, model: str, seed: int) -> str:
@@ -36,11 +47,16 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     parts: Any = study_of(*asked, "model.order=4", f"seed={seed}")
     data = parts.data.build(plant, parts.excitation, seed)
     with TemporaryDirectory() as folder:
-        made = parts.reduction.reduce(parts.training.identify(parts.model, data, seed, Path(folder), False).model)
+        made = parts.reduction.reduce(
+            parts.training.identify(parts.model, data, seed, Path(folder), False).model
+        )
     clean = replace(plant, noise=0.0)
     quiet = replace(data, test=parts.data.build(clean, parts.excitation, seed).test)
     fit = Simulation.of(made, quiet.test, quiet.start_up_samples).fit_percent
-    shown, balls = mismatch(made, data.validation, data.start_up_samples, data.trials), certified_balls(made)
+    shown, balls = (
+        mismatch(made, data.validation, data.start_up_samples, data.trials),
+        certified_balls(made),
+    )
     design = parts.synthesis.design(made, balls, data.validation, shown)
     if not design.feasible:
         return f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f},,,,,,{design.certified}"
@@ -48,13 +64,17 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     facts = behaviour(parts.loop.fitted(made).run(plant, made, design, parts.loop_seed))
     times = [facts[f"settling_time_{which}"] for which in ("mean_s", "open_loop_s")]
     told = ",".join("" if value is None else f"{value:.3f}" for value in times)
-    judged = f"{predicted.resolved_margin:.2f},{predicted.keeps_the_plant()},{facts['stable_count']}"
+    judged = (
+        f"{predicted.resolved_margin:.2f},{predicted.predicts_stability()},{facts['stable_count']}"
+    )
     return f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f},{judged},{told},{design.certified}"
 
 
 def main(seeds: int) -> None:
     """Every plant, model and seed."""
-    print("plant,model,seed,fit_percent,mismatch_seen,margin,predicted,settled_of_10,settle_s,alone_s,certified")
+    print(
+        "plant,model,seed,fit_percent,mismatch_seen,margin,predicted,settled_of_10,settle_s,alone_s,certified"
+    )
     for name, changes in PLANTS.items():
         plant = replace(plant_of(name), **changes)  # type: ignore[arg-type] # numbers
         for model in MODELS[name]:

@@ -1,9 +1,12 @@
-"""The notebooks of `experiments/`, executed, as pages of the documentation: text, code, output and pictures.
+"""The notebooks of `experiments/`, executed, as pages of the documentation: text, code, output and
+pictures.
 
     python benchmarks/notebooks_rendered.py
 
-runs all four from top to bottom with the paper's configuration, shares one results folder among them, and writes
-`docs/notebooks/*.md` with the pictures beside them. The site shows these pages and executes nothing, so it builds in
+runs all four from top to bottom with the paper's configuration, shares one results folder among
+them, and writes
+`docs/notebooks/*.md` with the pictures beside them. The site shows these pages and executes
+nothing, so it builds in
 seconds; a test compares their code with the notebooks.
 """
 
@@ -30,12 +33,16 @@ WIDTH = 1200  # pixels: sharp at the width of a page, a sixth of the bytes of pr
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", default=NAMES, help="only these")
     names = parser.parse_args().names
     TARGET.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["SSM_STUDY_RESULTS"] = "results"  # in the folder: no path of this machine on the page
+        os.environ["SSM_STUDY_RESULTS"] = (
+            "results"  # in the folder: no path of this machine on the page
+        )
         for name in names:
             start = time.perf_counter()
             write(name, Path(folder))
@@ -50,23 +57,35 @@ def write(name: str, folder: Path) -> None:
     title, first = notebook.cells[0].source.split("\n", 1)
     page = [title, origin(name), first.strip()]
     for cell in notebook.cells[1:]:
-        page.append(cell.source if cell.cell_type == "markdown" else f"```python\n{cell.source}\n```")
+        page.append(
+            cell.source if cell.cell_type == "markdown" else f"```python\n{cell.source}\n```"
+        )
         outputs = (shown(output, pictures) for output in cell.get("outputs", []))
-        page.append("\n\n".join(filter(None, outputs)).replace("\n```\n\n```text\n", "\n"))  # printed in one go
+        page.append(
+            "\n\n".join(filter(None, outputs)).replace("\n```\n\n```text\n", "\n")
+        )  # printed in one go
     (TARGET / f"{name}.md").write_text("\n\n".join(part for part in page if part) + "\n")
 
 
 def shown(output: NotebookNode, pictures: Iterator[str]) -> str:
-    """One output as Markdown: printed text, a table, a text with markup, or a picture, which is written."""
+    """One output as Markdown: printed text, a table, a text with markup, or a picture, which is
+    written."""
     data = output.get("data", {})
-    if output.output_type == "stream":  # warnings name paths of this machine: the page shows what was printed
+    if (
+        output.output_type == "stream"
+    ):  # warnings name paths of this machine: the page shows what was printed
         return fenced(output.text) if output.name == "stdout" else ""
     if "image/png" in data:
         picture = next(pictures)
         (TARGET / picture).write_bytes(smaller(base64.b64decode(data["image/png"])))
         return f"![{picture.removesuffix('.png').replace('_', ' ')}]({picture})"
     if "text/html" in data:
-        table = re.sub(r"<style scoped>.*?</style>|<div>|</div>|<pre[^>]*></pre>", "", data["text/html"], flags=re.S)
+        table = re.sub(
+            r"<style scoped>.*?</style>|<div>|</div>|<pre[^>]*></pre>",
+            "",
+            data["text/html"],
+            flags=re.S,
+        )
         return "\n".join(line.strip() for line in table.splitlines() if line.strip())
     return data["text/markdown"] if "text/markdown" in data else fenced(data.get("text/plain", ""))
 

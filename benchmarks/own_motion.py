@@ -1,12 +1,17 @@
 """Which logs are refused because their output moves by itself, or runs away.
 
-    python -m benchmarks.own_motion --aside --to results/reference/evidence     (five minutes on one core)
+    python -m benchmarks.own_motion --aside --to results/reference/evidence     (five minutes on one
+    core)
     python -m benchmarks.own_motion --drawn --to results/reference/evidence     (a minute)
 
-`--aside`: 20 logs that had no part in setting the limits of `ssm_study/evidence/autonomous_motion.py` and `feedback.py`, each
-fitted by `ssm_study.fit` as it is by default. Writes own_motion.csv: level of the evidence, first reason against any
-judgement, the shares of the output's power that follow from where each piece begins and from the input, the fit.
-`--drawn`: 1,500 stable open-loop logs and 1,500 integrators in open loop, of 300 to 1,500 samples each, with no model
+`--aside`: 20 logs that had no part in setting the limits of
+`ssm_study/evidence/autonomous_motion.py` and `feedback.py`, each
+fitted by `ssm_study.fit` as it is by default. Writes own_motion.csv: level of the evidence, first
+reason against any
+judgement, the shares of the output's power that follow from where each piece begins and from the
+input, the fit.
+`--drawn`: 1,500 stable open-loop logs and 1,500 integrators in open loop, of 300 to 1,500 samples
+each, with no model
 fitted. Writes own_motion_drawn.csv: how many of them are taken for outputs that run away.
 """
 
@@ -22,26 +27,41 @@ from scipy.signal import lfilter
 
 import ssm_study as st
 from benchmarks.feedback_shares import drawn, levels, opened
+from ssm_study.evidence.autonomous_motion import shares_predicted
 from ssm_study.evidence.feedback import runs_away
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.metrics import judge
-from ssm_study.evidence.autonomous_motion import shares_predicted
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import mismatch
 
-sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/laws")]
+sys.path += [
+    str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/laws")
+]
 from test_evidence_controls import multilevel
 
 COUNT, STEP_S, U = 1500, 0.1, multilevel(4000, 21)
 MOVES, GROWS, LOOP, HONEST = "moves by itself", "grows", "held by a loop", "honest"
 PLANTS: dict[str, Callable] = {  # dx/dt of the state x under the input u
-    "fitzhugh": lambda x, u: (x[0] - x[0] ** 3 / 3 - x[1] + 0.6 + 0.1 * u, 0.1 * (x[0] + 0.7 - 0.8 * x[1])),
+    "fitzhugh": lambda x, u: (
+        x[0] - x[0] ** 3 / 3 - x[1] + 0.6 + 0.1 * u,
+        0.1 * (x[0] + 0.7 - 0.8 * x[1]),
+    ),
     "lotka": lambda x, u: (x[0] * (1 - x[1] + 0.05 * u), x[1] * (x[0] - 1)),
-    "lorenz": lambda x, u: (10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1] + u, x[0] * x[1] - 8 / 3 * x[2]),
+    "lorenz": lambda x, u: (
+        10 * (x[1] - x[0]),
+        x[0] * (28 - x[2]) - x[1] + u,
+        x[0] * x[1] - 8 / 3 * x[2],
+    ),
     "van_der_pol": lambda x, u: (x[1], 0.5 * (1 - x[0] ** 2) * x[1] - 2 * x[0] + 0.5 * u),
     "duffing": lambda x, u: (x[1], -0.2 * x[1] - x[0] - x[0] ** 3 + 2 * u),
-    "resonance 0.02": lambda x, u: (x[1], -2 * 0.02 * 0.7 * x[1] - 0.7 * 0.7 * x[0] + 0.7 * 0.7 * u),
-    "resonance 0.005": lambda x, u: (x[1], -2 * 0.005 * 1.3 * x[1] - 1.3 * 1.3 * x[0] + 1.3 * 1.3 * u),
+    "resonance 0.02": lambda x, u: (
+        x[1],
+        -2 * 0.02 * 0.7 * x[1] - 0.7 * 0.7 * x[0] + 0.7 * 0.7 * u,
+    ),
+    "resonance 0.005": lambda x, u: (
+        x[1],
+        -2 * 0.005 * 1.3 * x[1] - 1.3 * 1.3 * x[0] + 1.3 * 1.3 * u,
+    ),
 }
 Samples = np.ndarray
 
@@ -78,7 +98,10 @@ def pendulum() -> tuple[Samples, Samples]:
         y[k] = angle + noise[k]
         u[k] = np.clip(25 * (r[k] - y[k]) - 4 * rate, -20, 20)
         for _ in range(10):
-            angle, rate = angle + 0.005 * rate, rate + 0.005 * (9.81 * np.sin(angle) - 0.2 * rate + u[k])
+            angle, rate = (
+                angle + 0.005 * rate,
+                rate + 0.005 * (9.81 * np.sin(angle) - 0.2 * rate + u[k]),
+            )
     return u, y
 
 
@@ -87,19 +110,43 @@ def aside() -> list[tuple[str, str, Samples, Samples]]:
     slow, moved = U, 0.05 * U[:2000]
     for pole in (0.95, 0.9, 0.8):
         slow = lfilter([0, 1 - pole], [1, -pole], slow)
-    walk, steps = np.random.default_rng(9).standard_normal, np.random.default_rng(3).standard_normal(1500)
+    walk, steps = (
+        np.random.default_rng(9).standard_normal,
+        np.random.default_rng(3).standard_normal(1500),
+    )
     made = [
         ("relay oscillator", MOVES, noisy(relay(1500), 0.01)),
         ("FitzHugh-Nagumo", MOVES, noisy(integrated("fitzhugh", 2000, [0, 0], 0.5), 0.02)),
         ("Lotka-Volterra", MOVES, noisy(integrated("lotka", 1500, [1.5, 1]), 0.02)),
         ("Lorenz", MOVES, noisy(integrated("lorenz", 2000, [1, 1, 20], 0.03), 0.01)),
-        ("growing swing", GROWS, noisy(lfilter([0, 0.1], [1, -2 * 1.003 * np.cos(0.15), 1.003**2], U[:1000]), 0.01)),
-        *((f"runaway reactor, {n} samples", GROWS, noisy(lag(n, 1.0025, 0.02), 0.03)) for n in (1200, 500)),
-        ("van der Pol, five times the input", MOVES, noisy(integrated("van_der_pol", 2000, [0.1, 0]), 0.05)),
-        *((f"three lags, noise {share}", HONEST, noisy(slow[:1500], share)) for share in (0.2, 1.0, 1.5)),
+        (
+            "growing swing",
+            GROWS,
+            noisy(lfilter([0, 0.1], [1, -2 * 1.003 * np.cos(0.15), 1.003**2], U[:1000]), 0.01),
+        ),
+        *(
+            (f"runaway reactor, {n} samples", GROWS, noisy(lag(n, 1.0025, 0.02), 0.03))
+            for n in (1200, 500)
+        ),
+        (
+            "van der Pol, five times the input",
+            MOVES,
+            noisy(integrated("van_der_pol", 2000, [0.1, 0]), 0.05),
+        ),
+        *(
+            (f"three lags, noise {share}", HONEST, noisy(slow[:1500], share))
+            for share in (0.2, 1.0, 1.5)
+        ),
         ("resonance, damping 0.02", HONEST, noisy(integrated("resonance 0.02", 2000, [1, 0]), 0.3)),
-        ("resonance, damping 0.005", HONEST, noisy(integrated("resonance 0.005", 1000, [2, 0]), 0.1)),
-        *((f"integrator, noise {size}", HONEST, np.cumsum(moved + size * walk(2000))) for size in (0.01, 0.05)),
+        (
+            "resonance, damping 0.005",
+            HONEST,
+            noisy(integrated("resonance 0.005", 1000, [2, 0]), 0.1),
+        ),
+        *(
+            (f"integrator, noise {size}", HONEST, np.cumsum(moved + size * walk(2000)))
+            for size in (0.01, 0.05)
+        ),
         ("Wiener", HONEST, noisy(np.tanh(3 * slow[:1500]) + 0.3 * slow[:1500] ** 2, 0.05)),
         ("drift", HONEST, slow[:1500] + 0.5 * np.std(slow) * np.cumsum(steps) / 20),
         ("decay from afar", HONEST, noisy(lag(1500, 0.995, 0.05, 8.0), 0.03)),
@@ -113,18 +160,36 @@ def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
     model = st.fit(u, y, STEP_S)
     data, fitted, skip = model.data, model.simulator, model.data.start_up_samples
     validation, test = (Simulation.of(fitted, part, skip) for part in (data.validation, data.test))
-    found = judge(data, fitted, validation, test, mismatch(fitted, data.validation, skip, data.trials))
-    shares = shares_predicted(Case(data=data, model=fitted, validation=validation, test=test)) or (None, None)
+    found = judge(
+        data, fitted, validation, test, mismatch(fitted, data.validation, skip, data.trials)
+    )
+    shares = shares_predicted(Case(data=data, model=fitted, validation=validation, test=test)) or (
+        None,
+        None,
+    )
     against = next((one.sentence for one in found.findings if one.level == CANNOT_JUDGE), None)
-    told: dict[str, object] = {"log": name, "kind": kind, "evidence": found.level, "cannot_judge": against}
-    return told | {"share_own": shares[0], "share_input": shares[1], "fit_test_percent": test.fit_percent}
+    told: dict[str, object] = {
+        "log": name,
+        "kind": kind,
+        "evidence": found.level,
+        "cannot_judge": against,
+    }
+    return told | {
+        "share_own": shares[0],
+        "share_input": shares[1],
+        "fit_test_percent": test.fit_percent,
+    }
 
 
 def integrator(rng: np.random.Generator) -> tuple[Samples, Samples]:
-    """Input and output of an integrator behind a lag, with sensor noise and a walk of disturbances, or without."""
+    """Input and output of an integrator behind a lag, with sensor noise and a walk of disturbances,
+    or without."""
     samples = int(rng.integers(300, 1501))
     u, walk, noise = levels(rng, samples), rng.choice([0, 0.02, 0.2]), rng.choice([0, 0.05, 0.3])
-    pole, drawn_noise = rng.uniform(0, 0.9), rng.standard_normal((samples, 2))  # the sensor's, the plant's
+    pole, drawn_noise = (
+        rng.uniform(0, 0.9),
+        rng.standard_normal((samples, 2)),
+    )  # the sensor's, the plant's
     steps = 0.1 * lfilter([1 - pole], [1, -pole], u) + walk * drawn_noise[:, 1]
     return u, np.append(0.0, np.cumsum(steps)[:-1]) + noise * drawn_noise[:, 0]
 
@@ -135,7 +200,9 @@ def refused(log: Callable) -> int:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--aside", action="store_true")
     parser.add_argument("--drawn", action="store_true")
     parser.add_argument("--to", type=Path, required=True)
@@ -147,4 +214,6 @@ if __name__ == "__main__":
         table.to_csv(asked.to / "own_motion_drawn.csv", index=False, lineterminator="\n")
     for entry in aside() if asked.aside else ():
         rows.append(judged(*entry))
-        pd.DataFrame(rows).to_csv(asked.to / "own_motion.csv", index=False, lineterminator="\n", float_format="%.4g")
+        pd.DataFrame(rows).to_csv(
+            asked.to / "own_motion.csv", index=False, lineterminator="\n", float_format="%.4g"
+        )

@@ -5,8 +5,10 @@
     python benchmarks/plants_choice.py results/benchmark_choice [--out FOLDER]
     python benchmarks/plants_choice.py results/benchmark_rehearsal
 
-Rule: on each record the setting with the least error on what was held out, which is the root mean square over all
-samples of all folds, or of all rehearsals (start-up samples left out). A setting that failed on one of them, or whose
+Rule: on each record the setting with the least error on what was held out, which is the root mean
+square over all
+samples of all folds, or of all rehearsals (start-up samples left out). A setting that failed on one
+of them, or whose
 controller or observer is not certified, is out. No test file is opened by these runs.
 Writes `choice.csv` or `rehearsal.csv`: every setting with each of its errors, best first.
 """
@@ -30,13 +32,16 @@ Errors = dict[str, dict[Setting, dict[int, float]]]
 
 
 def held_out_errors(study: Path, rehearsed: bool) -> Errors:
-    """Benchmark -> setting -> fold or rehearsal -> root mean square error; a failed or uncertified one is a gap."""
+    """Benchmark -> setting -> fold or rehearsal -> root mean square error; a failed or uncertified
+    one is a gap."""
     errors: Errors = defaultdict(lambda: defaultdict(dict))
     for path in sorted(study.glob("*/record.json")):
         record, config = json.loads(path.read_text()), config_of(path)
         setting = tuple(record[name] for name in SETTINGS)
         if rehearsed:
-            errors["emps"][(*setting, *config.data.experiments.output_equilibrium)] |= rehearsal_errors(record)
+            errors["emps"][(*setting, *config.data.experiments.output_equilibrium)] |= (
+                rehearsal_errors(record)
+            )
             continue
         assert config.data.fold is not None, f"{path.parent} is scored on the test records"
         of_setting = errors[str(config.data.benchmark)][setting]
@@ -71,18 +76,26 @@ def rows_of(benchmark: str, settings: dict[Setting, dict[int, float]]) -> list[l
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", type=Path, help="the folder of the study, e.g. results/benchmark_choice")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "study", type=Path, help="the folder of the study, e.g. results/benchmark_choice"
+    )
     parser.add_argument("--out", type=Path, default=REFERENCE / "benchmarks")
     options = parser.parse_args()
     runs = sorted(options.study.glob("*/record.json"))
     if not runs:
-        raise SystemExit(f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmark_choice")
+        raise SystemExit(
+            f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmark_choice"
+        )
     rehearsed = "rehearsals" in config_of(runs[0]).data
     errors = held_out_errors(options.study, rehearsed)
     part, more = ("rehearsal", ["output_equilibrium"]) if rehearsed else ("fold", [])
     parts = [f"{part}_{k}" for k in range(PARTS)]
-    with (options.out / ("rehearsal.csv" if rehearsed else "choice.csv")).open("w", newline="") as stream:
+    with (options.out / ("rehearsal.csv" if rehearsed else "choice.csv")).open(
+        "w", newline=""
+    ) as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["benchmark", "unit", *SETTINGS, *more, "held_out_rmse", *parts])
         for benchmark in [name for name in UNITS if name in errors]:

@@ -1,11 +1,15 @@
 """A recording in Foxglove Studio itself: the open application (1.48, MPL-2.0) in headless Chromium.
 
-    npm install --prefix /tmp/foxglove --no-save @foxglove/studio-base@1.48.0 react@17.0.2 react-dom@17.0.2
-    python benchmarks/plants_foxglove_studio.py FILE.mcap --modules /tmp/foxglove/node_modules [--picture FILE.png]
+    npm install --prefix /tmp/foxglove --no-save @foxglove/studio-base@1.48.0 react@17.0.2
+    react-dom@17.0.2
+    python benchmarks/plants_foxglove_studio.py FILE.mcap --modules /tmp/foxglove/node_modules
+    [--picture FILE.png]
         [--above TOPIC.FIELD ...] [--below TOPIC.FIELD ...] [--beside TOPIC]
 
-Two plots and one table of raw messages, where Studio stops at first. Prints one JSON object: what the page says, and
-what failed in it. `tests/oracles/test_data_foxglove.py` compares it with what was written. Needs chromium and
+Two plots and one table of raw messages, where Studio stops at first. Prints one JSON object: what
+the page says, and
+what failed in it. `tests/oracles/test_data_foxglove.py` compares it with what was written. Needs
+chromium and
 chromedriver.
 """
 
@@ -24,11 +28,14 @@ from urllib.parse import quote
 from common import ROOT
 
 READY_S = 120  # of a loaded machine; a minute's worth of script is parsed first
-SEEN = "document.body.innerText.includes('END TIME') && / @ [0-9.]+ sec/.test(document.body.innerText)"
+SEEN = (
+    "document.body.innerText.includes('END TIME') && / @ [0-9.]+ sec/.test(document.body.innerText)"
+)
 
 
 class Studio(http.server.SimpleHTTPRequestHandler):
-    """The page, the packages and the recording, the latter in ranges of bytes, as Studio asks for it."""
+    """The page, the packages and the recording, the latter in ranges of bytes, as Studio asks for
+    it."""
 
     protocol_version = "HTTP/1.1"
 
@@ -50,7 +57,9 @@ class Studio(http.server.SimpleHTTPRequestHandler):
 
     def answer(self, content: bytes, kind: str) -> None:
         asked = re.match(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
-        first, last = (int(asked[1]), int(asked[2] or len(content) - 1)) if asked else (0, len(content) - 1)
+        first, last = (
+            (int(asked[1]), int(asked[2] or len(content) - 1)) if asked else (0, len(content) - 1)
+        )
         self.send_response(206 if asked else 200)
         self.send_header("Content-Type", kind)
         self.send_header("Accept-Ranges", "bytes")
@@ -78,7 +87,9 @@ def shown(address: str, panels: dict[str, Any], picture: Path | None) -> dict[st
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("recording", type=Path)
     parser.add_argument("--modules", type=Path, required=True, help="the folder node_modules")
     parser.add_argument("--above", nargs="*", default=[])

@@ -2,7 +2,8 @@
 
     python benchmarks/plants_mcap.py
 
-writes `results/reference/benchmarks/plants_mcap.csv`: 100,000 samples of one topic, by number of signals in it.
+writes `results/reference/benchmarks/plants_mcap.csv`: 100,000 samples of one topic, by number of
+signals in it.
 """
 
 import csv
@@ -24,7 +25,9 @@ SAMPLES, ROUNDS = 100_000, 3
 def measured(signals: int, folder: Path) -> list[object]:
     values = np.random.default_rng(0).standard_normal((SAMPLES, signals))
     channels = tuple(Channel(name=f"signal_{k}", unit="1") for k in range(signals))
-    group = SignalGroup(topic="/signals", time_s=np.arange(SAMPLES) * 0.01, channels=channels, values=values)
+    group = SignalGroup(
+        topic="/signals", time_s=np.arange(SAMPLES) * 0.01, channels=channels, values=values
+    )
     path, writing, reading = folder / "a.mcap", [], []
     for _ in range(ROUNDS):
         start = time.perf_counter()
@@ -43,7 +46,16 @@ def main() -> None:
     OUT.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, OUT.open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["signals", "write_s", "read_s", "samples_written_per_s", "samples_read_per_s", "megabytes"])
+        writer.writerow(
+            [
+                "signals",
+                "write_s",
+                "read_s",
+                "samples_written_per_s",
+                "samples_read_per_s",
+                "megabytes",
+            ]
+        )
         writer.writerows(measured(signals, Path(folder)) for signals in (1, 4, 12))
     print(OUT.read_text())
 

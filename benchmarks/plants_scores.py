@@ -1,12 +1,17 @@
-"""Our certified model, our runs of the baselines and the published scores on the official test records: one table.
+"""Our certified model, our runs of the baselines and the published scores on the official test
+records: one table.
 
     ssm-study run -m experiment=benchmarks
     python benchmarks/plants_scores.py results/benchmarks [--out FOLDER]
 
-takes on each record, for each model, the seed whose model fits its training record best (never the test record), and
-writes `scores.csv` (ours, our baselines, the published rows of `published.csv`) and `scores_by_run.csv` (every run).
-Runs of further seeds in the same study count: `ssm-study run -m experiment=benchmarks model=ssm seed=1,2`.
-Runs of structured models go to `structured_by_seed.csv`, and their medians and ranges over the seeds are printed:
+takes on each record, for each model, the seed whose model fits its training record best (never the
+test record), and
+writes `scores.csv` (ours, our baselines, the published rows of `published.csv`) and
+`scores_by_run.csv` (every run).
+Runs of further seeds in the same study count: `ssm-study run -m experiment=benchmarks model=ssm
+seed=1,2`.
+Runs of structured models go to `structured_by_seed.csv`, and their medians and ranges over the
+seeds are printed:
 `ssm-study run -m experiment=benchmarks data=cascaded_tanks,ced model=structured seed=0,1,2,3,4`.
 """
 
@@ -26,7 +31,11 @@ COLUMNS = {
     "ced": ("ced_low_ticks_per_s", "ced_high_ticks_per_s"),
 }
 SCORES = [column for columns in COLUMNS.values() for column in columns]
-SILVERBOX = {"silverbox": tuple(f"silverbox_{part}_mv" for part in ("multisine", "arrow", "no_extrapolation"))}
+SILVERBOX = {
+    "silverbox": tuple(
+        f"silverbox_{part}_mv" for part in ("multisine", "arrow", "no_extrapolation")
+    )
+}
 MODELS = {
     "ssm": "SSM of this project, one layer, certified",
     "linear": "linear state space, our run",
@@ -50,11 +59,17 @@ def every_run(study: Path) -> list[dict[str, Any]]:
 def run_of(folder: Path) -> dict[str, Any]:
     record: dict[str, Any] = json.loads((folder / "record.json").read_text())
     config = OmegaConf.load(folder / ".hydra" / "config.yaml")
-    asked = dict(str(word).split("=", 1) for word in OmegaConf.load(folder / ".hydra" / "overrides.yaml"))
+    asked = dict(
+        str(word).split("=", 1) for word in OmegaConf.load(folder / ".hydra" / "overrides.yaml")
+    )
     benchmark = str(config.data.benchmark)
     columns = (COLUMNS | SILVERBOX)[benchmark]
     scores = [record.get(f"score_test_{i + 1}") for i in range(len(columns))]
-    known = {"benchmark": benchmark, "model": asked.get("model", "ssm"), "epochs_allowed": config.training.max_epochs}
+    known = {
+        "benchmark": benchmark,
+        "model": asked.get("model", "ssm"),
+        "epochs_allowed": config.training.max_epochs,
+    }
     return record | known | dict(zip(columns, scores, strict=True))
 
 
@@ -72,9 +87,13 @@ def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
         if best["epochs_allowed"] < FULL_BUDGET:
             notes.append(f"{benchmark} cut to {best['epochs_allowed']} epochs")
         if model == "ssm":
-            notes.append(f"{benchmark} {str(best['controller_certified'] and best['observer_certified']).lower()}")
+            notes.append(
+                f"{benchmark} {str(best['controller_certified'] and best['observer_certified']).lower()}"
+            )
     said = "both certificates: " if model == "ssm" else ""
-    return row | {"source": "; ".join(["this table", said + ", ".join(notes)] if notes else ["this table"])}
+    return row | {
+        "source": "; ".join(["this table", said + ", ".join(notes)] if notes else ["this table"])
+    }
 
 
 def why_not(run: dict[str, Any]) -> str:
@@ -96,24 +115,34 @@ def write_structured(out: Path, runs: list[dict[str, Any]]) -> None:
 
 def write_table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
     told = [{k: row[k] for k in columns if k in row} for row in rows]
-    write(path, [{k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in told], columns)
+    write(
+        path,
+        [{k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in told],
+        columns,
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("study", type=Path, help="the folder of the study, e.g. results/benchmarks")
     parser.add_argument("--out", type=Path, default=FOLDER)
     options = parser.parse_args()
     found = every_run(options.study)
     structured = [run for run in found if run["model"] == "structured"]
     if structured:
-        write_structured(options.out, sorted(structured, key=lambda run: (run["benchmark"], run["seed"])))
+        write_structured(
+            options.out, sorted(structured, key=lambda run: (run["benchmark"], run["seed"]))
+        )
     runs = [run for run in found if run["model"] != "structured"]
     runs.sort(key=lambda run: (run["benchmark"], [*MODELS].index(run["model"]), run["seed"]))
     if structured and not runs:
         return
     if not runs:
-        raise SystemExit(f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmarks")
+        raise SystemExit(
+            f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmarks"
+        )
     published = rows_of(FOLDER / "published.csv")
     rows = [row_of(model, runs) for model in MODELS]
     write_table(options.out / "scores.csv", ["model", *SCORES, "source"], [*rows, *published])

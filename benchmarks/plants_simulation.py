@@ -1,9 +1,12 @@
-"""How fast the batched motor is, and how exact: against scipy's integrator with events, and against the exact motor.
+"""How fast the batched motor is, and how exact: against scipy's integrator with events, and against
+the exact motor.
 
     python benchmarks/plants_simulation.py
 
-writes `results/reference/benchmarks/plants_simulation.csv`. The integrator is timed on part of the work (it would take
-minutes) at the tolerance that gives it the batched motor's accuracy, and scaled up. Processor time, medians.
+writes `results/reference/benchmarks/plants_simulation.csv`. The integrator is timed on part of the
+work (it would take
+minutes) at the tolerance that gives it the batched motor's accuracy, and scaled up. Processor time,
+medians.
 """
 
 import csv
@@ -43,13 +46,17 @@ def mode_of(motor: DCMotor, x: np.ndarray) -> list[int]:
     """Stick (0) or the direction of slip, of motor shaft and load."""
     torques = torques_of(motor, x)
     return [
-        int(np.sign(w)) if w != 0.0 else (0 if abs(t) <= motor.coulomb_torque_nm else int(np.sign(t)))
+        int(np.sign(w))
+        if w != 0.0
+        else (0 if abs(t) <= motor.coulomb_torque_nm else int(np.sign(t)))
         for w, t in zip(x[1:3], torques, strict=True)
     ]
 
 
 def torques_of(motor: DCMotor, x: np.ndarray) -> tuple[float, float]:
-    shaft = motor.shaft_stiffness_nm_per_rad * x[3] + motor.shaft_damping_nms_per_rad * (x[1] - x[2])
+    shaft = motor.shaft_stiffness_nm_per_rad * x[3] + motor.shaft_damping_nms_per_rad * (
+        x[1] - x[2]
+    )
     return (
         motor.torque_constant_nm_per_a * x[0] - shaft - motor.motor_viscous_nms_per_rad * x[1],
         shaft - motor.load_viscous_nms_per_rad * x[2],
@@ -57,7 +64,8 @@ def torques_of(motor: DCMotor, x: np.ndarray) -> tuple[float, float]:
 
 
 def with_events(motor: DCMotor, u: np.ndarray, tolerance: float, method: str) -> np.ndarray:
-    """What one would write with `solve_ivp`: a mode machine, each mode integrated until one of its events."""
+    """What one would write with `solve_ivp`: a mode machine, each mode integrated until one of its
+    events."""
     x, states = np.zeros(4), [np.zeros(4)]
     for v in u[:, 0]:
         v_eff = float(np.sign(v) * max(abs(v) - motor.dead_zone_v, 0.0))
@@ -66,7 +74,9 @@ def with_events(motor: DCMotor, u: np.ndarray, tolerance: float, method: str) ->
     return np.array(states)
 
 
-def one_period(motor: DCMotor, x: np.ndarray, v_eff: float, tolerance: float, method: str) -> np.ndarray:
+def one_period(
+    motor: DCMotor, x: np.ndarray, v_eff: float, tolerance: float, method: str
+) -> np.ndarray:
     t, modes = 0.0, mode_of(motor, x)
     while t < motor.step_s:
         events = [event(motor, body, modes[body]) for body in (0, 1)]
@@ -94,7 +104,9 @@ def event(motor: DCMotor, body: int, mode: int) -> Callable[..., float]:
     return ends
 
 
-def rate(_: float, x: np.ndarray, motor: DCMotor, v_eff: float, modes: tuple[int, int]) -> np.ndarray:
+def rate(
+    _: float, x: np.ndarray, motor: DCMotor, v_eff: float, modes: tuple[int, int]
+) -> np.ndarray:
     tm, tl = torques_of(motor, x)
     a0 = motor.coulomb_torque_nm
     return np.array([
@@ -143,9 +155,16 @@ def main() -> None:
     with OUT.open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(
-            ["route", "largest_speed_error_rad_per_s", "processor_seconds_64_x_2000", "times_the_configured_motor"]
+            [
+                "route",
+                "largest_speed_error_rad_per_s",
+                "processor_seconds_64_x_2000",
+                "times_the_configured_motor",
+            ]
         )
-        writer.writerows([name, f"{error:.2e}", f"{s:.3g}", f"{s / configured:.3g}"] for name, error, s in rows)
+        writer.writerows(
+            [name, f"{error:.2e}", f"{s:.3g}", f"{s / configured:.3g}"] for name, error, s in rows
+        )
     print(OUT.read_text())
 
 

@@ -3,8 +3,10 @@
     ssm-study run experiment=paper
     python benchmarks/readme_pictures.py results/paper
 
-writes `docs/pictures/ten_speeds.gif` (below 1 MB: ten initial speeds under control beside the same motor left alone;
-the frames follow the recorded samples, ten times slower) and `docs/pictures/study_line.png` (below 300 kB: the whole
+writes `docs/pictures/ten_speeds.gif` (below 1 MB: ten initial speeds under control beside the same
+motor left alone;
+the frames follow the recorded samples, ten times slower) and `docs/pictures/study_line.png` (below
+300 kB: the whole
 study in one picture, from the record over the model and its certificate to the closed loop).
 """
 
@@ -31,7 +33,8 @@ SHOWN_S, SLOWER, PAUSE = 0.4, 10, 15  # seconds of motion, slow motion, frames a
 
 
 def animation(loop: RecordedCases) -> FuncAnimation:
-    """One frame per recorded sample; every line grows to the right, and its last point is marked."""
+    """One frame per recorded sample; every line grows to the right, and its last point is
+    marked."""
     with style.paper(), mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}):
         figure = Figure(figsize=(7.2, 2.7), layout="constrained")
         FigureCanvasAgg(figure)
@@ -53,19 +56,30 @@ def animation(loop: RecordedCases) -> FuncAnimation:
 
 
 def lines_of(axes: Axes, loop: RecordedCases, title: str) -> list[mpl.lines.Line2D]:
-    """Empty lines, dark for the lowest start, on axes that show the whole motion from the first frame on."""
+    """Empty lines, dark for the lowest start, on axes that show the whole motion from the first
+    frame on."""
     rank = loop["output"][:, 0, 0].argsort().argsort()
     colours = [mpl.colormaps[style.SEQUENCE](0.9 * value) for value in rank / len(rank)]
     goal, band = loop["reference"][0, -1, 0], loop.settling_band
     assert band is not None
     axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)
     axes.set(title=title, xlabel="Time (s)", xlim=(0, SHOWN_S), ylim=(-4.2, 4.2))
-    return [axes.plot([], [], color=colour, lw=1.2, marker="o", markevery=[-1])[0] for colour in colours]
+    return [
+        axes.plot([], [], color=colour, lw=1.2, marker="o", markevery=[-1])[0] for colour in colours
+    ]
 
 
 def study_line(study: StudyFolder) -> Figure:
-    """Record, model, certificate, closed loop: four panels from left to right, each with the one number it adds."""
-    parts = study.of_best("validation", "model", "certificate", "closed_loop", "record", otherwise="No controlled run.")
+    """Record, model, certificate, closed loop: four panels from left to right, each with the one
+    number it adds."""
+    parts = study.of_best(
+        "validation",
+        "model",
+        "certificate",
+        "closed_loop",
+        "record",
+        otherwise="No controlled run.",
+    )
     validation, model, certificate, loop, record = parts
     with style.paper(), mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}):
         figure = Figure(figsize=(12.8, 3.2), layout="constrained")
@@ -75,11 +89,17 @@ def study_line(study: StudyFolder) -> Figure:
         _slopes(panels[1], model, record)
         _decay(panels[2], model, certificate, record)
         title = f"4  Closed loop on the {record['loop_on']}\n"
-        lines = lines_of(panels[3], loop, title + f"{record['stable_count']} of {record['initial_conditions']} settle")
+        lines = lines_of(
+            panels[3],
+            loop,
+            title + f"{record['stable_count']} of {record['initial_conditions']} settle",
+        )
         for line, response in zip(lines, loop["output"][:, :, 0], strict=True):
             line.set(data=(loop.time_s("output"), response), marker="")
         for response in loop["uncontrolled"][:, :, 0]:
-            panels[3].plot(loop.time_s("output"), response, color=style.GREY, lw=0.6, ls=":", zorder=1)
+            panels[3].plot(
+                loop.time_s("output"), response, color=style.GREY, lw=0.6, ls=":", zorder=1
+            )
         panels[3].plot([], [], color=style.GREY, lw=0.6, ls=":", label="left alone")
         panels[3].set_ylabel(loop.label("output"))
         for axes in panels:
@@ -97,7 +117,10 @@ def _record(axes: Axes, validation: RecordedCases, record: dict[str, Any]) -> No
     """The validation record, which training has not seen, and the model's free run of it."""
     time_s = validation.time_s("measured")
     shown = time_s < RECORD_S
-    for name, look in (("measured", {"color": style.INK, "lw": 0.9}), ("simulated", {"color": style.VERMILLION})):
+    for name, look in (
+        ("measured", {"color": style.INK, "lw": 0.9}),
+        ("simulated", {"color": style.VERMILLION}),
+    ):
         axes.plot(time_s[shown], validation[name][0, shown, 0], label=name, **look)
     title = f"1  Record and free run\nfit {record['fit_test_percent']:.1f} % on the test record"
     axes.set(title=title, xlabel="Time (s)", ylabel=validation.label("measured"))
@@ -108,8 +131,14 @@ def _slopes(axes: Axes, model: SSM, record: dict[str, Any]) -> None:
     scaled = np.linspace(-2, 2, 401)
     slope = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
     lower, upper = record["input_slope_lower"], record["input_slope_upper"]
-    axes.axhspan(lower, upper, color=style.SKY, alpha=0.25, lw=0, label="covered by the certificate")
-    axes.step(scaled * model.scale.input_scale[0] + model.scale.input_equilibrium[0], slope, label="learned")
+    axes.axhspan(
+        lower, upper, color=style.SKY, alpha=0.25, lw=0, label="covered by the certificate"
+    )
+    axes.step(
+        scaled * model.scale.input_scale[0] + model.scale.input_equilibrium[0],
+        slope,
+        label="learned",
+    )
     title = f"2  Model and its slopes\nevery slope of S$_u$ lies in [{lower:.3g}, {upper:.3g}]"
     axes.set(title=title, xlabel="Input (V)", ylabel="Slope of S$_u$ (–)", ylim=(0, 1.4 * upper))
 
@@ -117,18 +146,32 @@ def _slopes(axes: Axes, model: SSM, record: dict[str, Any]) -> None:
 def _decay(axes: Axes, model: SSM, certificate: dict[str, Any], record: dict[str, Any]) -> None:
     """Distances of pairs of trajectories of the model, which the theorem bounds by `r^k`."""
     side = certificate.get("state_feedback_deployed") or certificate["state_feedback"]
-    a, b, k, p = (np.array({**certificate["state_feedback"], **side}[name]) for name in ("a", "b", "k", "p"))
-    d = distances(controlled(model, a, b, k), np.linalg.inv(p))[:, :DECAY]  # the dual form: M = P^-1
+    a, b, k, p = (
+        np.array({**certificate["state_feedback"], **side}[name]) for name in ("a", "b", "k", "p")
+    )
+    d = distances(controlled(model, a, b, k), np.linalg.inv(p))[
+        :, :DECAY
+    ]  # the dual form: M = P^-1
     samples = np.arange(DECAY)
-    axes.plot(samples, np.sqrt(1 - side["rate"]) ** samples, color=style.VERMILLION, ls="--", label="proved bound")
-    axes.fill_between(samples, d.min(axis=0), d.max(axis=0), color=style.BLUE, alpha=0.3, lw=0, label="200 pairs")
+    axes.plot(
+        samples,
+        np.sqrt(1 - side["rate"]) ** samples,
+        color=style.VERMILLION,
+        ls="--",
+        label="proved bound",
+    )
+    axes.fill_between(
+        samples, d.min(axis=0), d.max(axis=0), color=style.BLUE, alpha=0.3, lw=0, label="200 pairs"
+    )
     axes.plot(samples, d.max(axis=0), color=style.BLUE, label="worst of them")
     title = f"3  Certificate\nrate {side['rate']:.3f} is proved, at most {record['controller_rate_limit']:.3f} can be"
     axes.set(title=title, xlabel="Sample", ylabel="Distance / first (–)", yscale="log")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("study", type=Path)
     study = StudyFolder(folder=parser.parse_args().study)
     (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")

@@ -1,9 +1,12 @@
-"""A prediction that its records led astray, and what `refine` makes of it: a table of the iterations, and the picture.
+"""A prediction that its records led astray, and what `refine` makes of it: a table of the
+iterations, and the picture.
 
     python benchmarks/refined_loop.py --to results/reference/adversarial
 
-The plant's gain is eleven at rest and one at full amplitude, and no record is taken at a small amplitude: the first
-choice is predicted to settle and swings. `refine` measures the mismatch in that loop and chooses again.
+The plant's gain is eleven at rest and one at full amplitude, and no record is taken at a small
+amplitude: the first
+choice is predicted to settle and swings. `refine` measures the mismatch in that loop and chooses
+again.
 """
 
 import argparse
@@ -19,8 +22,20 @@ from omegaconf import open_dict
 HERE = Path(__file__).resolve().parent
 PLANT = {"_target_": "benchmarks.adversarial.plants.peaking_gain.PeakingGain"}
 PLANT |= {"first_s": 0.1, "second_s": 0.4, "peak": 10.0, "width": 0.01}
-HIDDEN = ["study=refined", "+data.trials=false", "model.order=2", "loop.initial_conditions=3", "progress=false"]
-SHOWN = ["refinements", "predicted_stable", "resolved_margin", "mismatch_in_loop", "certified_tolerance"]
+HIDDEN = [
+    "study=refined",
+    "+data.trials=false",
+    "model.order=2",
+    "loop.initial_conditions=3",
+    "progress=false",
+]
+SHOWN = [
+    "refinements",
+    "predicted_stable",
+    "resolved_margin",
+    "mismatch_in_loop",
+    "certified_tolerance",
+]
 SHOWN += ["stable_count", "initial_conditions", "settling_time_mean_s", "settling_time_open_loop_s"]
 
 
@@ -50,15 +65,22 @@ def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
     for axes, run, (_, row) in zip(panels, runs, table.iterrows(), strict=True):
         loop = read_experiment(run)[0].controlled
         axes.plot(loop.step_s * np.arange(loop.y.shape[1]), loop.y[:, :, 0].T, lw=0.8)
-        settled, proved = f"{row.stable_count:.0f} of {row.initial_conditions:.0f} settle", row.certified_tolerance
-        axes.set_title(f"choice {row.refinements + 1:.0f}: {settled}, {proved:.2g} is proved", fontsize=8)
+        settled, proved = (
+            f"{row.stable_count:.0f} of {row.initial_conditions:.0f} settle",
+            row.certified_tolerance,
+        )
+        axes.set_title(
+            f"choice {row.refinements + 1:.0f}: {settled}, {proved:.2g} is proved", fontsize=8
+        )
         axes.set_ylabel("output")
     panels[-1].set_xlabel("time in s")
     return fig
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--to", type=Path, required=True)
     parser.add_argument("settings", nargs="*", help="of the study, as for ssm-study run")
     asked = parser.parse_args()
@@ -70,10 +92,16 @@ def main() -> None:
 
     with TemporaryDirectory() as folder:
         runs = iterations(Path(folder), asked.settings)
-        table = pd.DataFrame([read_record(run) for run in runs]).reindex(columns=SHOWN).fillna({"refinements": 0})
+        table = (
+            pd.DataFrame([read_record(run) for run in runs])
+            .reindex(columns=SHOWN)
+            .fillna({"refinements": 0})
+        )
         print(table.to_string(index=False))
         asked.to.mkdir(parents=True, exist_ok=True)
-        table.to_csv(asked.to / "refined.csv", index=False, lineterminator="\n", float_format="%.4g")
+        table.to_csv(
+            asked.to / "refined.csv", index=False, lineterminator="\n", float_format="%.4g"
+        )
         picture(runs, table).savefig(asked.to / "refined.png", dpi=160)
 
 

@@ -2,9 +2,12 @@
 
     python benchmarks/report_page.py [--runs 2000] [--rounds 3]
 
-Mouse and keys are sent through the DevTools protocol to a page of made-up runs of every kind; no graphics card. Per
-action, over all rounds: the time from a click to the frame that answers it; processor time of the page's main thread
-per step (one click, key or mouse move), which a busy machine does not inflate; the time from one drawn frame to the
+Mouse and keys are sent through the DevTools protocol to a page of made-up runs of every kind; no
+graphics card. Per
+action, over all rounds: the time from a click to the frame that answers it; processor time of the
+page's main thread
+per step (one click, key or mouse move), which a busy machine does not inflate; the time from one
+drawn frame to the
 next, and the tasks that held the page for longer than 50 ms (W3C Long Tasks). Writes
 `results/reference/benchmarks/report_page.csv`. Needs chromium and chromedriver.
 """
@@ -42,7 +45,8 @@ requestAnimationFrame(() => setTimeout(() => done(performance.now() - begun)));"
 class Hand:
     """Clicks, types and drags.
 
-    `cpu_ms` holds what the page's main thread computed for each step, `answer_ms` the time until a click was answered.
+    `cpu_ms` holds what the page's main thread computed for each step, `answer_ms` the time until a
+    click was answered.
     """
 
     driver: Any
@@ -51,7 +55,9 @@ class Hand:
 
     def thread_s(self) -> float:
         metrics = self.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
-        return float(next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration"))
+        return float(
+            next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
+        )
 
     @contextmanager
     def step(self, rest_s: float) -> Iterator[None]:
@@ -62,7 +68,14 @@ class Hand:
 
     def mouse(self, kind: str, point: tuple[float, float], held: bool = False) -> None:
         button = "left" if held or kind == "mouseReleased" else "none"
-        event = {"type": kind, "x": point[0], "y": point[1], "button": button, "buttons": int(held), "clickCount": 1}
+        event = {
+            "type": kind,
+            "x": point[0],
+            "y": point[1],
+            "button": button,
+            "buttons": int(held),
+            "clickCount": 1,
+        }
         with self.step(FRAME_S):
             self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", event)
 
@@ -77,7 +90,9 @@ class Hand:
         time.sleep(REST_S)
         box = self.driver.execute_script(f"return {found}.getBoundingClientRect().toJSON()")
         shares = np.linspace(0.3, 0.8, steps)
-        return [(box["left"] + box["width"] * s, box["top"] + box["height"] * (s - 0.1)) for s in shares]
+        return [
+            (box["left"] + box["width"] * s, box["top"] + box["height"] * (s - 0.1)) for s in shares
+        ]
 
 
 def brush(hand: Hand) -> None:
@@ -96,7 +111,14 @@ def hover(hand: Hand) -> None:
 
 def sort(hand: Hand) -> None:
     hand.driver.execute_script("document.getElementById('runs').scrollIntoView()")
-    for name in ("fit_test_percent", "fit_test_percent", "settling_time_mean_s", "verdict", "run", "run"):
+    for name in (
+        "fit_test_percent",
+        "fit_test_percent",
+        "settling_time_mean_s",
+        "verdict",
+        "run",
+        "run",
+    ):
         hand.script(f"document.querySelector('[data-column={name}]').click()")
 
 
@@ -104,7 +126,11 @@ def select(hand: Hand) -> None:
     for setting in range(2):
         for k in (1, 2, 0):
             change = "s.selectedIndex = arguments[1]; s.dispatchEvent(new Event('change'))"
-            hand.script(f"const s = document.querySelectorAll('[data-select]')[arguments[0]]; {change}", setting, k)
+            hand.script(
+                f"const s = document.querySelectorAll('[data-select]')[arguments[0]]; {change}",
+                setting,
+                k,
+            )
 
 
 def search(hand: Hand) -> None:
@@ -136,13 +162,16 @@ ACTIONS: dict[str, Callable[[Hand], None]] = {
 
 
 def measured(driver: Any, act: Callable[[Hand], None]) -> tuple[list[float], ...]:
-    """Frames, long tasks, processor time and answer per step, in milliseconds; the page is put back afterwards."""
+    """Frames, long tasks, processor time and answer per step, in milliseconds; the page is put back
+    afterwards."""
     hand = Hand(driver)
     driver.execute_script("recorded.frames = []; recorded.tasks = []")
     act(hand)
     time.sleep(REST_S)
     found = driver.execute_script("return recorded")
-    driver.execute_script("if (state.chosen >= 0) closeRun(); document.querySelector('#filters').reset()")
+    driver.execute_script(
+        "if (state.chosen >= 0) closeRun(); document.querySelector('#filters').reset()"
+    )
     driver.execute_script("state.sort = {column: null, descending: false}; changed()")
     time.sleep(REST_S)
     return found["frames"], found["tasks"], hand.cpu_ms, hand.answer_ms
@@ -164,7 +193,9 @@ def rows(page: Path, profile: Path, rounds: int) -> list[dict[str, object]]:
     return [{"action": name, **told(*times)} for name, times in found.items()]
 
 
-def told(frames: list[float], tasks: list[float], cpu_ms: list[float], answer_ms: list[float]) -> dict[str, object]:
+def told(
+    frames: list[float], tasks: list[float], cpu_ms: list[float], answer_ms: list[float]
+) -> dict[str, object]:
     answers = {
         "answer_ms_median": np.median,
         "answer_ms_90_percent": lambda a: np.percentile(a, 90),
@@ -178,11 +209,15 @@ def told(frames: list[float], tasks: list[float], cpu_ms: list[float], answer_ms
         "longest_task_ms": max(tasks, default=0.0),
     }
     counts = {"steps": len(cpu_ms), "frames": len(frames), "long_tasks": len(tasks)}
-    return counts | {name: "" if np.isnan(value) else f"{value:.0f}" for name, value in numbers.items()}
+    return counts | {
+        name: "" if np.isnan(value) else f"{value:.0f}" for name, value in numbers.items()
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--rounds", type=int, default=3)
     asked = parser.parse_args()
@@ -190,7 +225,9 @@ def main() -> None:
     import report_tables
 
     with tempfile.TemporaryDirectory() as folder:
-        page = write_page(report_tables.write_study(Path(folder) / "study", report_tables.table(asked.runs)))
+        page = write_page(
+            report_tables.write_study(Path(folder) / "study", report_tables.table(asked.runs))
+        )
         table = rows(page, Path(folder) / "profile", asked.rounds)
     write(OUT, table)
     print(OUT.read_text())

@@ -1,15 +1,23 @@
 """Kill a study at random moments until it is finished, and compare it with one that nobody touched.
 
-    python benchmarks/results_soak.py --kills 30 --damage --minutes 8 --table results/reference/engine/soak.csv
-    python benchmarks/results_soak.py --sweeps 3 --minutes 5 --table results/reference/engine/soak.csv
+    python benchmarks/results_soak.py --kills 30 --damage --minutes 8 --table
+    results/reference/engine/soak.csv
+    python benchmarks/results_soak.py --sweeps 3 --minutes 5 --table
+    results/reference/engine/soak.csv
 
-The study trains real models (experiment=smoke). Each attempt is the same command. Somewhere in it the sweep gets
-SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are at work. With
-`--sweeps 3` three such commands work on the study at once, and one of them is struck while the others go on. Between
+The study trains real models (experiment=smoke). Each attempt is the same command. Somewhere in it
+the sweep gets
+SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are
+at work. With
+`--sweeps 3` three such commands work on the study at once, and one of them is struck while the
+others go on. Between
 attempts a finished stage or record may in addition be truncated or have a bit flipped (--damage).
-Whenever a study is finished: its table equals the undisturbed one, every stage folder is intact, no process lives on.
-With `--in` the state is kept and the same command goes on; after `--minutes` no kill follows. Edit nothing in the
-package meanwhile: its stages would rightly be computed anew. So run it from a copy: git archive HEAD | tar x -C DIR.
+Whenever a study is finished: its table equals the undisturbed one, every stage folder is intact, no
+process lives on.
+With `--in` the state is kept and the same command goes on; after `--minutes` no kill follows. Edit
+nothing in the
+package meanwhile: its stages would rightly be computed anew. So run it from a copy: git archive
+HEAD | tar x -C DIR.
 """
 
 import argparse
@@ -64,15 +72,20 @@ def start(folder: Path) -> "subprocess.Popen[bytes]":
     command = [*PROGRAM, *SWEEP, f"results_dir={folder / 'results'}"]
     log = (folder / "log").open("ab")
     variables = os.environ | {"PYTHONPATH": paths}
-    return subprocess.Popen(command, env=variables, stdout=log, stderr=log, start_new_session=True, cwd=REPOSITORY)
+    return subprocess.Popen(
+        command, env=variables, stdout=log, stderr=log, start_new_session=True, cwd=REPOSITORY
+    )
 
 
 def processes_of(folder: Path) -> list[int]:
-    """Everything that names the folder in its command line or has its log open as output, ourselves excepted."""
+    """Everything that names the folder in its command line or has its log open as output, ourselves
+    excepted."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
-            names = (entry / "cmdline").read_bytes().decode(errors="replace") + str((entry / "fd" / "1").readlink())
+            names = (entry / "cmdline").read_bytes().decode(errors="replace") + str(
+                (entry / "fd" / "1").readlink()
+            )
             state = (entry / "stat").read_text().rsplit(")", 1)[1].split()[0]
         except OSError:
             continue
@@ -81,8 +94,11 @@ def processes_of(folder: Path) -> list[int]:
     return found
 
 
-def disturb(sweeps: "list[subprocess.Popen[bytes]]", folder: Path, rng: random.Random, done: "Soak") -> str:
-    """Wait a random while, then kill something; what was killed, or `finished` if nothing was left to kill."""
+def disturb(
+    sweeps: "list[subprocess.Popen[bytes]]", folder: Path, rng: random.Random, done: "Soak"
+) -> str:
+    """Wait a random while, then kill something; what was killed, or `finished` if nothing was left
+    to kill."""
     process = rng.choice(sweeps)
     if rng.random() < AT_WORK:
         until_at_work(process, folder)
@@ -93,7 +109,9 @@ def disturb(sweeps: "list[subprocess.Popen[bytes]]", folder: Path, rng: random.R
         return "finished"
     if process.poll() is not None:  # one that found all its runs with the others
         process = next(sweep for sweep in sweeps if sweep.poll() is None)
-    target = rng.choice(["sweep KILL", "sweep KILL", "sweep TERM", "sweep INT", "job KILL", "job KILL"])
+    target = rng.choice(
+        ["sweep KILL", "sweep KILL", "sweep TERM", "sweep INT", "job KILL", "job KILL"]
+    )
     if not target.startswith("job"):
         process.send_signal(getattr(signal, f"SIG{target.split()[1]}"))
     elif jobs := jobs_of(folder):
@@ -113,7 +131,11 @@ def until_at_work(process: "subprocess.Popen[bytes]", folder: Path) -> None:
 def jobs_of(folder: Path) -> list[int]:
     """The processes of jobs: those whose output is the log of a run."""
     logs = str(folder / "results" / STUDY)
-    return [pid for pid in processes_of(folder) if str(readable_link(Path(f"/proc/{pid}/fd/1"))).startswith(logs)]
+    return [
+        pid
+        for pid in processes_of(folder)
+        if str(readable_link(Path(f"/proc/{pid}/fd/1"))).startswith(logs)
+    ]
 
 
 def readable_link(path: Path) -> Path | None:
@@ -145,12 +167,17 @@ def damage(folder: Path, rng: random.Random) -> str:
 
 def stable_table(folder: Path) -> pd.DataFrame:
     table = gather(folder / "results" / STUDY)
-    volatile = [name for name in table if name in VOLATILE or name.endswith(("_seconds", "_reused"))]
-    return table.drop(columns=volatile).dropna(axis=1, how="all").sort_values("run", ignore_index=True)
+    volatile = [
+        name for name in table if name in VOLATILE or name.endswith(("_seconds", "_reused"))
+    ]
+    return (
+        table.drop(columns=volatile).dropna(axis=1, how="all").sort_values("run", ignore_index=True)
+    )
 
 
 def soak(folder: Path, kills: int, damages: bool, until: float, sweeps: int = 1) -> "Soak":
-    """Kill until `kills` have been dealt and the study is finished; raises AssertionError if a promise is broken."""
+    """Kill until `kills` have been dealt and the study is finished; raises AssertionError if a
+    promise is broken."""
     done, undisturbed = Soak.read(folder), folder / "undisturbed"
     if not done.longest_s:
         begun, process = time.monotonic(), start(undisturbed)
@@ -166,7 +193,10 @@ def soak(folder: Path, kills: int, damages: bool, until: float, sweeps: int = 1)
             assert [sweep.returncode for sweep in started] == [0] * sweeps
             check(here, undisturbed, damages)
             shutil.rmtree(here)
-            done.longest_s, done.working_s = 0.8 * done.longest_s, 0.8 * done.working_s  # too late: strike sooner
+            done.longest_s, done.working_s = (
+                0.8 * done.longest_s,
+                0.8 * done.working_s,
+            )  # too late: strike sooner
             done.rounds += 1
         elif damages and rng.random() < 0.3:
             done.counts[damage(here, rng)] += 1
@@ -179,7 +209,8 @@ def soak(folder: Path, kills: int, damages: bool, until: float, sweeps: int = 1)
 
 @dataclass
 class Soak:
-    """What has been dealt out so far; `longest_s` is how long the undisturbed study took, `working_s` its jobs."""
+    """What has been dealt out so far; `longest_s` is how long the undisturbed study took,
+    `working_s` its jobs."""
 
     counts: Counter[str]
     rounds: int = 0
@@ -188,7 +219,9 @@ class Soak:
 
     @property
     def kills(self) -> int:
-        return sum(number for what, number in self.counts.items() if what.startswith(("sweep", "job")))
+        return sum(
+            number for what, number in self.counts.items() if what.startswith(("sweep", "job"))
+        )
 
     @classmethod
     def read(cls, folder: Path) -> "Soak":
@@ -201,13 +234,18 @@ class Soak:
 
     def lines(self) -> list[str]:
         counts = [f"{what:<12}{number:>5}" for what, number in sorted(self.counts.items())]
-        return [*counts, f"{'studies':<12}{self.rounds:>5}  finished: tables equal, stages intact, no process left"]
+        return [
+            *counts,
+            f"{'studies':<12}{self.rounds:>5}  finished: tables equal, stages intact, no process left",
+        ]
 
 
 def check(folder: Path, undisturbed: Path, harmed: bool) -> None:
-    """The same command once more (it repairs what was damaged last), then everything is as if nothing had happened.
+    """The same command once more (it repairs what was damaged last), then everything is as if
+    nothing had happened.
 
-    A damaged stage that no run asks for any more stays as it is: it is noticed when it is asked for.
+    A damaged stage that no run asks for any more stays as it is: it is noticed when it is asked
+    for.
     """
     assert start(folder).wait(timeout=300) == 0
     pd.testing.assert_frame_equal(stable_table(folder), stable_table(undisturbed))
@@ -222,7 +260,9 @@ def check(folder: Path, undisturbed: Path, harmed: bool) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--damage", action="store_true")
     parser.add_argument("--in", dest="folder", type=Path)
@@ -245,7 +285,9 @@ def written(path: Path, form: tuple[int, bool], done: Soak) -> None:
     rows = pd.DataFrame([(*form, what, number) for what, number in counts.items()], columns=COLUMNS)
     others = pd.read_csv(path) if path.is_file() else rows[:0]
     others = others[(others.sweeps_at_once != form[0]) | (others.damage != form[1])]
-    pd.concat([others, rows]).sort_values([*COLUMNS[:2]], kind="stable").to_csv(path, index=False, lineterminator="\n")
+    pd.concat([others, rows]).sort_values([*COLUMNS[:2]], kind="stable").to_csv(
+        path, index=False, lineterminator="\n"
+    )
 
 
 if __name__ == "__main__":

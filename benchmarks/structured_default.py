@@ -1,9 +1,12 @@
-"""One layer or neurons inside, by held-out folds of the training records, each class by its yaml as it stands.
+"""One layer or neurons inside, by held-out folds of the training records, each class by its yaml as
+it stands.
 
     python benchmarks/structured_default.py [--only ced dc_motor ...] [--to FILE]
 
-writes results/reference/training/structured_default.csv: one row per plant or record and class with the mean, worst
-and best fit over four folds (whole records where there are four, else pieces of each) and processor seconds a fold.
+writes results/reference/training/structured_default.csv: one row per plant or record and class with
+the mean, worst
+and best fit over four folds (whole records where there are four, else pieces of each) and processor
+seconds a fold.
 Validation and test records are not looked at. What it decided stands in docs/models.md.
 """
 
@@ -28,9 +31,15 @@ CLASSES = ("ssm", "structured")
 
 
 def row(where: str, model: str) -> dict[str, object]:
-    chosen = f"plant={where}" if where in PLANTS else f"data={where.replace('tanks_record', 'cascaded_tanks')}"
+    chosen = (
+        f"plant={where}"
+        if where in PLANTS
+        else f"data={where.replace('tanks_record', 'cascaded_tanks')}"
+    )
     part = study_of(chosen, f"model={model}")
-    data = part.data.build(part.plant, part.excitation, 0) if where in PLANTS else part.data.build(0)
+    data = (
+        part.data.build(part.plant, part.excitation, 0) if where in PLANTS else part.data.build(0)
+    )
     fits, began = [], time.process_time()
     for fold in held_out(data):
         with TemporaryDirectory() as folder:
@@ -45,8 +54,12 @@ def row(where: str, model: str) -> dict[str, object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", choices=(*PLANTS, *RECORDS), default=(*PLANTS, *RECORDS))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=(*PLANTS, *RECORDS), default=(*PLANTS, *RECORDS)
+    )
     parser.add_argument("--to", type=Path, default=TARGET)
     options = parser.parse_args()
     rows = []

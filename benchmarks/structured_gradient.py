@@ -1,10 +1,14 @@
-"""The derivatives of a structured model's squared error: compiled by hand, and by autograd through a loop of torch.
+"""The derivatives of a structured model's squared error: compiled by hand, and by autograd through
+a loop of torch.
 
     OMP_NUM_THREADS=1 python benchmarks/structured_gradient.py [--to FILE]
 
-writes results/reference/training/structured_gradient.csv. Per row: samples, states (as many neurons), and processor
-milliseconds of one thread: loss and gradient by the compiled adjoint (tests/structured_adjoint.py), the whole Jacobian
-that a step of the training needs, loss and gradient by torch. A batch of 16 records, one input, one output, linear S_u.
+writes results/reference/training/structured_gradient.csv. Per row: samples, states (as many
+neurons), and processor
+milliseconds of one thread: loss and gradient by the compiled adjoint (tests/structured_adjoint.py),
+the whole Jacobian
+that a step of the training needs, loss and gradient by torch. A batch of 16 records, one input, one
+output, linear S_u.
 Medians of five pairs; the three gradients are compared first.
 """
 
@@ -37,9 +41,17 @@ def problem(samples: int, size: int) -> tuple[Residuals, Theta]:
     one = Residuals(records=Batch.padded(list(zip(u, y, strict=True))), **told)  # type: ignore[arg-type]
     a = 0.9 * np.linalg.qr(rng.normal(size=(size, size)))[0]
     theta = {"a": a, "e": 0.05 * rng.normal(size=(size, size)), "f": rng.normal(size=(size, size))}
-    theta |= {"b": rng.normal(size=(size, 1)), "g": rng.normal(size=(size, 1)), "bias": rng.normal(size=size)}
+    theta |= {
+        "b": rng.normal(size=(size, 1)),
+        "g": rng.normal(size=(size, 1)),
+        "bias": rng.normal(size=size),
+    }
     theta |= {"c": rng.normal(size=(1, size)), "d": np.zeros((1, 1)), "h": np.zeros((1, size))}
-    return one, theta | {"scaffold_in": np.zeros(0), "scaffold_out": np.zeros(0), "x0": np.zeros((BATCH, size))}
+    return one, theta | {
+        "scaffold_in": np.zeros(0),
+        "scaffold_out": np.zeros(0),
+        "x0": np.zeros((BATCH, size)),
+    }
 
 
 def by_adjoint(one: Residuals, theta: Theta) -> np.ndarray:
@@ -55,7 +67,11 @@ def by_jacobian(one: Residuals, theta: Theta) -> np.ndarray:
 def by_autograd(one: Residuals, theta: Theta) -> np.ndarray:
     parts = {name: torch.tensor(theta[name], requires_grad=True) for name in FREE}
     u, y, weight = (torch.from_numpy(np.ascontiguousarray(side)) for side in one.records)
-    x, still, out = torch.zeros(BATCH, len(theta["a"]), dtype=torch.float64), torch.tanh(parts["bias"]), []
+    x, still, out = (
+        torch.zeros(BATCH, len(theta["a"]), dtype=torch.float64),
+        torch.tanh(parts["bias"]),
+        [],
+    )
     for k in range(u.shape[1]):
         w = torch.tanh(x @ parts["f"].T + u[:, k] @ parts["g"].T + parts["bias"]) - still
         out.append(x @ parts["c"].T)
@@ -73,11 +89,15 @@ def row(samples: int, size: int) -> dict[str, object]:
     names = ("adjoint_ms", "jacobian_ms", "autograd_loop_ms")
     told = dict(zip(names, np.median(times, axis=0), strict=True))
     told["loop_over_adjoint"] = float(np.median([loop / first for first, _, loop in times]))
-    return {"samples": samples, "states": size} | {name: f"{value:.3g}" for name, value in told.items()}
+    return {"samples": samples, "states": size} | {
+        name: f"{value:.3g}" for name, value in told.items()
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--to", type=Path, default=TARGET)
     parser.add_argument("--samples", type=int, nargs="+", default=[1000, 5000, 25000])
     options = parser.parse_args()

@@ -1,14 +1,22 @@
-"""Structured models of the simulated plants over seeds: noise-free fit, best certified factors, what a start costs.
+"""Structured models of the simulated plants over seeds: noise-free fit, best certified factors,
+what a start costs.
 
-    python benchmarks/structured_plants.py dc_motor stribeck_drive --seeds 10 [--set model.order=6 ...] [--to FILE]
+    python benchmarks/structured_plants.py dc_motor stribeck_drive --seeds 10 [--set model.order=6
+    ...] [--to FILE]
 
-writes results/reference/training/structured_plants.csv. Per row: fits of the validation record (noisy) and of the test
-record (without noise), the open loop's slowest mode at rest, the least r = sqrt(1 - rate) that bisecting the inequality
-on the exact verdict finds for a state feedback (the ball of S_u included) and for an observer, 1 where there is none,
-and processor seconds of a start with its training. Nothing is chosen by a test record: the starts go by validation.
-With `--each` a row is a start, and r is found for those within a percent point of the best by validation:
+writes results/reference/training/structured_plants.csv. Per row: fits of the validation record
+(noisy) and of the test
+record (without noise), the open loop's slowest mode at rest, the least r = sqrt(1 - rate) that
+bisecting the inequality
+on the exact verdict finds for a state feedback (the ball of S_u included) and for an observer, 1
+where there is none,
+and processor seconds of a start with its training. Nothing is chosen by a test record: the starts
+go by validation.
+With `--each` a row is a start, and r is found for those within a percent point of the best by
+validation:
 
-    python benchmarks/structured_plants.py dc_motor --each --first 10 --set model.starts=12 model.ridge=1e-7 --to FILE
+    python benchmarks/structured_plants.py dc_motor --each --first 10 --set model.starts=12
+    model.ridge=1e-7 --to FILE
 """
 
 import argparse
@@ -21,12 +29,12 @@ import numpy as np
 from common import REFERENCE, study_of, write
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.synthesis.model_selection import fastest
-from ssm_study.synthesis.integrated_error import at_rest
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
-from ssm_study.synthesis.structured_lmi import largest_rate
+from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.synthesis.model_selection import fastest
+from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
@@ -43,7 +51,9 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
         spent = time.process_time() - began
     model, balls = found.model, certified_balls(found.model)
     sides = {False: balls.input, True: balls.output}
-    factors = [np.sqrt(1.0 - largest(model.system, ball, observes)) for observes, ball in sides.items()]
+    factors = [
+        np.sqrt(1.0 - largest(model.system, ball, observes)) for observes, ball in sides.items()
+    ]
     numbers = {
         "fit_validation_percent": found.fit_validation_percent,
         "fit_test_percent": mean_fit(model, data.test, data),
@@ -52,7 +62,12 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
         "r_observer": factors[1],
         "seconds_per_start": spent / part.model.trainings,
     }
-    sizes = {"plant": plant, "seed": seed, "order": model.order, "neurons": len(getattr(model, "neurons", ()))}
+    sizes = {
+        "plant": plant,
+        "seed": seed,
+        "order": model.order,
+        "neurons": len(getattr(model, "neurons", ())),
+    }
     return sizes | {name: f"{value:.4g}" for name, value in numbers.items()}
 
 
@@ -60,7 +75,9 @@ def largest(system: System, ball: JacobianBall, observes: bool) -> float:
     """Of a one-layer model, which a start may end as, the frontier is exact."""
     if isinstance(system, StateSpace):
         return controller_frontier(dual(system) if observes else system, ball).rate_limit
-    return largest_rate(RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).problem(system, ball, observes))
+    return largest_rate(
+        RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).problem(system, ball, observes)
+    )
 
 
 def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]:
@@ -73,7 +90,9 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
 
     data = part.data.build(part.plant, part.excitation, seed)
     with TemporaryDirectory() as folder:
-        best = part.training.identify(replace(part.model, among_starts=kept), data, seed, Path(folder))
+        best = part.training.identify(
+            replace(part.model, among_starts=kept), data, seed, Path(folder)
+        )
     rows = []
     for start, one in enumerate(found):
         model, near = one.model, one.fit_validation_percent >= best.fit_validation_percent - 1
@@ -83,7 +102,9 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
         sizes |= {"neurons": len(getattr(model, "neurons", ()))}
         told = {name: f"{value:.5g}" for name, value in numbers.items()}
         rate = fastest(model.system, certified_balls(model).input) if near else None
-        rows.append(sizes | told | {"r_controller": "" if rate is None else f"{np.sqrt(1 - rate):.4g}"})
+        rows.append(
+            sizes | told | {"r_controller": "" if rate is None else f"{np.sqrt(1 - rate):.4g}"}
+        )
     return rows
 
 
@@ -94,7 +115,9 @@ def written(rows: list[dict[str, object]], to: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("plants", nargs="+")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="of the seeds")
@@ -105,7 +128,9 @@ def main() -> None:
     rows = []
     for plant in options.plants:
         for seed in range(options.first, options.first + options.seeds):
-            rows += (each if options.each else lambda *asked: [row(*asked)])(plant, seed, options.set)
+            rows += (each if options.each else lambda *asked: [row(*asked)])(
+                plant, seed, options.set
+            )
             written(rows, options.to)
 
 

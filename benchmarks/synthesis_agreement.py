@@ -1,10 +1,16 @@
-"""The frontier against an LMI solver that is not told of it: `python benchmarks/synthesis_agreement.py` (minutes).
+"""The frontier against an LMI solver that is not told of it: `python
+benchmarks/synthesis_agreement.py` (minutes).
 
-A thousand random models of orders 1 to 32, one percent inside the frontier and one percent beyond. Clarabel maximises
-the smallest eigenvalue t of Theorem 1's block matrix at fixed trace, on the modes with `|lambda| > r` in balanced
-coordinates (the same theorem: the other modes need no input). It says *feasible* when exact arithmetic finds its
-matrices positive definite, *infeasible* when it ends optimal with t below minus `TELLING`, and otherwise cannot tell.
-Adds one row per side to `results/reference/certificates/certified.csv`, method `modal_lmi_alone`. Options: `--count N`,
+A thousand random models of orders 1 to 32, one percent inside the frontier and one percent beyond.
+Clarabel maximises
+the smallest eigenvalue t of Theorem 1's block matrix at fixed trace, on the modes with `|lambda| >
+r` in balanced
+coordinates (the same theorem: the other modes need no input). It says *feasible* when exact
+arithmetic finds its
+matrices positive definite, *infeasible* when it ends optimal with t below minus `TELLING`, and
+otherwise cannot tell.
+Adds one row per side to `results/reference/certificates/certified.csv`, method `modal_lmi_alone`.
+Options: `--count N`,
 `--gaps g ...`.
 """
 
@@ -18,10 +24,10 @@ import scipy.linalg
 from synthesis_certified import instances, kept, named, told
 from synthesis_instances import Instance
 
-from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
-from ssm_study.synthesis.modes import energy_root, split_modes
 from ssm_study.certificates.problem import NoSolution, Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
+from ssm_study.synthesis.modes import energy_root, split_modes
 
 FEASIBLE, INFEASIBLE, CANNOT_TELL = "feasible", "infeasible", "cannot tell"
 TELLING = 1e-7  # Clarabel stops at 1e-8
@@ -29,8 +35,11 @@ GAPS = (0.01, -0.01)
 
 
 def on_fast_modes(case: Instance) -> Problem:
-    """The asked inequality on its fast modes, balanced and scaled by 1/r. Nothing here knows the frontier."""
-    asked = LmiSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(case.linear, case.ball)
+    """The asked inequality on its fast modes, balanced and scaled by 1/r. Nothing here knows the
+    frontier."""
+    asked = LmiSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(
+        case.linear, case.ball
+    )
     r = asked.contraction
     modes = split_modes(asked.a, asked.b, r)
     if modes.fast == 0:
@@ -59,7 +68,11 @@ def opinion(case: Instance) -> str:
         )
         found = lmi.solve(problem)
     except NoSolution as nothing:
-        return INFEASIBLE if "infeasible" in str(nothing) and "inaccurate" not in str(nothing) else CANNOT_TELL
+        return (
+            INFEASIBLE
+            if "infeasible" in str(nothing) and "inaccurate" not in str(nothing)
+            else CANNOT_TELL
+        )
     if StateFeedbackOfBall.holds(**StateFeedbackOfBall.numbers_of(problem, found)):
         return FEASIBLE
     telling = lmi.problem.status == "optimal" and -lmi.problem.value < -TELLING
@@ -74,7 +87,9 @@ def row(gap: float, cases: list[Instance]) -> dict[str, object]:
         seconds.append(time.perf_counter() - started)
     right, wrong = (FEASIBLE, INFEASIBLE) if gap > 0 else (INFEASIBLE, FEASIBLE)
     counts, models = Counter(said), [(case.linear.order, case.kind) for case in cases]
-    row = told(("random", "modal_lmi_alone", gap), models, [word == FEASIBLE for word in said], seconds)
+    row = told(
+        ("random", "modal_lmi_alone", gap), models, [word == FEASIBLE for word in said], seconds
+    )
     return row | {
         "misses": named([model for model, word in zip(models, said, strict=True) if word != right]),
         "agrees": counts[right],
@@ -84,7 +99,9 @@ def row(gap: float, cases: list[Instance]) -> dict[str, object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--gaps", type=float, nargs="+", default=GAPS)
     arguments = parser.parse_args()

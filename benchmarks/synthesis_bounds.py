@@ -1,8 +1,12 @@
-"""How tight the slope bounds are: `OMP_NUM_THREADS=1 python benchmarks/synthesis_bounds.py` (a minute).
+"""How tight the slope bounds are: `OMP_NUM_THREADS=1 python benchmarks/synthesis_bounds.py` (a
+minute).
 
-Random leaky networks; of each bound the certified radius around its centre, the farthest Jacobian that sampling and
-gradient search find from that centre, and their ratio (found over certified: one is exact, above one would be unsound);
-beside it the norm product of the paper over the upper end of the ball. Writes `certificates/bounds.csv`.
+Random leaky networks; of each bound the certified radius around its centre, the farthest Jacobian
+that sampling and
+gradient search find from that centre, and their ratio (found over certified: one is exact, above
+one would be unsound);
+beside it the norm product of the paper over the upper end of the ball. Writes
+`certificates/bounds.csv`.
 """
 
 import sys
@@ -29,7 +33,9 @@ BOUNDS = {"exact": network_bound, "lipsdp": lipsdp_bound, "interval": interval_b
 
 def scaffold(rng: np.random.Generator, channels: int, widths: tuple[int, ...]) -> MlpScaffold:
     sizes = (channels, *widths, channels)
-    weights = tuple(rng.normal(size=(after, before)) / np.sqrt(before) for before, after in pairwise(sizes))
+    weights = tuple(
+        rng.normal(size=(after, before)) / np.sqrt(before) for before, after in pairwise(sizes)
+    )
     return MlpScaffold(
         network=Network(
             weights=weights,
@@ -49,7 +55,9 @@ def row(channels: int, widths: tuple[int, ...], method: str) -> dict[str, object
         ball = BOUNDS[method](network.network).ball
         spent.append(1e3 * (time.process_time() - started))
         ratios.append(worst_jacobian(network, ball, seed=seed, starts=STARTS).tightness(ball))
-        against_norms.append(spectral_norm_bound(network.network)[1] / max(abs(ball.lower), abs(ball.upper)))
+        against_norms.append(
+            spectral_norm_bound(network.network)[1] / max(abs(ball.lower), abs(ball.upper))
+        )
     return {
         "channels": channels,
         "hidden": "x".join(map(str, widths)),

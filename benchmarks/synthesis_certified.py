@@ -1,8 +1,12 @@
-"""Share certified exactly, by method and distance from the frontier: `python benchmarks/synthesis_certified.py`.
+"""Share certified exactly, by method and distance from the frontier: `python
+benchmarks/synthesis_certified.py`.
 
-Writes `results/reference/certificates/certified.csv`, one row per (set, method, gap): how many of how many were
-certified, in how much time. A gap below zero lies beyond the frontier: nothing may be certified there. Options:
-`--count N` per gap, `--gaps g ...`, `--orders low high`, `--set random|mixed|trained`, `--methods a,b`; rows of other
+Writes `results/reference/certificates/certified.csv`, one row per (set, method, gap): how many of
+how many were
+certified, in how much time. A gap below zero lies beyond the frontier: nothing may be certified
+there. Options:
+`--count N` per gap, `--gaps g ...`, `--orders low high`, `--set random|mixed|trained`, `--methods
+a,b`; rows of other
 runs are kept.
 """
 
@@ -17,8 +21,8 @@ from synthesis_instances import Instance, random_instance
 
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
@@ -55,7 +59,9 @@ def trained(gap: float, count: int) -> list[Instance]:
         wider = JacobianBall(alpha=ball.alpha, beta=ball.beta / (1 - gap))
         if wider.relative_radius < 1:
             contraction = frontier(linear.a, linear.b, wider).contraction_limit
-            found.append(Instance(linear=linear, ball=ball, rate=1 - contraction**2, kind=model["origin"]))
+            found.append(
+                Instance(linear=linear, ball=ball, rate=1 - contraction**2, kind=model["origin"])
+            )
     return found
 
 
@@ -73,14 +79,23 @@ def row(kind: str, method: str, gap: float, cases: list[Instance]) -> dict[str, 
         started = time.perf_counter()
         verdicts.append(certified(method, case))
         seconds.append(time.perf_counter() - started)
-    return told((kind, method, gap), [(case.linear.order, case.kind) for case in cases], verdicts, seconds)
+    return told(
+        (kind, method, gap), [(case.linear.order, case.kind) for case in cases], verdicts, seconds
+    )
 
 
 def told(
-    key: tuple[str, str, float], models: list[tuple[int, str]], held: list[bool], seconds: list[float]
+    key: tuple[str, str, float],
+    models: list[tuple[int, str]],
+    held: list[bool],
+    seconds: list[float],
 ) -> dict[str, object]:
-    """The line of one (set, method, gap): of which models, by order and kind, how many were certified, how fast."""
-    orders, missed = [order for order, _ in models], [model for model, ok in zip(models, held, strict=True) if not ok]
+    """The line of one (set, method, gap): of which models, by order and kind, how many were
+    certified, how fast."""
+    orders, missed = (
+        [order for order, _ in models],
+        [model for model, ok in zip(models, held, strict=True) if not ok],
+    )
     return dict(zip(KEY, key, strict=True)) | {
         "instances": len(models),
         "certified": sum(held),
@@ -99,11 +114,15 @@ def named(missed: list[tuple[int, str]]) -> str:
 def kept(new: dict[str, object]) -> None:
     """In place of the row of the same set, method and gap."""
     path, columns = FOLDER / "certified.csv", COLUMNS + AGREEMENT
-    keep(path, [new], KEY, lambda row: (row["set"], row["method"], -float(str(row["gap"]))), columns)
+    keep(
+        path, [new], KEY, lambda row: (row["set"], row["method"], -float(str(row["gap"]))), columns
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--set", choices=("random", "mixed", "trained"), default="random")
     parser.add_argument("--methods", default="closed_form,riccati")

@@ -22,23 +22,40 @@ METHODS = {  # method: label, colour, marker
 
 
 def feasibility_map(table: pd.DataFrame) -> Figure:
-    """The solver's verdict on the paper's inequality, rate by slope floor, under the exact frontier of the model.
+    """The solver's verdict on the paper's inequality, rate by slope floor, under the exact frontier
+    of the model.
 
     `table`: columns `slope_floor, rate, rate_limit, solver_certified`, all of one model.
     """
-    floor, rate, held = column(table, "slope_floor"), column(table, "rate"), flag(table, "solver_certified")
+    floor, rate, held = (
+        column(table, "slope_floor"),
+        column(table, "rate"),
+        flag(table, "solver_certified"),
+    )
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log")
     limits = pd.DataFrame({"floor": floor, "limit": column(table, "rate_limit")}).drop_duplicates()
     limits = limits.sort_values("floor")
     axes.fill_between(limits.floor, limits.limit, color=style.PALE, alpha=0.6, lw=0, zorder=1)
     axes.plot(limits.floor, limits.limit, color=style.INK, label="exact frontier", zorder=2)
-    axes.scatter(floor[held], rate[held], c=style.BLUE, marker="o", s=14, label="solver: certified", zorder=3)
     axes.scatter(
-        floor[~held], rate[~held], c=style.VERMILLION, marker="x", s=14, lw=0.9, label="solver: none", zorder=3
+        floor[held], rate[held], c=style.BLUE, marker="o", s=14, label="solver: certified", zorder=3
+    )
+    axes.scatter(
+        floor[~held],
+        rate[~held],
+        c=style.VERMILLION,
+        marker="x",
+        s=14,
+        lw=0.9,
+        label="solver: none",
+        zorder=3,
     )
     axes.set_xticks([0.01, 0.1, 1], ["0.01", "0.1", "1"])
-    axes.set(xlabel="Slope floor of S$_u$, slopes in [floor, 1] (–)", ylabel="Controller rate, ρ (1/sample)")
+    axes.set(
+        xlabel="Slope floor of S$_u$, slopes in [floor, 1] (–)",
+        ylabel="Controller rate, ρ (1/sample)",
+    )
     axes.set_ylim(0, 1)
     style.above(axes, columns=3)
     return fig
@@ -52,7 +69,9 @@ def gain_norm(table: pd.DataFrame) -> Figure:
     fig = style.canvas(style.COLUMN_IN, 2.6)
     axes = fig.add_subplot()
     _lines(axes, table, column(table, "rate"), column(table, "gain_norm"))
-    axes.axvline(column(table, "rate_limit").max(), color=style.INK, lw=0.9, ls=":", label="exact frontier")
+    axes.axvline(
+        column(table, "rate_limit").max(), color=style.INK, lw=0.9, ls=":", label="exact frontier"
+    )
     axes.set(xlabel="Controller rate, ρ (1/sample)", ylabel="Controller gain ‖K‖ (scaled)")
     axes.set_ylim(bottom=0)
     style.above(axes, columns=2)
@@ -60,24 +79,31 @@ def gain_norm(table: pd.DataFrame) -> Figure:
 
 
 def contraction(table: pd.DataFrame) -> Figure:
-    """The worst contraction measured with slopes at the ends of the ball against the certified one, and the equal line.
+    """The worst contraction measured with slopes at the ends of the ball against the certified one,
+    and the equal line.
 
     `table`: columns `method, certified, measured`, factors of the distance per sample.
     """
     certified, measured = column(table, "certified"), column(table, "measured")
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
-    span = (min(certified.min(), measured.min()) - 0.01, max(certified.max(), measured.max()) + 0.01)
+    span = (
+        min(certified.min(), measured.min()) - 0.01,
+        max(certified.max(), measured.max()) + 0.01,
+    )
     axes.plot(span, span, color=style.INK, lw=0.8, ls=":", label="measured = certified", zorder=5)
     _lines(axes, table, certified, measured)
-    axes.set(xlabel="Certified contraction, r (1/sample)", ylabel="Measured contraction, r (1/sample)")
+    axes.set(
+        xlabel="Certified contraction, r (1/sample)", ylabel="Measured contraction, r (1/sample)"
+    )
     axes.set(xlim=span, ylim=span)
     style.above(axes, columns=2)
     return fig
 
 
 def _lines(axes: Axes, table: pd.DataFrame, x: pd.Series, y: pd.Series) -> None:
-    """One line per method; circles are hollow and larger, so that a line that coincides with them is seen."""
+    """One line per method; circles are hollow and larger, so that a line that coincides with them
+    is seen."""
     method = text(table, "method")
     for name, (label, colour, marker) in METHODS.items():
         here = method == name

@@ -1,8 +1,12 @@
-"""Random models and requests at a stated distance from the exact frontier: what the synthesis benchmarks run on.
+"""Random models and requests at a stated distance from the exact frontier: what the synthesis
+benchmarks run on.
 
-A model is drawn as the recurrent unit would be: real modes and rotations of 2 x 2, moduli uniform in [0.2, 1] of the
-largest, which is below one (stable), one (marginal) or up to 1.3 (unstable); B and C normal. A slope floor is drawn
-log-uniform from [0.01, 0.9] (slopes in [floor, 1]); the asked rate is the one at which beta/alpha lies `gap` inside
+A model is drawn as the recurrent unit would be: real modes and rotations of 2 x 2, moduli uniform
+in [0.2, 1] of the
+largest, which is below one (stable), one (marginal) or up to 1.3 (unstable); B and C normal. A
+slope floor is drawn
+log-uniform from [0.01, 0.9] (slopes in [floor, 1]); the asked rate is the one at which beta/alpha
+lies `gap` inside
 (gap < 0: beyond) the exact frontier.
 """
 
@@ -27,8 +31,11 @@ class Instance:
     kind: str
 
 
-def random_model(rng: np.random.Generator, order: int, kind: str, mixed: bool = False, inputs: int = 1) -> StateSpace:
-    """`mixed`: dense random coordinates (condition about ten to a hundred) instead of modal ones."""
+def random_model(
+    rng: np.random.Generator, order: int, kind: str, mixed: bool = False, inputs: int = 1
+) -> StateSpace:
+    """`mixed`: dense random coordinates (condition about ten to a hundred) instead of modal
+    ones."""
     blocks, left = [], order
     while left:
         modulus = KINDS[kind] * (1.0 if left == order else rng.uniform(0.2, 1))
@@ -40,7 +47,11 @@ def random_model(rng: np.random.Generator, order: int, kind: str, mixed: bool = 
         else:
             blocks.append(np.array([[modulus * rng.choice([-1, 1])]]))
             left -= 1
-    a, b, c = scipy.linalg.block_diag(*blocks), rng.normal(size=(order, inputs)), rng.normal(size=(1, order))
+    a, b, c = (
+        scipy.linalg.block_diag(*blocks),
+        rng.normal(size=(order, inputs)),
+        rng.normal(size=(1, order)),
+    )
     if mixed:
         t = rng.normal(size=(order, order)) / np.sqrt(order) + np.eye(order)
         a, b, c = t @ a @ np.linalg.inv(t), t @ b, c @ np.linalg.inv(t)
@@ -48,7 +59,11 @@ def random_model(rng: np.random.Generator, order: int, kind: str, mixed: bool = 
 
 
 def random_instance(
-    rng: np.random.Generator, orders: tuple[int, int], gap: float, mixed: bool = False, inputs: int = 1
+    rng: np.random.Generator,
+    orders: tuple[int, int],
+    gap: float,
+    mixed: bool = False,
+    inputs: int = 1,
 ) -> Instance | None:
     """None when the model, the ball and the gap leave no rate in (0, 1)."""
     kind = str(rng.choice(list(KINDS)))

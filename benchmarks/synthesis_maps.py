@@ -1,9 +1,11 @@
 """Tables behind three figures: `python benchmarks/synthesis_maps.py` (under a minute).
 
 On the first identified model of `trained_models.json` writes, in the same folder,
-`feasibility_map.csv` (rate by slope floor: the solver's verdict on the paper's inequality, and the exact frontier),
+`feasibility_map.csv` (rate by slope floor: the solver's verdict on the paper's inequality, and the
+exact frontier),
 `gain_norm.csv` (norm of the gain against the asked rate, by method), and
-`contraction.csv` (the certified factor per sample against the worst one measured with slopes jumping in the ball).
+`contraction.csv` (the certified factor per sample against the worst one measured with slopes
+jumping in the ball).
 """
 
 import warnings
@@ -14,8 +16,8 @@ from synthesis_certified import FOLDER, trained
 
 from ssm_study.certificates.certificate import StateFeedback
 from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
 
@@ -45,7 +47,8 @@ def feasibility_map(linear: StateSpace) -> list[dict[str, object]]:
 
 
 def designs(linear: StateSpace, floor: float) -> list[tuple[str, StateFeedback]]:
-    """Every method over rates from 5 to 99 percent of the limit; what is not certified is left out."""
+    """Every method over rates from 5 to 99 percent of the limit; what is not certified is left
+    out."""
     ball, found = JacobianBall.from_slopes(floor, 1.0), []
     limit = frontier(linear.a, linear.b, ball).rate_limit
     for share in (0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99):
@@ -76,13 +79,19 @@ def gain_norm(found: list[tuple[str, StateFeedback]]) -> list[dict[str, object]]
 
 def contraction(found: list[tuple[str, StateFeedback]]) -> list[dict[str, object]]:
     return [
-        {"method": name, "rate": f"{p.rate:.6f}", "certified": f"{p.contraction:.6f}", "measured": f"{measured(p):.6f}"}
+        {
+            "method": name,
+            "rate": f"{p.rate:.6f}",
+            "certified": f"{p.contraction:.6f}",
+            "measured": f"{measured(p):.6f}",
+        }
         for name, p in found
     ]
 
 
 def measured(part: StateFeedback) -> float:
-    """The largest `|A_J v| / |v|` in the certified metric over slopes at both ends, exactly: a matrix norm."""
+    """The largest `|A_J v| / |v|` in the certified metric over slopes at both ends, exactly: a
+    matrix norm."""
     root = np.linalg.cholesky(part.p)
     ends = (part.alpha - part.beta, part.alpha + part.beta)
     closed = [np.linalg.solve(root, (part.a + slope * part.b @ part.k) @ root) for slope in ends]

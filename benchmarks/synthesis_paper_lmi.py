@@ -1,9 +1,14 @@
-"""The paper's inequality on the thousand random models: `python benchmarks/synthesis_paper_lmi.py` (hours; resumes).
+"""The paper's inequality on the thousand random models: `python benchmarks/synthesis_paper_lmi.py`
+(hours; resumes).
 
-The same models and requests as the other methods of `synthesis_certified.py`, orders 1 to 32; Theorem 1 with all its
-unknowns (P, Y, X, sigma) through CVXPY and Clarabel, one solve each, nothing repaired. A solve that takes longer than
-`LIMIT_S` counts as not found. Every solve is a row of `results/reference/certificates/paper_lmi.csv`; a second call
-goes on where the first one stopped, and `--minutes M` stops it. At its end it writes the counts into
+The same models and requests as the other methods of `synthesis_certified.py`, orders 1 to 32;
+Theorem 1 with all its
+unknowns (P, Y, X, sigma) through CVXPY and Clarabel, one solve each, nothing repaired. A solve that
+takes longer than
+`LIMIT_S` counts as not found. Every solve is a row of
+`results/reference/certificates/paper_lmi.csv`; a second call
+goes on where the first one stopped, and `--minutes M` stops it. At its end it writes the counts
+into
 `certified.csv` and, by order, `paper_lmi_by_order.csv`.
 """
 
@@ -25,7 +30,8 @@ from ssm_study.synthesis.lmi import SOLVERS, paper_lmi
 TARGET = FOLDER / "paper_lmi.csv"
 COLUMNS = ("gap", "index", "order", "kind", "status", "certified", "seconds")
 COUNT, BLOCK = 1000, 50
-# Small orders first: two thirds of the time go to the last band. Within a band a block of models goes through every
+# Small orders first: two thirds of the time go to the last band. Within a band a block of models
+# goes through every
 # gap, so that an unfinished band is still a fair sample of its orders.
 BANDS = ((1, 8), (9, 16), (17, 20), (21, 26), (27, 32))
 LIMIT_S = 120.0
@@ -45,7 +51,9 @@ def row(gap: float, index: int, case: Instance) -> Row:
     started = time.process_time()
     opinion = paper_lmi(case.linear, case.ball, case.rate)
     values = (gap, index, case.linear.order, case.kind, opinion.solver_status, opinion.certified)
-    return dict(zip(COLUMNS, [*map(str, values), f"{time.process_time() - started:.4f}"], strict=True))
+    return dict(
+        zip(COLUMNS, [*map(str, values), f"{time.process_time() - started:.4f}"], strict=True)
+    )
 
 
 def solve(cases: Cases, minutes: float) -> None:
@@ -63,17 +71,23 @@ def solve(cases: Cases, minutes: float) -> None:
 
 def count(gap: float, rows: list[Row]) -> dict[str, object]:
     models = [(int(row["order"]), row["kind"]) for row in rows]
-    held, seconds = [row["certified"] == "True" for row in rows], [float(row["seconds"]) for row in rows]
+    held, seconds = (
+        [row["certified"] == "True" for row in rows],
+        [float(row["seconds"]) for row in rows],
+    )
     return told(("random", "paper_lmi", gap), models, held, seconds)
 
 
 def by_order(cases: Cases, rows: list[Row]) -> list[dict[str, object]]:
-    """Of each band and gap: models, how many were solved, how many certified, what the solver called the rest."""
+    """Of each band and gap: models, how many were solved, how many certified, what the solver
+    called the rest."""
     table = []
     for (low, high), gap in itertools.product(BANDS, sorted(GAPS, reverse=True)):
         models = sum(low <= case.linear.order <= high for case in cases[gap])
         here = [row for row in rows if row["gap"] == str(gap) and low <= int(row["order"]) <= high]
-        status = Counter(row["status"].removeprefix("clarabel: ") for row in here if row["certified"] != "True")
+        status = Counter(
+            row["status"].removeprefix("clarabel: ") for row in here if row["certified"] != "True"
+        )
         table.append(
             {
                 "orders": f"{low}-{high}",
@@ -88,7 +102,9 @@ def by_order(cases: Cases, rows: list[Row]) -> list[dict[str, object]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--minutes", type=float, default=np.inf)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")

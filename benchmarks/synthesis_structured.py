@@ -1,11 +1,17 @@
-"""Models with neurons, on random ones: the fast route against its oracle, sampled slopes against what is certified.
+"""Models with neurons, on random ones: the fast route against its oracle, sampled slopes against
+what is certified.
 
-    python benchmarks/synthesis_structured.py [models] [first] >> results/reference/certificates/structured.csv
+    python benchmarks/synthesis_structured.py [models] [first] >>
+    results/reference/certificates/structured.csv
 
-Per row: size, side, ball, and whether neurons enter the output (`h`); the best factor r found by bisecting the LMI;
-whether the game Riccati search certifies a rate 10 % below, and its cost over that of the LMI (nothing where the solver
-fails); the slowest contraction that vertices, 400 random slopes and a gradient search find at the certificate (the
-search's, else the LMI's); seconds of the search, the cost form, the feasibility form and the exact verdict, in turn.
+Per row: size, side, ball, and whether neurons enter the output (`h`); the best factor r found by
+bisecting the LMI;
+whether the game Riccati search certifies a rate 10 % below, and its cost over that of the LMI
+(nothing where the solver
+fails); the slowest contraction that vertices, 400 random slopes and a gradient search find at the
+certificate (the
+search's, else the LMI's); seconds of the search, the cost form, the feasibility form and the exact
+verdict, in turn.
 
     python benchmarks/synthesis_structured.py told results/reference/certificates/structured.csv
 """
@@ -30,9 +36,7 @@ SIZES = ((2, 1), (4, 2), (4, 4), (8, 4), (8, 8))
 BALLS = {"none": JacobianBall(alpha=1.0, beta=0.0), "wide": JacobianBall.from_slopes(0.6, 1.0)}
 KINDS = tuple(product(SIZES, ("controller", "observer"), BALLS, (False, True)))
 RANDOM, CLIMBED, STEPS = 400, 5, 20
-COLUMNS = (
-    "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,game_s,cost_s,feasible_s,exact_s"
-)
+COLUMNS = "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,game_s,cost_s,feasible_s,exact_s"
 
 
 def drawn(rng: np.random.Generator, n: int, q: int, h: bool) -> StructuredSystem:
@@ -63,12 +67,26 @@ def timed(solve: Callable[[], Solution]) -> tuple[Solution | None, float]:
 def problem_of(system: StructuredSystem, observes: bool, ball: JacobianBall) -> Problem:
     """The state feedback of the system, or its observer, at any rate."""
     system = dual(system) if observes else system
-    weight, neurons = np.eye(system.order), Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
-    return Problem(a=system.a, b=system.b, ball=ball, rate=0.5, state_weight=weight, input_weight=0.1, neurons=neurons)
+    weight, neurons = (
+        np.eye(system.order),
+        Neurons(e=system.e, f=system.f, g=system.g, observes=observes),
+    )
+    return Problem(
+        a=system.a,
+        b=system.b,
+        ball=ball,
+        rate=0.5,
+        state_weight=weight,
+        input_weight=0.1,
+        neurons=neurons,
+    )
 
 
-def sampled(system: StructuredSystem, problem: Problem, found: Solution, rng: np.random.Generator) -> float:
-    """The largest factor by which frozen slopes, the last one that of S_u or S_y, stretch in the certified metric."""
+def sampled(
+    system: StructuredSystem, problem: Problem, found: Solution, rng: np.random.Generator
+) -> float:
+    """The largest factor by which frozen slopes, the last one that of S_u or S_y, stretch in the
+    certified metric."""
     assert problem.neurons is not None
     ball, k, k_w = problem.ball, found.k, found.k_w
     root = np.linalg.cholesky(found.p if problem.neurons.observes else np.linalg.inv(found.p)).T
@@ -86,7 +104,10 @@ def sampled(system: StructuredSystem, problem: Problem, found: Solution, rng: np
         return float(np.linalg.norm(step(at), 2))
 
     size = system.neurons + 1
-    points = [*(np.array(at) for at in product((0.0, 1.0), repeat=size)), *rng.uniform(size=(RANDOM, size))]
+    points = [
+        *(np.array(at) for at in product((0.0, 1.0), repeat=size)),
+        *rng.uniform(size=(RANDOM, size)),
+    ]
     norms = [norm(at) for at in points]
     worst = max(norms)
     for start in np.argsort(norms[-RANDOM:])[-CLIMBED:]:
@@ -108,21 +129,26 @@ def row(index: int) -> str | None:
     if best < 0.02:
         return None
     problem = replace(problem, rate=BELOW * best)
-    programs = [StructuredLmi(problem=problem, objective=goal) for goal in ("guaranteed_cost", "largest_margin")]
+    programs = [
+        StructuredLmi(problem=problem, objective=goal)
+        for goal in ("guaranteed_cost", "largest_margin")
+    ]
     for program in programs:  # compiles
         timed(lambda program=program: program.solve(problem.rate / 2))
     fast, game_s = timed(lambda: least_cost(problem))
-    (slow, cost_s), (deep, deep_s) = (timed(lambda program=p: program.solve(problem.rate)) for p in programs)
+    (slow, cost_s), (deep, deep_s) = (
+        timed(lambda program=p: program.solve(problem.rate)) for p in programs
+    )
     certified = fast is not None and holds(problem, fast)
-    costs = [np.nan if found is None else np.trace(np.linalg.inv(found.p)) for found in (fast, slow)]
+    costs = [
+        np.nan if found is None else np.trace(np.linalg.inv(found.p)) for found in (fast, slow)
+    ]
     ratio = costs[0] / costs[1] * (1 - problem.rate if observes else 1.0)
     proof, started = fast if certified else deep, time.process_time()
     assert proof is not None
     assert holds(problem, proof)
     exact_s, worst = time.process_time() - started, sampled(system, problem, proof, rng)
-    factors = (
-        f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{'' if np.isnan(ratio) else f'{ratio:.4f}'}"
-    )
+    factors = f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{'' if np.isnan(ratio) else f'{ratio:.4f}'}"
     times = f"{game_s:.5f},{cost_s:.5f},{deep_s:.5f},{exact_s:.5f}"
     return f"{index},{n},{q},{side},{ball},{h and observes},{factors},{worst:.6f},{times}"
 
@@ -132,7 +158,10 @@ def told(path: str) -> Iterator[str]:
     table = pd.read_csv(path)
     every = (table.sampled_r <= np.sqrt(1 - BELOW * (1 - table.best_r**2)) + 1e-4).sum()
     yield f"{len(table)} models; sampled slopes contract no slower than certified on {every}"
-    share, solved = f"{table.certified.sum()} ({table.certified.mean():.1%})", table.cost_ratio.notna().sum()
+    share, solved = (
+        f"{table.certified.sum()} ({table.certified.mean():.1%})",
+        table.cost_ratio.notna().sum(),
+    )
     yield f"search certified {share}, cost form solved {solved}"
     low, middle, high = (table.cost_s / table.game_s).quantile([0.25, 0.5, 0.75])
     yield f"cost form over search, time: median {middle:.1f}, quartiles {low:.1f}, {high:.1f}"
@@ -155,4 +184,7 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["told"]:
         print("\n".join(told(sys.argv[2])))
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000, int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+        main(
+            int(sys.argv[1]) if len(sys.argv) > 1 else 1000,
+            int(sys.argv[2]) if len(sys.argv) > 2 else 0,
+        )

@@ -1,8 +1,12 @@
-"""Processor milliseconds per certificate by method and order: `OMP_NUM_THREADS=1 python benchmarks/synthesis_times.py`.
+"""Processor milliseconds per certificate by method and order: `OMP_NUM_THREADS=1 python
+benchmarks/synthesis_times.py`.
 
-Writes `results/reference/certificates/times.csv` (median of repetitions; the methods of one order are timed in turn;
-microseconds as the mean of many calls) and `sweep.csv` (twenty rates through one compiled inequality against twenty
-fresh ones). Processor time of one thread, not wall time: a machine that does other work stretches the latter by as much
+Writes `results/reference/certificates/times.csv` (median of repetitions; the methods of one order
+are timed in turn;
+microseconds as the mean of many calls) and `sweep.csv` (twenty rates through one compiled
+inequality against twenty
+fresh ones). Processor time of one thread, not wall time: a machine that does other work stretches
+the latter by as much
 as it is busy. `--orders n ...` restricts; rows of other orders are kept.
 """
 
@@ -16,13 +20,13 @@ import scipy.linalg
 from common import REFERENCE, cpu_seconds, keep
 from synthesis_instances import random_model
 
-from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.lmi import CompiledLmi
-from ssm_study.synthesis.modes import solve_riccati, split_modes
 from ssm_study.certificates.problem import Problem
-from ssm_study.synthesis.guaranteed_cost import at_tau, guaranteed_cost
-from ssm_study.synthesis.minimum_energy import fast_gain, minimum_energy_solution
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.frontier import frontier
+from ssm_study.synthesis.guaranteed_cost import at_tau, guaranteed_cost
+from ssm_study.synthesis.lmi import CompiledLmi
+from ssm_study.synthesis.minimum_energy import fast_gain, minimum_energy_solution
+from ssm_study.synthesis.modes import solve_riccati, split_modes
 from ssm_study.systems import JacobianBall
 
 FOLDER = REFERENCE / "certificates"
@@ -45,7 +49,9 @@ def problem_of(order: int) -> Problem:
     ball = JacobianBall.from_slopes(0.3, 1.0)
     rate = 0.5 * frontier(linear.a, linear.b, ball).rate_limit
     weight = linear.c.T @ linear.c + 1e-3 * np.eye(order)
-    return Problem(a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.1)
+    return Problem(
+        a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.1
+    )
 
 
 def compiled(problem: Problem, objective: str, full: bool = False) -> CompiledLmi:
@@ -91,7 +97,9 @@ def milliseconds(task: Callable[[], object]) -> float:
 def timed(order: int) -> dict[str, object]:
     samples: dict[str, list[float]] = {}
     runnable = {
-        name: task for name, task in tasks(problem_of(order)).items() if order <= LARGEST.get(name, max(ORDERS))
+        name: task
+        for name, task in tasks(problem_of(order)).items()
+        if order <= LARGEST.get(name, max(ORDERS))
     }
     for repetition in range(REPETITIONS.get(order, 1) + 1):
         for name, task in runnable.items():
@@ -104,7 +112,9 @@ def timed(order: int) -> dict[str, object]:
 def sweep(order: int, rates: int = 20) -> dict[str, object]:
     problem = problem_of(order)
     asked = np.linspace(0.1, 0.9, rates) * frontier(problem.a, problem.b, problem.ball).rate_limit
-    cases = [replace(problem, rate=float(r), state_weight=np.eye(order), input_weight=1.0) for r in asked]
+    cases = [
+        replace(problem, rate=float(r), state_weight=np.eye(order), input_weight=1.0) for r in asked
+    ]
 
     def through_one() -> None:
         shared = compiled(problem, "smallest_gain")
@@ -129,7 +139,9 @@ def kept(name: str, row: dict[str, object]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--orders", type=int, nargs="+", default=ORDERS)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")

@@ -1,7 +1,10 @@
-"""Which optimiser is the default: CPU seconds to 95, 99 and 99.9 % of the best known training fit, ten seeds each.
+"""Which optimiser is the default: CPU seconds to 95, 99 and 99.9 % of the best known training fit,
+ten seeds each.
 
-python benchmarks/training_optimisers.py [seeds [minutes]]    # runs what is missing, then writes the table
-Every run is appended to results/reference/training/optimiser_curves.csv, so that it goes on where it stopped; the table
+python benchmarks/training_optimisers.py [seeds [minutes]]    # runs what is missing, then writes
+the table
+Every run is appended to results/reference/training/optimiser_curves.csv, so that it goes on where
+it stopped; the table
 optimisers.csv beside it is computed from all runs there. EMPS needs its MAT files (docs/data.md).
 """
 
@@ -41,16 +44,20 @@ def read(group: str, *overrides: str) -> Any:
 
 def motor(seed: int) -> DataSet:
     plant, excitation = read("plant", "+plant=dc_motor"), read("excitation", "+excitation=aprbs")
-    return read("data", "+data=simulated", "data.validation_samples=1000").build(plant, excitation, seed)
+    return read("data", "+data=simulated", "data.validation_samples=1000").build(
+        plant, excitation, seed
+    )
 
 
 def emps(seed: int) -> DataSet:
-    """Motor voltage to velocity; the records are what they are, the seed moves the starting point alone."""
+    """Motor voltage to velocity; the records are what they are, the seed moves the starting point
+    alone."""
     return read("data", "+data=emps").build(seed)
 
 
 def wiener_hammerstein(seed: int) -> DataSet:
-    """Filter, saturation with a dead zone, filter, noise of 2 %: eight records of 1000 samples, levels held for 10."""
+    """Filter, saturation with a dead zone, filter, noise of 2 %: eight records of 1000 samples,
+    levels held for 10."""
     rng = np.random.default_rng(seed)
 
     def record(name: str) -> Trajectory:
@@ -58,7 +65,9 @@ def wiener_hammerstein(seed: int) -> DataSet:
         v = lfilter([0.0, 0.2], [1.0, -0.8], u, axis=0)
         bent = np.tanh(np.sign(v) * np.maximum(np.abs(v) - 0.2, 0.0)) + 0.1 * v
         y = lfilter([0.0, 0.1, 0.05], [1.0, -1.5, 0.65], bent, axis=0)
-        return Trajectory(u=u, y=y + 0.02 * y.std() * rng.normal(size=y.shape), step_s=0.01, name=name)
+        return Trajectory(
+            u=u, y=y + 0.02 * y.std() * rng.normal(size=y.shape), step_s=0.01, name=name
+        )
 
     records = [record(f"record_{i}") for i in range(10)]
     zero, scale = np.zeros(1), np.array([records[0].y.std()])
@@ -73,19 +82,31 @@ def wiener_hammerstein(seed: int) -> DataSet:
 
 CASES: dict[str, tuple[Callable[[int], DataSet], tuple[str, ...]]] = {
     "motor": (motor, ("model.order=8",)),
-    "synthetic Wiener-Hammerstein": (wiener_hammerstein, ("model.order=6", "scaffold@model.scaffold_out=monotone")),
+    "synthetic Wiener-Hammerstein": (
+        wiener_hammerstein,
+        ("model.order=6", "scaffold@model.scaffold_out=monotone"),
+    ),
     "EMPS": (emps, ("model.order=4",)),
 }
 
 
-def curve(optimiser: str, data: DataSet, model: tuple[str, ...], seed: int) -> list[dict[str, float]]:
-    # No roughness penalty here: Levenberg-Marquardt cannot see it, and the comparison is of one error.
+def curve(
+    optimiser: str, data: DataSet, model: tuple[str, ...], seed: int
+) -> list[dict[str, float]]:
+    # No roughness penalty here: Levenberg-Marquardt cannot see it, and the comparison is of one
+    # error.
     epochs = [f"training.{name}={EPOCHS[optimiser]}" for name in ("max_epochs", "patience")]
     training = read(
-        "training", "+training=default", f"training/optimiser={optimiser}", "training.roughness_weight=0.0", *epochs
+        "training",
+        "+training=default",
+        f"training/optimiser={optimiser}",
+        "training.roughness_weight=0.0",
+        *epochs,
     )
     with tempfile.TemporaryDirectory() as folder:
-        return training.identify(read("model", "+model=ssm", *model), data, seed, Path(folder)).curve
+        return training.identify(
+            read("model", "+model=ssm", *model), data, seed, Path(folder)
+        ).curve
 
 
 def known() -> dict[tuple[str, str, int], list[tuple[float, float]]]:
@@ -99,7 +120,9 @@ def known() -> dict[tuple[str, str, int], list[tuple[float, float]]]:
 
 def run_missing(seeds: int, minutes: float) -> None:
     deadline, done = time.monotonic() + 60 * minutes, known()
-    missing = [(c, o, s) for s in range(seeds) for c in CASES for o in EPOCHS if (c, o, s) not in done]
+    missing = [
+        (c, o, s) for s in range(seeds) for c in CASES for o in EPOCHS if (c, o, s) not in done
+    ]
     for case, optimiser, seed in missing:
         if time.monotonic() > deadline:
             return
@@ -109,14 +132,25 @@ def run_missing(seeds: int, minutes: float) -> None:
         except BadRequest as reason:
             print(f"{case} left out: {reason}")
             continue
-        points = [(row["seconds"], row["fit_training_percent"]) for row in curve(optimiser, data, model, seed)]
+        points = [
+            (row["seconds"], row["fit_training_percent"])
+            for row in curve(optimiser, data, model, seed)
+        ]
         fresh = not CURVES.exists()
         with CURVES.open("a", newline="") as file:
             writer = csv.writer(file)
             if fresh:
                 writer.writerow(["data", "optimiser", "seed", "cpu_s", "fit_percent"])
-            writer.writerows([case, optimiser, seed, f"{cpu_s:.3f}", f"{fit:.4f}"] for cpu_s, fit in points)
-        print(case, optimiser, seed, f"{points[-1][0]:.1f} s, best {max(fit for _, fit in points):.2f} %", flush=True)
+            writer.writerows(
+                [case, optimiser, seed, f"{cpu_s:.3f}", f"{fit:.4f}"] for cpu_s, fit in points
+            )
+        print(
+            case,
+            optimiser,
+            seed,
+            f"{points[-1][0]:.1f} s, best {max(fit for _, fit in points):.2f} %",
+            flush=True,
+        )
 
 
 def reach(points: list[tuple[float, float]], fit: float) -> float:
@@ -124,7 +158,8 @@ def reach(points: list[tuple[float, float]], fit: float) -> float:
 
 
 def table() -> list[dict[str, object]]:
-    """Medians over the seeds that all optimisers ran; the best known fit is that of the same data and seed."""
+    """Medians over the seeds that all optimisers ran; the best known fit is that of the same data
+    and seed."""
     runs, rows = known(), []
     for case in CASES:
         seeds = [s for s in range(1000) if all((case, o, s) in runs for o in EPOCHS)]
@@ -151,4 +186,7 @@ def main(seeds: int, minutes: float) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10, float(sys.argv[2]) if len(sys.argv) > 2 else 60.0)
+    main(
+        int(sys.argv[1]) if len(sys.argv) > 1 else 10,
+        float(sys.argv[2]) if len(sys.argv) > 2 else 60.0,
+    )

@@ -1,7 +1,10 @@
-"""One whole training step of the paper's model: ours, the plain eager one, a public scan; and Lightning's overhead.
+"""One whole training step of the paper's model: ours, the plain eager one, a public scan; and
+Lightning's overhead.
 
-python benchmarks/training_step.py [step] [overhead]     # writes results/reference/training/step.csv
-Batch 16, 5000 samples, order 16, width 32, float32, fused Adam; every row says what the machine was doing.
+python benchmarks/training_step.py [step] [overhead]     # writes
+results/reference/training/step.csv
+Batch 16, 5000 samples, order 16, width 32, float32, fused Adam; every row says what the machine was
+doing.
 """
 
 import statistics
@@ -32,7 +35,8 @@ TARGET = REFERENCE / "training" / "step.csv"
 
 
 class PlainMlp(nn.Module):
-    """The scaffolding as a library would write it: two linear layers and a leaky ReLU over a samples x width table."""
+    """The scaffolding as a library would write it: two linear layers and a leaky ReLU over a
+    samples x width table."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -50,7 +54,9 @@ def ours() -> TorchSSM:
     return TorchSSM(scaffold, lru, Linear().build(frame, rng)).float()
 
 
-def stepper(parameters: list[nn.Parameter], forward: Callable[[], Tensor], y: Tensor) -> Callable[[], None]:
+def stepper(
+    parameters: list[nn.Parameter], forward: Callable[[], Tensor], y: Tensor
+) -> Callable[[], None]:
     trained = [p for p in parameters if p.requires_grad]
     optimiser = torch.optim.Adam(trained, fused=not any(p.is_complex() for p in trained))
 
@@ -66,10 +72,18 @@ def contenders() -> dict[str, Callable[[], None]]:
     torch.manual_seed(0)
     u, y = torch.randn(BATCH, SAMPLES, 1), torch.randn(BATCH, SAMPLES, 1)
     held = torch.randn(BATCH, SAMPLES // 20, 1).repeat_interleave(20, dim=1)
-    fast, fft, public, plain, plain_fft = ours(), ours(), PublicLRU(ORDER // 2), PlainMlp(), PlainMlp()
+    fast, fft, public, plain, plain_fft = (
+        ours(),
+        ours(),
+        PublicLRU(ORDER // 2),
+        PlainMlp(),
+        PlainMlp(),
+    )
     lifted, levels = Lift(u), Lift(held)
     return {
-        "ours": stepper(list(fast.parameters()), lambda: fast(u, lifted=lifted(fast.scaffold_in)), y),
+        "ours": stepper(
+            list(fast.parameters()), lambda: fast(u, lifted=lifted(fast.scaffold_in)), y
+        ),
         "ours, input held for 20 samples": stepper(
             list(fast.parameters()), lambda: fast(held, lifted=levels(fast.scaffold_in)), y
         ),
@@ -78,16 +92,23 @@ def contenders() -> dict[str, Callable[[], None]]:
             lambda: by_convolution(fft.lru.modes(), plain_fft(u)),
             y,
         ),
-        "public scan": stepper([*public.parameters(), *plain.parameters()], lambda: public(plain(u)), y),
+        "public scan": stepper(
+            [*public.parameters(), *plain.parameters()], lambda: public(plain(u)), y
+        ),
     }
 
 
 class Bare(pl.LightningModule):
-    """Steps of three numbers, `steps` in each call as in `Fit`: nearly all of their cost in a trainer is overhead."""
+    """Steps of three numbers, `steps` in each call as in `Fit`: nearly all of their cost in a
+    trainer is overhead."""
 
     def __init__(self, steps: int) -> None:
         super().__init__()
-        self.numbers, self.steps, self.automatic_optimization = nn.Parameter(torch.zeros(3)), steps, False
+        self.numbers, self.steps, self.automatic_optimization = (
+            nn.Parameter(torch.zeros(3)),
+            steps,
+            False,
+        )
 
     def evaluate(self) -> Tensor:
         self.zero_grad()
@@ -105,7 +126,8 @@ class Bare(pl.LightningModule):
 
 
 def overhead_ms(steps_per_call: int, pairs: int = 7, steps: int = 400) -> float:
-    """Lightning's step minus one of our own loop, start-up left out of both; median over alternating stretches."""
+    """Lightning's step minus one of our own loop, start-up left out of both; median over
+    alternating stretches."""
     module, excess = Bare(steps_per_call), []
     optimiser = module.configure_optimizers()
     for _ in range(pairs):
@@ -118,7 +140,8 @@ def overhead_ms(steps_per_call: int, pairs: int = 7, steps: int = 400) -> float:
 
 
 def lightning_ms(steps_per_call: int, steps: int) -> float:
-    """CPU milliseconds of a whole training of so many steps; each call is an epoch, as in `Training`."""
+    """CPU milliseconds of a whole training of so many steps; each call is an epoch, as in
+    `Training`."""
     with tempfile.TemporaryDirectory() as folder:
         trainer = pl.Trainer(
             max_epochs=steps // steps_per_call, accelerator="cpu", logger=False, enable_checkpointing=False,
@@ -135,7 +158,10 @@ def main(parts: list[str]) -> None:
     times = interleaved(contenders(), seconds=8.0) if "step" in parts else {}
     if "overhead" in parts:  # Adam's yaml has 50 steps per epoch
         times |= {f"Lightning's overhead, {k} steps per epoch": overhead_ms(k) for k in (10, 50)}
-    rows = [{"contender": name, "cpu_ms": f"{ms:.3g}", "machine": machine()} for name, ms in times.items()]
+    rows = [
+        {"contender": name, "cpu_ms": f"{ms:.3g}", "machine": machine()}
+        for name, ms in times.items()
+    ]
     keep(TARGET, rows, ["contender"], lambda row: str(row["contender"]).startswith("Lightning's"))
     print(TARGET.read_text())
 

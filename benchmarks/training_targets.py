@@ -1,7 +1,10 @@
-"""Every number asked of speed and training beside what was seen, in one table, from the tables of the other benchmarks.
+"""Every number asked of speed and training beside what was seen, in one table, from the tables of
+the other benchmarks.
 
-python benchmarks/training_targets.py      # reads and writes results/reference/training; run the others first
-floor: the same ratio, had ours cost no more than the bare FFT: forward and inverse transform with their gradients.
+python benchmarks/training_targets.py      # reads and writes results/reference/training; run the
+others first
+floor: the same ratio, had ours cost no more than the bare FFT: forward and inverse transform with
+their gradients.
 """
 
 from collections.abc import Iterator
@@ -19,37 +22,68 @@ def read(name: str) -> list[Row]:
     return rows_of(FOLDER / name)
 
 
-def row(what: str, seen: float, wanted: float, at_most: bool, source: str, floor: float | None = None) -> Row:
-    """One line: `seen`, `wanted` and `floor`, what a run of nothing but the floor would show, in `what`'s unit."""
+def row(
+    what: str, seen: float, wanted: float, at_most: bool, source: str, floor: float | None = None
+) -> Row:
+    """One line: `seen`, `wanted` and `floor`, what a run of nothing but the floor would show, in
+    `what`'s unit."""
     sign, met = ("at most", seen <= wanted) if at_most else ("at least", seen >= wanted)
-    numbers = {"wanted": f"{sign} {wanted:g}", "seen": f"{seen:.3g}", "floor": "" if floor is None else f"{floor:.3g}"}
+    numbers = {
+        "wanted": f"{sign} {wanted:g}",
+        "seen": f"{seen:.3g}",
+        "floor": "" if floor is None else f"{floor:.3g}",
+    }
     return {"what": what, **numbers, "met": str(met), "source": source}
 
 
 def recurrence() -> Iterator[Row]:
     name, table = "recurrence.csv", read("recurrence.csv")
-    ms = {(int(r["samples"]), int(r["modes"]), int(r["batch"]), r["contender"]): float(r["cpu_ms"]) for r in table}
+    ms = {
+        (int(r["samples"]), int(r["modes"]), int(r["batch"]), r["contender"]): float(r["cpu_ms"])
+        for r in table
+    }
     cases = sorted({key[:3] for key in ms if key[2] == BATCH})
     for case in cases:
         label = f"T = {case[0]}, {case[1]} modes, batch {case[2]}"
         ours, bare = ms[*case, "automatic"], ms[*case, "bare FFT"]
         yield row(f"ours over the bare FFT, {label}", ours / bare, 2.2, True, name)
-        for peer, wanted in (("public scan", SCAN.get(case[:2])), ("LSTM", 8.0), ("dynoNet filter", 6.0)):
+        for peer, wanted in (
+            ("public scan", SCAN.get(case[:2])),
+            ("LSTM", 8.0),
+            ("dynoNet filter", 6.0),
+        ):
             if wanted and (*case, peer) in ms:
                 theirs = ms[*case, peer]
-                yield row(f"{peer} over ours, {label}", theirs / ours, wanted, False, name, theirs / bare)
+                yield row(
+                    f"{peer} over ours, {label}", theirs / ours, wanted, False, name, theirs / bare
+                )
     wide, narrow = (10_000, 256, 16), (10_000, 8, 16)
     for which in ("automatic", "convolution"):
         if (*wide, which) in ms and (*narrow, which) in ms:
             many, few, bare = ms[*wide, which], ms[*narrow, which], ms[*wide, "bare FFT"]
-            yield row(f"256 modes over 8, T = 10000, {which} for both", many / few, 1.6, True, name, bare / few)
+            yield row(
+                f"256 modes over 8, T = 10000, {which} for both",
+                many / few,
+                1.6,
+                True,
+                name,
+                bare / few,
+            )
 
 
 def step() -> Iterator[Row]:
     ms = {r["contender"]: float(r["cpu_ms"]) for r in read("step.csv")}
     label = "whole step, order 16, width 32, batch 16, T = 5000"
-    yield row(f"public scan over ours, {label}", ms["public scan"] / ms["ours"], 6.0, False, "step.csv")
-    yield row(f"plain eager FFT over ours, {label}", ms["plain eager FFT"] / ms["ours"], 2.0, False, "step.csv")
+    yield row(
+        f"public scan over ours, {label}", ms["public scan"] / ms["ours"], 6.0, False, "step.csv"
+    )
+    yield row(
+        f"plain eager FFT over ours, {label}",
+        ms["plain eager FFT"] / ms["ours"],
+        2.0,
+        False,
+        "step.csv",
+    )
     for name in (name for name in ms if name.startswith("Lightning's overhead")):
         yield row(f"{name}, ms per step", ms[name], 0.5, True, "step.csv")
     yield row("compile time, s (nothing is compiled)", 0.0, 30.0, True, "step.csv")
@@ -60,7 +94,9 @@ def optimisers() -> Iterator[Row]:
     motor, adam = table["motor", "lbfgs"], table["motor", "adam"]
     label, name = f"motor, median of {motor['seeds']} seeds", "optimisers.csv"
     ours = float(motor["cpu_s_to_99"])
-    yield row(f"CPU seconds to 99 % of the best known fit by the default, {label}", ours, 5.0, True, name)
+    yield row(
+        f"CPU seconds to 99 % of the best known fit by the default, {label}", ours, 5.0, True, name
+    )
     yield row(f"Adam's time over it, {label}", float(adam["cpu_s_to_99"]) / ours, 2.0, False, name)
     worst = float(motor["worst_end_percent"])
     yield row("worst end by the default, % of the best known fit, motor", worst, 97.0, False, name)
@@ -70,7 +106,11 @@ def main() -> None:
     rows = [*recurrence(), *step(), *optimisers()]
     write(FOLDER / "targets.csv", rows)
     print(
-        *(f"{r['what']}: {r['seen']} ({r['wanted']}) {'' if r['met'] == 'True' else 'MISSED'}" for r in rows), sep="\n"
+        *(
+            f"{r['what']}: {r['seen']} ({r['wanted']}) {'' if r['met'] == 'True' else 'MISSED'}"
+            for r in rows
+        ),
+        sep="\n",
     )
 
 

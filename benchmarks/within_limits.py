@@ -1,11 +1,16 @@
-"""With limits on: ten seeds of three plants, the certified loop beside a clamp of which the law knows nothing.
+"""With limits on: ten seeds of three plants, the certified loop beside a clamp of which the law
+knows nothing.
 
-    python benchmarks/within_limits.py run --to /tmp/limits        (30 runs, ten minutes on one core)
+    python benchmarks/within_limits.py run --to /tmp/limits        (30 runs, ten minutes on one
+    core)
     python benchmarks/within_limits.py table /tmp/limits --to results/reference/loop
 
-The limits are a fifth to two fifths of what the records used, so that they act for much of the way. `auto` is the run
-as it stands; `integral` is a design with integrators for the same model, which is where a naive clamp winds up. Loops
-of the table: ten starts at the ends of the plant's range and between, no noise; `naive` is the same law in front of an
+The limits are a fifth to two fifths of what the records used, so that they act for much of the way.
+`auto` is the run
+as it stands; `integral` is a design with integrators for the same model, which is where a naive
+clamp winds up. Loops
+of the table: ten starts at the ends of the plant's range and between, no noise; `naive` is the same
+law in front of an
 actuator that clips unknown to it.
 """
 
@@ -17,6 +22,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
 from ssm_study.loop.controller import ObserverFeedback
@@ -25,30 +31,51 @@ from ssm_study.loop.regulation import LoopRuns
 from ssm_study.plants.wrapper import SaturatedInput
 from ssm_study.report import style
 from ssm_study.study.run_files import RunFiles
-from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of, with_limits
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 LIMITS = {"dc_motor": (-1.5, 1.5), "stribeck_drive": (-0.5, 0.5), "cascaded_tanks": (1.7, 3.3)}
-INTEGRAL = RiccatiSynthesis(rate_controller=0.003, rate_observer=0.1, input_weight=0.1, output_noise=0.1)
+INTEGRAL = RiccatiSynthesis(
+    rate_controller=0.003, rate_observer=0.1, input_weight=0.1, output_noise=0.1
+)
 
 
 def run(to: Path) -> None:
     """One sweep of ten seeds for each plant."""
     for plant, (low, high) in LIMITS.items():
-        words = [f"plant={plant}", f"study={plant}", "seed=range(10)", "progress=false", "hydra/launcher=basic"]
-        main(["run", "-m", *words, f"loop.input_lower={low}", f"loop.input_upper={high}", f"results_dir={to}"])
+        words = [
+            f"plant={plant}",
+            f"study={plant}",
+            "seed=range(10)",
+            "progress=false",
+            "hydra/launcher=basic",
+        ]
+        main(
+            [
+                "run",
+                "-m",
+                *words,
+                f"loop.input_lower={low}",
+                f"loop.input_upper={high}",
+                f"results_dir={to}",
+            ]
+        )
 
 
 def loops(files: RunFiles, integral: bool) -> tuple[Design, LoopRuns, LoopRuns]:
-    """The certified law within its limits, and the same law in front of a clamp that it is not told of; no noise."""
+    """The certified law within its limits, and the same law in front of a clamp that it is not told
+    of; no noise."""
     plant, model, (low, high) = files.plant, files.model, files.loop.limits
     design = files.design
     if integral:
-        design = replace(INTEGRAL, internal_model=["step"], integral_weight=1e-2).design(model, certified_balls(model))
+        design = replace(INTEGRAL, internal_model=["step"], integral_weight=1e-2).design(
+            model, certified_balls(model)
+        )
     law = ObserverFeedback.of(model, design)
     fitted = files.loop.fitted(model)
-    quiet = replace(fitted, measurement_noise_variance=0.0, horizon_s=(4 if integral else 1) * fitted.horizon_s)
+    quiet = replace(
+        fitted, measurement_noise_variance=0.0, horizon_s=(4 if integral else 1) * fitted.horizon_s
+    )
     told = quiet.on_plant(plant, law, seed=0)
     untold = replace(quiet, input_lower=None, input_upper=None)
     clamped = SaturatedInput(plant=plant, lower=float(low), upper=float(high))
@@ -61,8 +88,15 @@ def row(folder: Path, integral: bool) -> dict[str, object]:
     files, plant = RunFiles(path=folder, record=record), folder.parent.name
     design, told, naive = loops(files, integral)
     (low, high), u = LIMITS[plant], told.controlled.u
-    found: dict[str, object] = {"plant": plant, "law": "integral" if integral else "auto", "seed": record["seed"]}
-    found |= {"certified": design.certified, "settled_in_the_run": None if integral else record["stable_count"]}
+    found: dict[str, object] = {
+        "plant": plant,
+        "law": "integral" if integral else "auto",
+        "seed": record["seed"],
+    }
+    found |= {
+        "certified": design.certified,
+        "settled_in_the_run": None if integral else record["stable_count"],
+    }
     parts = with_limits(files.model, design, np.array([low]), np.array([high]))
     found |= {"limited_rate": parts[EVERYWHERE].rate if EVERYWHERE in parts else None}
     lower, upper = outputs_of(files.model, parts[SETS].starts)
@@ -71,22 +105,35 @@ def row(folder: Path, integral: bool) -> dict[str, object]:
     found["most_samples_at_a_limit"] = int(((u <= low) | (u >= high)).sum(axis=(1, 2)).max())
     for name, one in (("", told), ("naive_", naive)):
         columns = pooled([one])
-        for column in ("stable_count", "settling_time_mean_s", "settling_time_worst_s", "overshoot_worst"):
+        for column in (
+            "stable_count",
+            "settling_time_mean_s",
+            "settling_time_worst_s",
+            "overshoot_worst",
+        ):
             found[name + column] = columns[column]
     return found
 
 
 def draw(folder: Path, path: Path) -> None:
-    """The start farthest out under both: output above, what the law asks for and what acts below."""
+    """The start farthest out under both: output above, what the law asks for and what acts
+    below."""
     files = RunFiles(path=folder, record={})
     _, told, naive = loops(files, integral=True)
     low, high = LIMITS[folder.parent.name]
     case = int(np.abs(told.controlled.y[:, 0, 0] - files.plant.equilibrium().y[0]).argmax())
     fig = style.canvas(style.PAGE_IN, 3.2)
     above, below = fig.subplots(2, 1, sharex=True)
-    for one, colour, label in ((naive, style.VERMILLION, "naive clamp"), (told, style.BLUE, "limits known")):
-        above.plot(one.controlled.time_s, one.controlled.y[case, :, 0], color=colour, lw=1, label=label)
-        below.step(one.controlled.time_s, one.controlled.u[case, :, 0], color=colour, lw=1, where="post")
+    for one, colour, label in (
+        (naive, style.VERMILLION, "naive clamp"),
+        (told, style.BLUE, "limits known"),
+    ):
+        above.plot(
+            one.controlled.time_s, one.controlled.y[case, :, 0], color=colour, lw=1, label=label
+        )
+        below.step(
+            one.controlled.time_s, one.controlled.u[case, :, 0], color=colour, lw=1, where="post"
+        )
     for limit in (low, high):
         below.axhline(limit, color="black", lw=0.8, ls="--")
     output, applied = files.plant.outputs[0], files.plant.inputs[0]
@@ -98,7 +145,9 @@ def draw(folder: Path, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("do", choices=("run", "table"))
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--to", type=Path, required=True)
@@ -108,6 +157,8 @@ if __name__ == "__main__":
     else:
         runs = sorted(path.parent for path in asked.folder.glob("*/*/record.json"))
         table = pd.DataFrame([row(one, integral) for integral in (False, True) for one in runs])
-        table.to_csv(asked.to / "within_limits.csv", index=False, float_format="%.4g", lineterminator="\n")
+        table.to_csv(
+            asked.to / "within_limits.csv", index=False, float_format="%.4g", lineterminator="\n"
+        )
         draw(next(one for one in runs if "seed0" in one.name), asked.to / "within_limits.png")
         print(table.to_string())

@@ -1,4 +1,5 @@
-"""What MkDocs does not do by itself: navigation by chapter, the reference, formulas without a network, findings."""
+"""What MkDocs does not do by itself: navigation by chapter, the reference, formulas without a
+network, findings."""
 
 import re
 from pathlib import Path
@@ -25,11 +26,24 @@ CHAPTERS = {
         "log_to_device.md",
         "howto_export.md",
     ],
-    "Explained": ["theory.md", "plants.md", "data.md", "models.md", "closed_loop.md", "trust.md", "engine.md"],
+    "Explained": [
+        "theory.md",
+        "plants.md",
+        "data.md",
+        "models.md",
+        "closed_loop.md",
+        "trust.md",
+        "engine.md",
+    ],
     "Results": ["findings.md"],
     "Notebooks": [
         f"notebooks/{name}.md"
-        for name in ("the_paper", "reading_a_sweep", "how_far_can_a_certificate_go", "your_own_data")
+        for name in (
+            "the_paper",
+            "reading_a_sweep",
+            "how_far_can_a_certificate_go",
+            "your_own_data",
+        )
     ],
     "Inside": ["maintainers.md", "report_page.md"],
 }
@@ -38,9 +52,12 @@ ROOMS = sorted(path.parent.name for path in (ROOT / "ssm_study").glob("*/__init_
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Chapters in reading order; a page nobody sorted yet comes under its own heading rather than nowhere."""
+    """Chapters in reading order; a page nobody sorted yet comes under its own heading rather than
+    nowhere."""
     present = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
-    nav: list[Any] = [{title: [page for page in pages if page in present]} for title, pages in CHAPTERS.items()]
+    nav: list[Any] = [
+        {title: [page for page in pages if page in present]} for title, pages in CHAPTERS.items()
+    ]
     unsorted = sorted(present - {page for pages in CHAPTERS.values() for page in pages})
     nav += [{"More": unsorted}] if unsorted else []
     nav.append({"Reference": [{room: f"reference/{room}.md"} for room in ("shared", *ROOMS)]})
@@ -49,13 +66,18 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """One reference page per room, with every module in it: a new file is in the reference without being listed."""
+    """One reference page per room, with every module in it: a new file is in the reference without
+    being listed."""
     nouns = sorted((ROOT / "ssm_study").glob("[!_]*.py"))
     pages = {"shared": nouns}
     for room in ROOMS:
-        pages[room] = sorted(path for path in (ROOT / "ssm_study" / room).rglob("*.py") if path.name != "__init__.py")
+        pages[room] = sorted(
+            path for path in (ROOT / "ssm_study" / room).rglob("*.py") if path.name != "__init__.py"
+        )
     for room, modules in pages.items():
-        files.append(File.generated(config, f"reference/{room}.md", content=_reference(room, modules)))
+        files.append(
+            File.generated(config, f"reference/{room}.md", content=_reference(room, modules))
+        )
     for picture in sorted(PICTURES.rglob("*.png")):
         place = f"measured/{picture.relative_to(PICTURES).as_posix()}"
         files.append(File.generated(config, place, abs_src_path=str(picture)))
@@ -70,12 +92,15 @@ def _reference(room: str, modules: list[Path]) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """`<!-- answers STUDY -->` becomes what the committed table of that study says; pictures come from their folder.
+    """`<!-- answers STUDY -->` becomes what the committed table of that study says; pictures come
+    from their folder.
 
     `<!-- columns -->` becomes the table of the declared columns.
     """
     markdown = markdown.replace("](../results/reference/", "](measured/")
-    markdown = re.sub(r"\]\(\.\./ssm_study/(\w+)/\w+\.py\)", r"](reference/\1.md)", markdown)  # in a clone, the file
+    markdown = re.sub(
+        r"\]\(\.\./ssm_study/(\w+)/\w+\.py\)", r"](reference/\1.md)", markdown
+    )  # in a clone, the file
     markdown = markdown.replace("<!-- columns -->", _columns())
     return re.sub(r"<!-- answers (\w+) -->", lambda match: _answers(match[1]), markdown)
 
@@ -101,9 +126,17 @@ def _answers(study: str) -> str:
 
 def on_page_content(html: str, **_: Any) -> str:
     """LaTeX to MathML, which browsers draw themselves: no script, no font, no network."""
-    html = re.sub(r'<span class="arithmatex">\\\((.*?)\\\)</span>', lambda m: _mathml(m[1], "inline"), html, flags=re.S)
+    html = re.sub(
+        r'<span class="arithmatex">\\\((.*?)\\\)</span>',
+        lambda m: _mathml(m[1], "inline"),
+        html,
+        flags=re.S,
+    )
     return re.sub(
-        r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', lambda m: _mathml(m[1], "block"), html, flags=re.S
+        r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>',
+        lambda m: _mathml(m[1], "block"),
+        html,
+        flags=re.S,
     )
 
 

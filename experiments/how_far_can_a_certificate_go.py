@@ -8,12 +8,14 @@
 # %% [markdown]
 # # How far can a certificate go?
 #
-# Theorem 1 certifies a contraction rate ρ if a linear matrix inequality has a solution. How large can ρ be?
+# Theorem 1 certifies a contraction rate ρ if a linear matrix inequality has a solution. How large
+# can ρ be?
 # No solver is needed to know. With r = √(1 − ρ), one input, and slopes of `S_u` in [μ, ν],
 #
 # > feasible  ⟺  (ν − μ) / (ν + μ)  <  ∏ r / |λᵢ(A)|  over all eigenvalues with |λᵢ(A)| > r.
 #
-# This notebook draws that frontier, puts controllers on both sides of it, and tries to cheat the verification.
+# This notebook draws that frontier, puts controllers on both sides of it, and tries to cheat the
+# verification.
 
 # %%
 import json
@@ -25,16 +27,18 @@ import numpy as np
 from IPython.display import Image, display
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Infeasible
 from ssm_study.cli.main import main
 from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.study.verify import verify
-from ssm_study.certificates.certificate import Infeasible
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall
 
-EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
+EXPERIMENT = os.environ.get(
+    "SSM_STUDY_EXPERIMENT", "paper"
+)  # CI runs `smoke`: the same steps, tiny
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 
 _ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress=false"])
@@ -46,13 +50,20 @@ linear = run.model.linear
 # %% [markdown]
 # ## The frontier, and the solver-free verdict on both sides of it
 #
-# For each slope ratio μ/ν the line is the exact limit. Controllers are requested 1, 10 and 20 % below it, and as much
-# above it. Below, the closed-form gain is checked in exact rational arithmetic; above, the request is refused with the
+# For each slope ratio μ/ν the line is the exact limit. Controllers are requested 1, 10 and 20 %
+# below it, and as much
+# above it. Below, the closed-form gain is checked in exact rational arithmetic; above, the request
+# is refused with the
 # number that decides.
 
 # %%
 ratios = np.geomspace(0.02, 0.95, 12)
-limits = np.array([controller_frontier(linear, JacobianBall.from_slopes(ratio, 1.0)).rate_limit for ratio in ratios])
+limits = np.array(
+    [
+        controller_frontier(linear, JacobianBall.from_slopes(ratio, 1.0)).rate_limit
+        for ratio in ratios
+    ]
+)
 verdicts = []
 for ratio, limit in zip(ratios, limits, strict=True):
     for share in (0.8, 0.9, 0.99, 1.01, 1.1, 1.2):
@@ -71,10 +82,15 @@ with style.paper():
         (True, "below: certified", "o", style.BLUE),
         (False, "above: refused", "x", style.VERMILLION),
     ):
-        points = np.array([(ratio, rate) for ratio, rate, verdict in verdicts if verdict is certified]).reshape(-1, 2)
+        points = np.array(
+            [(ratio, rate) for ratio, rate, verdict in verdicts if verdict is certified]
+        ).reshape(-1, 2)
         axes.plot(*points.T, marker, color=colour, ls="", ms=3, label=label)
     style.above(axes, columns=2)
-    axes.set(xlabel="Slope ratio of S$_u$, smallest / largest (–)", ylabel="Controller rate, ρ (1/sample)")
+    axes.set(
+        xlabel="Slope ratio of S$_u$, smallest / largest (–)",
+        ylabel="Controller rate, ρ (1/sample)",
+    )
     png, _ = style.save(figure, RESULTS / EXPERIMENT / "figures", "both_sides_of_the_frontier")
 display(Image(filename=str(png), retina=True))
 
@@ -83,23 +99,29 @@ print(f"{sum(v for *_, v in verdicts)} certified, {sum(not v for *_, v in verdic
 # %% [markdown]
 # ## What does a rate cost?
 #
-# The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate is a statement about
+# The gain, on this run's own model and slopes, as the rate approaches its limit. A certificate is a
+# statement about
 # the *model*: it does not say how large a gain the plant bears.
 
 # %%
 ball = certified_balls(run.model).input
 limit = controller_frontier(linear, ball).rate_limit
 for share in (0.1, 0.5, 0.9, 0.99, 0.999):
-    part = ClosedFormSynthesis(rate_controller=limit * share, rate_observer=0.1).state_feedback(linear, ball)
+    part = ClosedFormSynthesis(rate_controller=limit * share, rate_observer=0.1).state_feedback(
+        linear, ball
+    )
     if isinstance(part, Infeasible):
         print(f"{share:6.1%} of the limit: {part.reason}")
     else:
-        print(f"{share:6.1%} of the limit: |K| = {part.gain_norm:10.3g}, certified {part.certified}")
+        print(
+            f"{share:6.1%} of the limit: |K| = {part.gain_norm:10.3g}, certified {part.certified}"
+        )
 
 # %% [markdown]
 # ## Trying to cheat
 #
-# Change one entry of the stored gain in the third digit and verify again. `verify` reads the files alone.
+# Change one entry of the stored gain in the third digit and verify again. `verify` reads the files
+# alone.
 
 # %%
 findings = verify(run.path)

@@ -8,8 +8,10 @@
 # %% [markdown]
 # # Reading a sweep
 #
-# One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks the table the
-# questions a study is made for: which run is best, where feasibility ends, whether the prediction holds.
+# One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks
+# the table the
+# questions a study is made for: which run is best, where feasibility ends, whether the prediction
+# holds.
 
 # %%
 import os
@@ -25,7 +27,9 @@ from ssm_study.report.study_folder import StudyFolder
 from ssm_study.report.words import INFEASIBLE, verdicts, words
 from ssm_study.table.rank import best_first
 
-EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
+EXPERIMENT = os.environ.get(
+    "SSM_STUDY_EXPERIMENT", "paper"
+)  # CI runs `smoke`: the same steps, tiny
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 STUDY = "reading_a_sweep"
 
@@ -39,7 +43,8 @@ WHERE = [f"study={STUDY}", f"results_dir={RESULTS}", "progress=false"]
 _ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %% [markdown]
-# Four runs, but only two trainings: a rate is requested for a model that exists already. The table has a row per run,
+# Four runs, but only two trainings: a rate is requested for a model that exists already. The table
+# has a row per run,
 # **failed and infeasible ones included**. A number that a run does not have is missing, never zero.
 
 # %%
@@ -60,8 +65,10 @@ for answer in answers(study.table):
 # %% [markdown]
 # ## Where feasibility ends
 #
-# Each model has its own exact limit (the bar), which follows from the eigenvalues of A and the ratio of its smallest
-# to its largest slope. A larger slope floor raises it. What lies above its bar is infeasible *whatever* the solver.
+# Each model has its own exact limit (the bar), which follows from the eigenvalues of A and the
+# ratio of its smallest
+# to its largest slope. A larger slope floor raises it. What lies above its bar is infeasible
+# *whatever* the solver.
 
 # %%
 for name in ("feasibility_map", "rates"):
@@ -81,7 +88,8 @@ for _, row in infeasible.iterrows():
 # %% [markdown]
 # ## The same, with a mouse
 #
-# One file that opens from disk: brush in one plot and the rest follows, click a point and see its run.
+# One file that opens from disk: brush in one plot and the rest follows, click a point and see its
+# run.
 
 # %%
 page = write_page(study.folder)

@@ -8,9 +8,12 @@
 # %% [markdown]
 # # The paper in one notebook
 #
-# *Controller Design for Structured State-space Models via Contraction Theory* (Zakwan, Gupta, Karimi, Balta,
-# Ferrari-Trecate; arXiv 2604.07069): a nonlinear motor is identified from data as a structured state-space model
-# `x⁺ = A x + B S_u(u)`, `y = S_y(C x)`; a state feedback and an observer are designed for the model with a
+# *Controller Design for Structured State-space Models via Contraction Theory* (Zakwan, Gupta,
+# Karimi, Balta,
+# Ferrari-Trecate; arXiv 2604.07069): a nonlinear motor is identified from data as a structured
+# state-space model
+# `x⁺ = A x + B S_u(u)`, `y = S_y(C x)`; a state feedback and an observer are designed for the model
+# with a
 # certificate of contraction; both are then put on the *simulated* motor.
 #
 # Everything below is the command `ssm-study run experiment=paper` and a look at what it leaves.
@@ -26,7 +29,9 @@ from ssm_study.cli.main import main
 from ssm_study.report import figures
 from ssm_study.report.study_folder import StudyFolder
 
-EXPERIMENT = os.environ.get("SSM_STUDY_EXPERIMENT", "paper")  # CI runs `smoke`: the same steps, tiny
+EXPERIMENT = os.environ.get(
+    "SSM_STUDY_EXPERIMENT", "paper"
+)  # CI runs `smoke`: the same steps, tiny
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 
 _ = main(["run", f"experiment={EXPERIMENT}", f"results_dir={RESULTS}", "progress=false"])
@@ -52,15 +57,18 @@ def show(name: str) -> None:
 # %% [markdown]
 # ## Identification
 #
-# Training did not see the validation record. The model simulates it freely: it sees the input, never a measured output.
+# Training did not see the validation record. The model simulates it freely: it sees the input,
+# never a measured output.
 
 # %%
 show("validation_trajectory")
 print(f"fit on the noise-free test record: {run.record['fit_test_percent']:.1f} %")
 
 # %% [markdown]
-# What did the network learn of the motor? Its input map, scaled to volts, over the true dead-zone. The certificate
-# needs its slopes away from zero, so it cannot follow the flat part to the end: the **slope floor** is the price of
+# What did the network learn of the motor? Its input map, scaled to volts, over the true dead-zone.
+# The certificate
+# needs its slopes away from zero, so it cannot follow the flat part to the end: the **slope floor**
+# is the price of
 # being able to certify anything.
 
 # %%
@@ -69,8 +77,10 @@ show("learned_dead_zone")
 # %% [markdown]
 # ## Certificate
 #
-# The rates that were chosen, and the largest that *any* controller can be certified for, from eigenvalues and slopes.
-# `certified` is the verdict of exact rational arithmetic on the stored matrices, not a solver's status.
+# The rates that were chosen, and the largest that *any* controller can be certified for, from
+# eigenvalues and slopes.
+# `certified` is the verdict of exact rational arithmetic on the stored matrices, not a solver's
+# status.
 
 # %%
 certificate = run.certificate
@@ -84,7 +94,8 @@ show("certified_decay")
 # %% [markdown]
 # ## The simulated motor
 #
-# Ten initial speeds, measured with noise, controlled through the observer; beside them the same starts left alone.
+# Ten initial speeds, measured with noise, controlled through the observer; beside them the same
+# starts left alone.
 
 # %%
 show("closed_loop_responses")
@@ -95,7 +106,8 @@ print(f"mean settling time: {controlled:.3f} s, left alone {alone:.3f} s")
 # %% [markdown]
 # ## Check it
 #
-# `verify` recomputes every number of the run from its files. The exit status is 0 only if all of them agree.
+# `verify` recomputes every number of the run from its files. The exit status is 0 only if all of
+# them agree.
 
 # %%
 status = main(["verify", str(run.path)])

@@ -8,10 +8,14 @@
 # %% [markdown]
 # # Your own data: a log that cannot be trusted, and one that can
 #
-# You have a log: a column with what you applied, a column with what you measured, a sampling time. A model can be
-# fitted to any log, and a controller with a certificate can be designed for any such model. Whether the controller
-# works on the machine is another question, and the log decides it. This notebook takes two logs of one heater: one
-# from ordinary operation, and one that was recorded for the purpose. The first gets no prediction, with the reasons
+# You have a log: a column with what you applied, a column with what you measured, a sampling time.
+# A model can be
+# fitted to any log, and a controller with a certificate can be designed for any such model. Whether
+# the controller
+# works on the machine is another question, and the log decides it. This notebook takes two logs of
+# one heater: one
+# from ordinary operation, and one that was recorded for the purpose. The first gets no prediction,
+# with the reasons
 # and what to record instead. The second gets one, and it turns out right.
 
 # %%
@@ -37,8 +41,10 @@ SETTINGS = ("model.order=2", "model.slope_lower=0.3", "training.max_epochs=60")
 # %% [markdown]
 # ## The heater
 #
-# It stands in for your machine: it cools by itself, its gain is twice as large around rest as far from it, and its
-# sensor is noisy. Nothing below looks inside it; replace `power` and `temperature` by the columns of your own file.
+# It stands in for your machine: it cools by itself, its gain is twice as large around rest as far
+# from it, and its
+# sensor is noisy. Nothing below looks inside it; replace `power` and `temperature` by the columns
+# of your own file.
 
 
 # %%
@@ -54,7 +60,8 @@ def sensor(temperature: np.ndarray, seed: int) -> np.ndarray:
 # %% [markdown]
 # ## The log from ordinary operation
 #
-# Two minutes of ordinary operation: a thermostat switches the power between two levels, and the room warms and cools
+# Two minutes of ordinary operation: a thermostat switches the power between two levels, and the
+# room warms and cools
 # meanwhile, which nobody recorded.
 
 # %%
@@ -68,7 +75,9 @@ for k in range(1199):
     temperature[k + 1] = warmer(temperature[k], power[k], room[k])
 lying_around = pd.DataFrame({"power": power, "temperature": sensor(temperature, seed=1)})
 
-model = st.fit(lying_around["power"], lying_around["temperature"], STEP_S, *SETTINGS, results_dir=RESULTS)
+model = st.fit(
+    lying_around["power"], lying_around["temperature"], STEP_S, *SETTINGS, results_dir=RESULTS
+)
 poor = st.control(model)
 
 
@@ -91,13 +100,16 @@ def verdict(design: st.Design) -> None:
 verdict(poor)
 
 # %% [markdown]
-# No. The certificate holds, for a model that has nothing to do with the heater. The prediction is withheld, and every
-# reason says what to do about it: the record is short, the output moves by something that is not in the log, the
+# No. The certificate holds, for a model that has nothing to do with the heater. The prediction is
+# withheld, and every
+# reason says what to do about it: the record is short, the output moves by something that is not in
+# the log, the
 # input says nothing beyond its two levels.
 #
 # ## The log that was made for the purpose
 #
-# `ssm-study excite` writes an input to apply: random levels over the whole range at three amplitudes, every period
+# `ssm-study excite` writes an input to apply: random levels over the whole range at three
+# amplitudes, every period
 # twice, and rest at both ends. Here it runs on the stand-in, in a room of constant temperature.
 
 # %%
@@ -114,7 +126,8 @@ good = st.control(model)
 verdict(good)
 
 # %% [markdown]
-# The evidence is sound, so a prediction is made. The notes remain: they say what this log does not show.
+# The evidence is sound, so a prediction is made. The notes remain: they say what this log does not
+# show.
 
 # %%
 for name in ("validation_trajectory", "excitation"):
@@ -124,7 +137,8 @@ for name in ("validation_trajectory", "excitation"):
 # %% [markdown]
 # ## Was the verdict right?
 #
-# Both controllers now run on the heater itself, in a room of constant temperature, from the same five temperatures,
+# Both controllers now run on the heater itself, in a room of constant temperature, from the same
+# five temperatures,
 # within the heater's limits of ±3. With your own machine, this step is yours.
 
 
@@ -155,12 +169,14 @@ with style.paper():
 display(Image(filename=str(png), retina=True))
 
 # %% [markdown]
-# Both controllers carry a certificate, and each aims at the rest point of its own records. The verdict on the evidence
+# Both controllers carry a certificate, and each aims at the rest point of its own records. The
+# verdict on the evidence
 # told them apart before either was tried.
 #
 # ## Export the controller
 #
-# Dependency-free C; `ssm-study export` also writes an ONNX cell and a python-control system, each computing what the
+# Dependency-free C; `ssm-study export` also writes an ONNX cell and a python-control system, each
+# computing what the
 # certified loop computes, and the certificate beside them.
 
 # %%

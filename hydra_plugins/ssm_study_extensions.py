@@ -1,4 +1,5 @@
-"""Tells Hydra where the yaml files of trusted packages lie; read at each start, so nothing heavy."""
+"""Tells Hydra where the yaml files of trusted packages lie; read at each start, so nothing
+heavy."""
 
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.plugins.search_path_plugin import SearchPathPlugin

@@ -1,4 +1,5 @@
-"""Makes `hydra/launcher=processes` and `hydra/sweeper=grid` known to Hydra; read at each start, so nothing heavy."""
+"""Makes `hydra/launcher=processes` and `hydra/sweeper=grid` known to Hydra; read at each start, so
+nothing heavy."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,11 +22,15 @@ class ProcessesConf:
     _target_: str = "hydra_plugins.ssm_study_launcher.ProcessesLauncher"
     n_jobs: int | None = None  # null: as many as the cores allow
     threads: int = 1  # per job; n_jobs * threads may not exceed the cores
-    timeout_s: float | None = None  # a job that takes longer is stopped and recorded as failed; null: never
+    timeout_s: float | None = (
+        None  # a job that takes longer is stopped and recorded as failed; null: never
+    )
     fail_fast: bool = False  # true: after the first failed run none is begun
 
 
-ConfigStore.instance().store(group="hydra/launcher", name="processes", node=ProcessesConf, provider="ssm-study")
+ConfigStore.instance().store(
+    group="hydra/launcher", name="processes", node=ProcessesConf, provider="ssm-study"
+)
 
 
 @dataclass
@@ -33,11 +38,14 @@ class GridConf(BasicSweeperConf):
     _target_: str = "hydra_plugins.ssm_study_launcher.GridSweeper"
 
 
-ConfigStore.instance().store(group="hydra/sweeper", name="grid", node=GridConf, provider="ssm-study")
+ConfigStore.instance().store(
+    group="hydra/sweeper", name="grid", node=GridConf, provider="ssm-study"
+)
 
 
 class GridSweeper(BasicSweeper):
-    """Hydra's own grid, without composing every job once more: the launcher checks them all, or `cli/request.py`.
+    """Hydra's own grid, without composing every job once more: the launcher checks them all, or
+    `cli/request.py`.
 
     A sweep that was only planned, or refused, leaves nothing behind.
     """
@@ -64,10 +72,19 @@ class ProcessesLauncher(Launcher):
     def __init__(self, **settings: Any) -> None:  # those of `ProcessesConf`
         self.settings = settings
 
-    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
-    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+    def launch(
+        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
+    ) -> Sequence[JobReturn]:
         from ssm_study.engine.launcher import Processes, launch
 
-        return launch(Processes(**self.settings), self, [list(words) for words in job_overrides], initial_job_idx)
+        return launch(
+            Processes(**self.settings),
+            self,
+            [list(words) for words in job_overrides],
+            initial_job_idx,
+        )

@@ -1,4 +1,5 @@
-"""From input-output data of a nonlinear system to a certified output-feedback controller: `ssm_study.library`."""
+"""From input-output data of a nonlinear system to a certified output-feedback controller:
+`ssm_study.library`."""
 
 from importlib import import_module
 from typing import Any

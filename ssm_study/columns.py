@@ -1,4 +1,5 @@
-"""What a number of a record is called, in which unit, and how it is printed, ranked and verified: said once."""
+"""What a number of a record is called, in which unit, and how it is printed, ranked and verified:
+said once."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -7,19 +8,28 @@ from typing import Literal
 Kind = Literal["string", "Int64", "Float64", "boolean"]
 
 ONE_FORMULA = 1e-9  # relative: the same float64 formula on another machine's libraries
-ITERATED = 1e-6  # relative: what an iteration or a thousand steps produce (eigenvalues, frontier, norms)
-EIGENVALUE = 1e-12  # absolute: what rounding moves the smallest eigenvalue of a matrix with unit diagonal
+ITERATED = (
+    1e-6  # relative: what an iteration or a thousand steps produce (eigenvalues, frontier, norms)
+)
+EIGENVALUE = (
+    1e-12  # absolute: what rounding moves the smallest eigenvalue of a matrix with unit diagonal
+)
 
 
 @dataclass(frozen=True)
 class Column:
     """A typed column of the table, declared in the `metrics` module of the room that computes it.
 
-    `better` is `high`, `low`, or empty where no direction is better; `word` is what print calls it (in `unit`), `head`
-    a heading for narrow tables; a `shown` column is among those that `show` prints first. `verify` derives the value
-    again and compares to `tolerance` (relative, for Float64) plus `resolution` (absolute), or, where it cannot, lists
-    the column as not checked for the reason given in `unchecked`. `setting` is the entry of the configuration that the
-    column repeats. A `*` in the name stands for what differs between columns of one sort; without a `kind` each is of
+    `better` is `high`, `low`, or empty where no direction is better; `word` is what print calls it
+    (in `unit`), `head`
+    a heading for narrow tables; a `shown` column is among those that `show` prints first. `verify`
+    derives the value
+    again and compares to `tolerance` (relative, for Float64) plus `resolution` (absolute), or,
+    where it cannot, lists
+    the column as not checked for the reason given in `unchecked`. `setting` is the entry of the
+    configuration that the
+    column repeats. A `*` in the name stands for what differs between columns of one sort; without a
+    `kind` each is of
     the kind of its values.
     """
 

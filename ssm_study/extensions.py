@@ -1,8 +1,11 @@
 """Other people's code: what is trusted besides this package, and where it lies.
 
-Trusted are installed packages that register an entry point of the group `ssm_study`, and the one folder that is named
-on the command line by `--with`. Nothing else is imported, and no configuration of anything else is read. Such a package
-holds `conf/` (yaml files by group, as ours), the classes they name by `_target_`, and `figures/`. Importing it makes
+Trusted are installed packages that register an entry point of the group `ssm_study`, and the one
+folder that is named
+on the command line by `--with`. Nothing else is imported, and no configuration of anything else is
+read. Such a package
+holds `conf/` (yaml files by group, as ours), the classes they name by `_target_`, and `figures/`.
+Importing it makes
 known what is found by its kind, a scaffolding for instance.
 """
 
@@ -23,17 +26,21 @@ FOLDER = "SSM_STUDY_WITH"  # holds it for the processes that work on a study, on
 
 
 def taken_from(arguments: list[str]) -> list[str]:
-    """The arguments without `--with FOLDER`, which is trusted from here on. Raises `BadRequest` for another folder."""
+    """The arguments without `--with FOLDER`, which is trusted from here on. Raises `BadRequest` for
+    another folder."""
     if OPTION not in arguments:
         return arguments
     place = arguments.index(OPTION)
-    require(len(arguments) > place + 1, OPTION, "", "names no folder", "give the folder of your study")
+    require(
+        len(arguments) > place + 1, OPTION, "", "names no folder", "give the folder of your study"
+    )
     trust(Path(arguments[place + 1]))
     return arguments[:place] + arguments[place + 2 :]
 
 
 def trust(folder: Path) -> None:
-    """Make the package in this folder importable and its parts choosable. Raises `BadRequest` for no such package."""
+    """Make the package in this folder importable and its parts choosable. Raises `BadRequest` for
+    no such package."""
     folder = folder.resolve()
     whole = folder.name.isidentifier() and (folder / "__init__.py").is_file()
     require(whole, OPTION, folder, "is no study folder", "make one: ssm-study new FOLDER")
@@ -44,7 +51,8 @@ def trust(folder: Path) -> None:
 
 @cache
 def packages() -> dict[str, Path]:
-    """Name and folder of every trusted package. Raises `BadRequest` where the name of the folder means another one."""
+    """Name and folder of every trusted package. Raises `BadRequest` where the name of the folder
+    means another one."""
     points = sorted(point.module.split(".")[0] for point in entry_points(group=GROUP))
     found = {name: folder for name in points if (folder := _folder_of(name)) is not None}
     if own := os.environ.get(FOLDER):
@@ -52,7 +60,13 @@ def packages() -> dict[str, Path]:
         if str(folder.parent) not in sys.path:
             sys.path.append(str(folder.parent))
         meant = _folder_of(folder.name)
-        require(meant == folder, OPTION, own, f"the name {folder.name} is taken by {meant}", "rename the folder")
+        require(
+            meant == folder,
+            OPTION,
+            own,
+            f"the name {folder.name} is taken by {meant}",
+            "rename the folder",
+        )
         found[folder.name] = folder
     return found
 
@@ -63,7 +77,8 @@ def configurations() -> list[Path]:
 
 
 def modules(room: str) -> dict[str, str]:
-    """Name and dotted module of every file in the folder `room` of a trusted package, e.g. `figures`."""
+    """Name and dotted module of every file in the folder `room` of a trusted package, e.g.
+    `figures`."""
     return {
         module.name: f"{package}.{room}.{module.name}"
         for package, folder in packages().items()

@@ -1,4 +1,5 @@
-"""A family: one question, one room, one file a member; members are found by their names, from no list."""
+"""A family: one question, one room, one file a member; members are found by their names, from no
+list."""
 
 import pkgutil
 from abc import ABC
@@ -10,9 +11,11 @@ from ssm_study.extensions import load
 
 
 class Family(ABC):
-    """`class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the family's room.
+    """`class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the family's
+    room.
 
-    A member that leaves a question of its family open is refused where it is defined (`TypeError`). Members outside
+    A member that leaves a question of its family open is refused where it is defined (`TypeError`).
+    Members outside
     the room count from when their module is imported. Its one name is a member's `kind`.
     """
 
@@ -23,7 +26,9 @@ class Family(ABC):
         super().__init_subclass__(**others)
         if Family in cls.__bases__:
             cls.known = {}
-        left_open = sorted(n for n in dir(cls) if getattr(getattr(cls, n, None), "__isabstractmethod__", False))
+        left_open = sorted(
+            n for n in dir(cls) if getattr(getattr(cls, n, None), "__isabstractmethod__", False)
+        )
         if names and left_open:
             raise TypeError(f"{cls.__name__} does not answer {', '.join(left_open)}")
         cls.known.update(dict.fromkeys(names, cls))
@@ -32,7 +37,8 @@ class Family(ABC):
 
     @classmethod
     def members(cls, room: ModuleType) -> dict[str, type[Any]]:
-        """By name, those of every file in the room and of trusted packages (`extensions`) among them."""
+        """By name, those of every file in the room and of trusted packages (`extensions`) among
+        them."""
         load()
         for module in pkgutil.iter_modules(room.__path__):
             import_module(f"{room.__name__}.{module.name}")

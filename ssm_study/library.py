@@ -4,9 +4,12 @@
     design = st.control(model)
     design.to_c("controller.h")
 
-Further arguments are the overrides of the command, as texts (`"model.order=4"`), with the command's refusals. Arrays
-are stored as a log under `results_dir`, and every stage is kept there: what is known is not computed again, and
-`ssm-study run` with `design.overrides` makes the same run. By default `results_dir` is deleted when the program ends.
+Further arguments are the overrides of the command, as texts (`"model.order=4"`), with the command's
+refusals. Arrays
+are stored as a log under `results_dir`, and every stage is kept there: what is known is not
+computed again, and
+`ssm-study run` with `design.overrides` makes the same run. By default `results_dir` is deleted when
+the program ends.
 """
 
 import atexit
@@ -24,6 +27,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates import certificate
 from ssm_study.cli import run as command
 from ssm_study.cli.hydra_errors import advised
 from ssm_study.cli.request import quoted
@@ -41,10 +45,9 @@ from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, fit_percent
 from ssm_study.study import line
 from ssm_study.study.specification import Specification
-from ssm_study.study.stages import Simulated, write_json
-from ssm_study.certificates import certificate
-from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.study.stages import ModelRun, write_json
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
+from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.systems import StateSpace
 from ssm_study.table.gather import gather
 
@@ -53,15 +56,24 @@ if TYPE_CHECKING:
 
 Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | Sequence[float]
 Signals = Values | Sequence[Values]
-OF_THE_MODEL = ("data", "model", "training", "reduction", "seed")  # what a request for a controller may not change
+OF_THE_MODEL = (
+    "data",
+    "model",
+    "training",
+    "reduction",
+    "seed",
+)  # what a request for a controller may not change
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """`y = simulate(u)`, identified from records; physical units, and what is known of how well it predicts.
+    """`y = simulate(u)`, identified from records; physical units, and what is known of how well it
+    predicts.
 
-    `facts` are the columns of a run up to the model (`fit_test_percent`, `input_slope_lower`, ...); `simulator` is the
-    model as explicit numbers: a `StructuredSSM`, an `SSM`, or a baseline. `overrides` give the same to the command.
+    `facts` are the columns of a run up to the model (`fit_test_percent`, `input_slope_lower`, ...);
+    `simulator` is the
+    model as explicit numbers: a `StructuredSSM`, an `SSM`, or a baseline. `overrides` give the same
+    to the command.
     """
 
     simulator: Simulator
@@ -70,17 +82,27 @@ class Model:
     overrides: tuple[str, ...]
 
     def predict(self, u: Values) -> Values:
-        """Free run from rest at the equilibrium: `u (T, m)` or `(T,)` to `y (T, p)`, a frame if `u` is one."""
+        """Free run from rest at the equilibrium: `u (T, m)` or `(T,)` to `y (T, p)`, a frame if `u`
+        is one."""
         y = self.simulator.simulate(signal(u, "u", len(self.data.inputs))[1])
         if not isinstance(u, pd.DataFrame | pd.Series):
             return y
-        return pd.DataFrame(y, index=u.index, columns=[channel.name for channel in self.data.outputs])
+        return pd.DataFrame(
+            y, index=u.index, columns=[channel.name for channel in self.data.outputs]
+        )
 
     def score(self, u: Values, y: Values) -> float:
-        """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)` of a free run from rest, percent. Refuses other shapes."""
+        """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)` of a free run from rest, percent. Refuses
+        other shapes."""
         measured, predicted = signal(y, "y")[1], signal(self.predict(u), "y")[1]
         problem = f"the model answers with {predicted.shape}"
-        require(measured.shape == predicted.shape, "y", measured.shape, problem, "give the outputs of this input")
+        require(
+            measured.shape == predicted.shape,
+            "y",
+            measured.shape,
+            problem,
+            "give the outputs of this input",
+        )
         return fit_percent(measured, predicted)
 
     @property
@@ -88,27 +110,38 @@ class Model:
         """The simulator, if it is a structured state-space model; refuses every other."""
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
-        kind, problem = type(self.simulator).__name__, "a baseline is scored only, nothing is certified of it"
+        kind, problem = (
+            type(self.simulator).__name__,
+            "a baseline is scored only, nothing is certified of it",
+        )
         raise BadRequest("model", kind, problem, "fit model=structured or ssm")
 
     def to_control(self) -> "python_control.StateSpace":
-        """The model linearised at its equilibrium, deviations in physical units: all of it where everything is linear.
+        """The model linearised at its equilibrium, deviations in physical units: all of it where
+        everything is linear.
 
-        `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest within A, B, C, D.
+        `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
+        within A, B, C, D.
         Refuses a baseline, which has no state space.
         """
         import control as python_control
 
         model, linear = self.ssm, at_rest(self.ssm)
-        inward, outward = (one.jacobian(np.zeros(one.inputs)) for one in (model.scaffold_in, model.scaffold_out))
-        inward, outward = inward / model.scale.input_scale, model.scale.output_scale[:, None] * outward
+        inward, outward = (
+            one.jacobian(np.zeros(one.inputs)) for one in (model.scaffold_in, model.scaffold_out)
+        )
+        inward, outward = (
+            inward / model.scale.input_scale,
+            model.scale.output_scale[:, None] * outward,
+        )
         matrices = linear.a, linear.b @ inward, outward @ linear.c, outward @ linear.d @ inward
         return python_control.StateSpace(*matrices, model.step_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """A controller and its certificate in a run folder; one for a given state space has no record."""
+    """A controller and its certificate in a run folder; one for a given state space has no
+    record."""
 
     folder: Path
     overrides: tuple[str, ...] = ()
@@ -126,15 +159,17 @@ class Design:
     @cached_property
     def model(self) -> SSM | StructuredSSM:
         """What it is certified for."""
-        return Simulated(self.folder).model
+        return ModelRun(self.folder).model
 
     def save(self, to: str | Path) -> Path:
-        """Copy the folder: `ssm-study verify`, `export` and `load` read it. Refuses a place that is taken."""
+        """Copy the folder: `ssm-study verify`, `export` and `load` read it. Refuses a place that is
+        taken."""
         require(not Path(to).exists(), "to", to, "exists", "name a new folder")
         return Path(shutil.copytree(self.folder, to))
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
-        """What is certified when the input is limited, in physical units; see `synthesis.deployed`."""
+        """What is certified when the input is limited, in physical units; see
+        `synthesis.deployed`."""
         if isinstance(self.model, SSM):
             ends = (np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper))
             return within_limits(self.model, self.certificate, *ends)
@@ -142,7 +177,8 @@ class Design:
         raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Header `path` and beside it the source and a replay, all named as the header, in "double" or "float".
+        """Header `path` and beside it the source and a replay, all named as the header, in "double"
+        or "float".
 
         Raises `BadRequest` with the reason where there is no controller.
         """
@@ -152,16 +188,23 @@ class Design:
         return path
 
     def to_control(self) -> "python_control.NonlinearIOSystem":
-        """The controller as a python-control system from measured outputs to inputs, physical units."""
+        """The controller as a python-control system from measured outputs to inputs, physical
+        units."""
         return targets.python_control_system(self.folder)
 
 
-def fit(u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str | Path | None = None) -> Model:
-    """`model=structured`, or what `overrides` name, fitted to `u[k]`, held over `step_s` seconds, and `y[k]`.
+def fit(
+    u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str | Path | None = None
+) -> Model:
+    """`model=structured`, or what `overrides` name, fitted to `u[k]`, held over `step_s` seconds,
+    and `y[k]`.
 
-    `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the channels), or lists of
-    them, one per experiment. The last 40 % of each validate and test it, or blocks of it where its end is unlike its
-    beginning (`data.split`). Raises `BadRequest`, before any long work, for what `data=recorded` refuses.
+    `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the
+    channels), or lists of
+    them, one per experiment. The last 40 % of each validate and test it, or blocks of it where its
+    end is unlike its
+    beginning (`data.split`). Raises `BadRequest`, before any long work, for what `data=recorded`
+    refuses.
 
     >>> import numpy as np, ssm_study as st
     >>> rng = np.random.default_rng(0)
@@ -175,7 +218,12 @@ def fit(u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str
     folder = Path(results_dir or _scratch())
     paths, inputs, outputs = logged(u, y, folder)
     words = ["data=recorded", f"data.path=[{_quoted(*paths)}]", f"data.input=[{_quoted(*inputs)}]"]
-    words += [f"data.output=[{_quoted(*outputs)}]", f"data.step_s={float(step_s)!r}", "study=library", "progress=false"]
+    words += [
+        f"data.output=[{_quoted(*outputs)}]",
+        f"data.step_s={float(step_s)!r}",
+        "study=library",
+        "progress=false",
+    ]
     asked = (*words, f"results_dir={_quoted(str(folder))}", *overrides)
     config = composed(asked)
     data, model, found = line.STUDY.identified(line.STUDY.request(config), store_of(config))
@@ -184,11 +232,15 @@ def fit(u: Signals, y: Signals, step_s: float, *overrides: str, results_dir: str
 
 
 def control(model: "Model | python_control.StateSpace", *overrides: str) -> Design:
-    """`u = K xh`, `xh+ = A xh + B S_u(u) + L (yh - y)`, certified for the model as the command does; see `Design`.
+    """`u = K xh`, `xh+ = A xh + B S_u(u) + L (yh - y)`, certified for the model as the command
+    does; see `Design`.
 
-    By default rates and weights are chosen from the validation record. A discrete-time `control.StateSpace` has no
-    record to choose by: name a synthesis and its rates. Raises `BadRequest` for what the command refuses, for a
-    baseline, and for overrides that would make another model; where the request is infeasible the design says so.
+    By default rates and weights are chosen from the validation record. A discrete-time
+    `control.StateSpace` has no
+    record to choose by: name a synthesis and its rates. Raises `BadRequest` for what the command
+    refuses, for a
+    baseline, and for overrides that would make another model; where the request is infeasible the
+    design says so.
 
     >>> import control, ssm_study as st
     >>> plant = control.StateSpace([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.1)
@@ -212,28 +264,41 @@ def control(model: "Model | python_control.StateSpace", *overrides: str) -> Desi
 
 
 def load(folder: str | Path) -> Design:
-    """A design that was saved, or any run folder. Raises `BadRequest` where there is no controller."""
+    """A design that was saved, or any run folder. Raises `BadRequest` where there is no
+    controller."""
     targets.load(Path(folder))
     return Design(folder=Path(folder))
 
 
-def simulate(what: Model | Design, given: Values, *overrides: str, plant: Plant | None = None) -> pd.DataFrame:
-    """Of a model: the output to the inputs `given (T, m)`, from rest. Of a design: the loop from initial outputs.
+def simulate(
+    what: Model | Design, given: Values, *overrides: str, plant: Plant | None = None
+) -> pd.DataFrame:
+    """Of a model: the output to the inputs `given (T, m)`, from rest. Of a design: the loop from
+    initial outputs.
 
-    The loop runs on the identified model, or on `plant`, from each row of `given (N, p)` or number of `given (N,)`,
-    without noise, as `loop` in the overrides says (`"loop.horizon_s=3"`, `"reference@loop.reference=step"`). One row
-    per case and sample: `case, time_s`, inputs and outputs by name. Refuses what the command refuses of the loop.
+    The loop runs on the identified model, or on `plant`, from each row of `given (N, p)` or number
+    of `given (N,)`,
+    without noise, as `loop` in the overrides says (`"loop.horizon_s=3"`,
+    `"reference@loop.reference=step"`). One row
+    per case and sample: `case, time_s`, inputs and outputs by name. Refuses what the command
+    refuses of the loop.
     """
     if isinstance(what, Model):
         predicted = pd.DataFrame(what.predict(pd.DataFrame(signal(given, "u")[1])))
         return predicted.assign(time_s=np.arange(len(predicted)) * what.data.step_s)
-    controller, plant = ObserverFeedback.of(what.model, what.certificate), plant or IdentifiedPlant.of(what.model)
+    controller, plant = (
+        ObserverFeedback.of(what.model, what.certificate),
+        plant or IdentifiedPlant.of(what.model),
+    )
     y0 = signal(given, "y0", len(plant.outputs))[1]
     loop = Specification.from_config(composed((*what.overrides, *overrides))).loop
     quiet = np.zeros((len(y0), loop.samples(plant.step_s), y0.shape[1]))
     rollouts = loop.simulate(plant, controller, y0, quiet)
     names = [channel.name for channel in (*plant.inputs, *plant.outputs)]
-    cases = [pd.DataFrame(np.hstack(signals), columns=names) for signals in zip(rollouts.u, rollouts.y, strict=True)]
+    cases = [
+        pd.DataFrame(np.hstack(signals), columns=names)
+        for signals in zip(rollouts.u, rollouts.y, strict=True)
+    ]
     for i, case in enumerate(cases):
         case.insert(0, "case", i)
         case.insert(1, "time_s", rollouts.time_s)
@@ -241,28 +306,44 @@ def simulate(what: Model | Design, given: Values, *overrides: str, plant: Plant 
 
 
 def study(*overrides: str) -> pd.DataFrame:
-    """`ssm-study run` with these arguments (`"-m"` too); returns the study's table, one row per run.
+    """`ssm-study run` with these arguments (`"-m"` too); returns the study's table, one row per
+    run.
 
     Raises `BadRequest` for a wrong request. Runs that failed are rows with status `failed`.
     """
     try:
         command.run(list(overrides))
-    except SystemExit as stop:  # Hydra lets nothing else out of a callback; the refusal is its cause
+    except (
+        SystemExit
+    ) as stop:  # Hydra lets nothing else out of a callback; the refusal is its cause
         raise stop.__cause__ or stop from None
-    place = [word for word in overrides if word.startswith(("experiment=", "study=", "results_dir="))]
+    place = [
+        word for word in overrides if word.startswith(("experiment=", "study=", "results_dir="))
+    ]
     return gather(line.study_folder(composed(place)))
 
 
 def _for_state_space(system: "python_control.StateSpace", overrides: tuple[str, ...]) -> Design:
-    discrete = isinstance(system.dt, float | int) and not isinstance(system.dt, bool) and system.dt > 0
-    require(discrete, "system.dt", system.dt, "not a sampling time", "sample it: control.c2d(system, step_s)")
+    discrete = (
+        isinstance(system.dt, float | int) and not isinstance(system.dt, bool) and system.dt > 0
+    )
+    require(
+        discrete,
+        "system.dt",
+        system.dt,
+        "not a sampling time",
+        "sample it: control.c2d(system, step_s)",
+    )
     config = composed(("study=library", *overrides))
     synthesis = Specification.from_config(config).synthesis
     problem = "chooses by a validation record, and there is none"
     remedy = "use synthesis=riccati with synthesis.rate_controller and synthesis.rate_observer"
     require(type(synthesis).method != "auto", "synthesis", "auto", problem, remedy)
     matrices = {name: np.array(getattr(system, name.upper()), dtype=float) for name in "abcd"}
-    model, folder = SSM.of(StateSpace(**matrices), float(system.dt)), Path(tempfile.mkdtemp(dir=_scratch()))
+    model, folder = (
+        SSM.of(StateSpace(**matrices), float(system.dt)),
+        Path(tempfile.mkdtemp(dir=_scratch())),
+    )
     write_json(folder / "model.json", model.to_json())
     synthesis.design(model, certified_balls(model)).save(folder / "certificate.json")
     return Design(folder=folder, overrides=overrides)

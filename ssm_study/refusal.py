@@ -9,15 +9,19 @@ from typing import Any
 class BadRequest(ValueError):
     """`<field> = <value>: <problem>; <remedy>.`
 
-    Raised while specifications are built, before any long work; the command line prints it and exits with status 2.
+    Raised while specifications are built, before any long work; the command line prints it and
+    exits with status 2.
     """
 
     def __init__(self, field: str, value: Any, problem: str, remedy: str) -> None:
         self.field, self.value, self.problem, self.remedy = field, value, problem, remedy
-        # A library may answer in lines, and a foreign name may hold what would command the terminal.
+        # A library may answer in lines, and a foreign name may hold what would command the
+        # terminal.
         shown, reason = (printable(" ".join(str(part).split())) for part in (value, problem))
         if len(shown) > 80:
-            shown = f"...{shown[-77:]}" if isinstance(value, Path) else f"{shown[:77]}..."  # a path ends with its file
+            shown = (
+                f"...{shown[-77:]}" if isinstance(value, Path) else f"{shown[:77]}..."
+            )  # a path ends with its file
         end = "" if remedy.endswith("?") else "."
         super().__init__(f"{field} = {shown}: {reason}; {remedy}{end}")
 
@@ -37,7 +41,8 @@ def require(condition: Any, field: str, value: Any, problem: str, remedy: str) -
 
 
 def positive(field: str, value: Any, remedy: str) -> None:
-    """Refuse a number, or any number of several, that is not above zero and finite; None says nothing and passes."""
+    """Refuse a number, or any number of several, that is not above zero and finite; None says
+    nothing and passes."""
     values = value if isinstance(value, list | tuple) else (value,)
     good = all(v is None or 0 < v < math.inf for v in values)
     require(good, field, value, "must be positive and finite", remedy)

@@ -1,4 +1,5 @@
-"""The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a simulation."""
+"""The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a
+simulation."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,10 +20,13 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
+    """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`,
+    before `u[k]` acts.
 
-    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the output. A piece of
-    a longer log begins at sample `first` of it; logs count from 1, and 0 is none. Raises `BadRequest` for unequal
+    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the
+    output. A piece of
+    a longer log begins at sample `first` of it; logs count from 1, and 0 is none. Raises
+    `BadRequest` for unequal
     lengths, values that are not finite, or a sampling time that is not positive.
     """
 
@@ -56,11 +60,14 @@ class Trajectory:
         return np.arange(len(self.u)) * self.step_s
 
 
-SHORTEST_PERIOD = 32  # samples: what repeats sooner is a hold or a sine, not an experiment done twice
+SHORTEST_PERIOD = (
+    32  # samples: what repeats sooner is a hold or a sine, not an experiment done twice
+)
 
 
 def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
-    """`(start, period)`: the last two equal pieces `u[start : start + period]` that follow each other; None if none do.
+    """`(start, period)`: the last two equal pieces `u[start : start + period]` that follow each
+    other; None if none do.
 
     The inputs must be equal, as commanded ones are; a piece that does not move does not count.
     """
@@ -86,10 +93,13 @@ def lagged(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "K d"]:
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """`u = u_eq + s_u v,  y = y_eq + s_y w`: physical outside, scaled inside, by pure gains around the equilibrium.
+    """`u = u_eq + s_u v,  y = y_eq + s_y w`: physical outside, scaled inside, by pure gains around
+    the equilibrium.
 
-    So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes: `input_* (m,)`,
-    `output_* (p,)`. Raises `BadRequest` for gains that are not positive, another number of equilibria than of gains,
+    So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes:
+    `input_* (m,)`,
+    `output_* (p,)`. Raises `BadRequest` for gains that are not positive, another number of
+    equilibria than of gains,
     or entries that are not finite.
     """
 
@@ -101,9 +111,13 @@ class Scale:
     def __post_init__(self) -> None:
         for side in ("input", "output"):
             gains, rest = getattr(self, f"{side}_scale"), getattr(self, f"{side}_equilibrium")
-            sound = len(gains) == len(rest) and (gains > 0).all() and np.isfinite([gains, rest]).all()
+            sound = (
+                len(gains) == len(rest) and (gains > 0).all() and np.isfinite([gains, rest]).all()
+            )
             problem = "needs positive gains about as many finite numbers"
-            require(sound, f"{side}_scale, {side}_equilibrium", (gains, rest), problem, "scale again")
+            require(
+                sound, f"{side}_scale, {side}_equilibrium", (gains, rest), problem, "scale again"
+            )
 
     @classmethod
     def unit(cls, inputs: int, outputs: int) -> "Scale":
@@ -131,20 +145,28 @@ class Scale:
     def physical_output(self, w: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
         return self.output_equilibrium + self.output_scale * w
 
-    def with_rest(self, inputs: Iterable[Float[np.ndarray, "_ m"]]) -> list[Float[np.ndarray, "_ m"]]:
+    def with_rest(
+        self, inputs: Iterable[Float[np.ndarray, "_ m"]]
+    ) -> list[Float[np.ndarray, "_ m"]]:
         """These inputs and the one that holds rest: what a log is known to have visited."""
         return [*inputs, self.input_equilibrium[None]]
 
 
 Trajectories = tuple[Trajectory, ...]
-Limit = float | Sequence[float] | None  # of every input, or one for each; None where it is not given
+Limit = (
+    float | Sequence[float] | None
+)  # of every input, or one for each; None where it is not given
 Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """The limits of each input as given, else the range of records; `BadRequest` for another number than inputs."""
+    """The limits of each input as given, else the range of records; `BadRequest` for another number
+    than inputs."""
     seen, found = np.concatenate(inputs), []
-    for name, given, end in (("lower", lower, seen.min(axis=0)), ("upper", upper, seen.max(axis=0))):
+    for name, given, end in (
+        ("lower", lower, seen.min(axis=0)),
+        ("upper", upper, seen.max(axis=0)),
+    ):
         told = end if given is None else np.asarray(given, dtype=float).reshape(-1)
         fits, remedy = len(told) in (1, len(end)), "give one for all, or one for each"
         require(fits, f"loop.input_{name}", given, f"there are {len(end)} inputs", remedy)
@@ -154,9 +176,11 @@ def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, 
 
 @dataclass(frozen=True, kw_only=True)
 class DataSet:
-    """Separate training, validation and test records of one system; `start_up_samples` are simulated, not scored.
+    """Separate training, validation and test records of one system; `start_up_samples` are
+    simulated, not scored.
 
-    `trials` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping and no score uses them.
+    `trials` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping and no
+    score uses them.
     """
 
     training: Trajectories
@@ -178,29 +202,46 @@ class DataSet:
     def step_s(self) -> float:
         return self.training[0].step_s
 
-    def undelayed(self, samples: int) -> "DataSet":
-        """Each output beside the input that many samples before it: the records of a fit without their dead time."""
+    def shift_out_dead_time(self, samples: int) -> "DataSet":
+        """Each output beside the input that many samples before it: the records of a fit without
+        their dead time."""
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
-        problem, remedy = f"the shortest record has {shortest} samples", "log longer records, or a shorter dead time"
+        problem, remedy = (
+            f"the shortest record has {shortest} samples",
+            "log longer records, or a shorter dead time",
+        )
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
 
         def early(records: Trajectories) -> Trajectories:
-            return tuple(replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records)
+            return tuple(
+                replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records
+            )
 
-        return replace(self, training=early(self.training), validation=early(self.validation), test=early(self.test))
+        return replace(
+            self,
+            training=early(self.training),
+            validation=early(self.validation),
+            test=early(self.test),
+        )
 
 
-def fit_percent(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:
-    """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)`, Frobenius norms over all channels, after the start-up samples."""
+def fit_percent(
+    y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
+) -> float:
+    """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)`, Frobenius norms over all channels, after the
+    start-up samples."""
     y, y_hat = y[start_up_samples:], y_hat[start_up_samples:]
     return fit_of_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
 
 
 def fit_of_error(share: float | np.floating) -> float:
-    """`100 (1 - share)`, percent, of an error that is this share of the output's own deviation from its mean."""
+    """`100 (1 - share)`, percent, of an error that is this share of the output's own deviation from
+    its mean."""
     return float(100.0 * (1.0 - share))
 
 
-def rmse(y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0) -> float:
+def rmse(
+    y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
+) -> float:
     """`sqrt(mean((y - y_hat)^2))` in the unit of y, after the start-up samples."""
     return float(np.sqrt(np.mean((y[start_up_samples:] - y_hat[start_up_samples:]) ** 2)))

@@ -1,4 +1,5 @@
-"""The systems everyone shares: a discrete-time linear state space, balls of Jacobians, a pair of gains."""
+"""The systems everyone shares: a discrete-time linear state space, balls of Jacobians, a pair of
+gains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +21,13 @@ class _Recurrence:
 
     def __post_init__(self) -> None:
         wrong = [name for name, matrix in vars(self).items() if not np.isfinite(matrix).all()]
-        require(not wrong, ", ".join(wrong), "NaN or infinity", "is not finite", "identify the model again")
+        require(
+            not wrong,
+            ", ".join(wrong),
+            "NaN or infinity",
+            "is not finite",
+            "identify the model again",
+        )
 
     @property
     def order(self) -> int:
@@ -31,7 +38,8 @@ class _Recurrence:
 class StateSpace(_Recurrence):
     """`x+ = a x + b u,  y = c x + d u` in discrete time.
 
-    Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, real. Raises `BadRequest` for entries that are not finite.
+    Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, real. Raises `BadRequest` for entries
+    that are not finite.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -48,8 +56,11 @@ class StateSpace(_Recurrence):
         """Whether one is an eigenvalue: constant inputs hold no state."""
         return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
 
-    def held(self) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
-        """`X = A X + B V` and `C X + D V`: states, inputs and outputs of a basis of all rest points.
+    def held(
+        self,
+    ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
+        """`X = A X + B V` and `C X + D V`: states, inputs and outputs of a basis of all rest
+        points.
 
         `V = I` and `r = m`, one for each constant input, but of a model that integrates.
         """
@@ -65,7 +76,8 @@ class StateSpace(_Recurrence):
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
-        """Step through `u` from `x0` (default 0); returns the outputs and the state after the last sample."""
+        """Step through `u` from `x0` (default 0); returns the outputs and the state after the last
+        sample."""
         batch, samples = u.shape[:-2], u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0
         states, forced, turn = np.empty((*batch, samples, self.order)), u @ self.b.T, self.a.T
@@ -75,9 +87,11 @@ class StateSpace(_Recurrence):
         return states @ self.c.T + u @ self.d.T, x
 
     def response_samples(self, most: int = 4000, remainder: float = 0.1) -> int:
-        """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the system answers.
+        """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the
+        system answers.
 
-        By default the bulk of it, not the tail of a mode that no record filled. One run for each input, since the
+        By default the bulk of it, not the tail of a mode that no record filled. One run for each
+        input, since the
         answers to several at once may cancel.
         """
         impulses = np.eye(most, 1) * np.eye(self.b.shape[1])[:, None, :]
@@ -88,10 +102,13 @@ class StateSpace(_Recurrence):
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSystem(_Recurrence):
-    """`x+ = a x + b v + e w,  y = c x + d v + h w,  w = phi(f x + g v + bias) - phi(bias)`, slopes of phi in [0, 1].
+    """`x+ = a x + b v + e w,  y = c x + d v + h w,  w = phi(f x + g v + bias) - phi(bias)`, slopes
+    of phi in [0, 1].
 
-    What the theorems need of a structured model: the neurons act one by one and are known by their slopes alone.
-    Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`, real.
+    What the theorems need of a structured model: the neurons act one by one and are known by their
+    slopes alone.
+    Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h
+    (p, q)`, real.
     With `q = 0` it is `StateSpace`. Raises `BadRequest` for entries that are not finite.
     Source: Revay, Wang & Manchester 2024 (REN with `D11 = 0`).
     """
@@ -110,14 +127,16 @@ class StructuredSystem(_Recurrence):
         return self.e.shape[1]
 
     def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
-        """Slopes that are all zero or one: every such choice of up to `most` neurons, else a few, one per row."""
+        """Slopes that are all zero or one: every such choice of up to `most` neurons, else a few,
+        one per row."""
         q = self.neurons
         if q <= most:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
         return np.vstack([np.zeros(q), np.ones(q), np.eye(q), 1 - np.eye(q)])
 
     def at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
-        """The linear system with the neurons' slopes frozen: `a + e S f`, `b + e S g`, `c + h S f`, `d + h S g`."""
+        """The linear system with the neurons' slopes frozen: `a + e S f`, `b + e S g`, `c + h S f`,
+        `d + h S g`."""
         driven, seen = self.e * slopes, self.h * slopes
         a, b = self.a + driven @ self.f, self.b + driven @ self.g
         return StateSpace(a=a, b=b, c=self.c + seen @ self.f, d=self.d + seen @ self.g)
@@ -128,17 +147,23 @@ System = StateSpace | StructuredSystem
 
 @dataclass(frozen=True, kw_only=True)
 class JacobianBall:
-    """All Jacobians `J = alpha I + beta Delta`, `||Delta||_2 <= 1`: what the theorems really need of a scaffolding.
+    """All Jacobians `J = alpha I + beta Delta`, `||Delta||_2 <= 1`: what the theorems really need
+    of a scaffolding.
 
-    `alpha` keeps its sign; for a scalar map with slopes in `[mu, nu]`, `alpha = (nu + mu)/2`, `beta = (nu - mu)/2`.
-    Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values, which are not enough.
+    `alpha` keeps its sign; for a scalar map with slopes in `[mu, nu]`, `alpha = (nu + mu)/2`, `beta
+    = (nu - mu)/2`.
+    Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values, which are not
+    enough.
     """
 
     alpha: float
     beta: float
 
     def __post_init__(self) -> None:
-        sound, said = np.isfinite(self.alpha) and 0 <= self.beta < np.inf, "needs a finite centre and radius >= 0"
+        sound, said = (
+            np.isfinite(self.alpha) and 0 <= self.beta < np.inf,
+            "needs a finite centre and radius >= 0",
+        )
         require(sound, "alpha, beta", (self.alpha, self.beta), said, "bound the scaffolding again")
 
     @classmethod
@@ -162,18 +187,22 @@ class JacobianBall:
 
 @dataclass(frozen=True, kw_only=True)
 class Balls:
-    """The balls that the theorems are applied with: `input` holds the Jacobians of `S_u`, `output` those of `S_y`."""
+    """The balls that the theorems are applied with: `input` holds the Jacobians of `S_u`, `output`
+    those of `S_y`."""
 
     input: JacobianBall
     output: JacobianBall
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pair:
-    """Controller and observer gains of `u = K xh,  xh+ = A xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
+class Gains:
+    """Controller and observer gains of `u = K xh,  xh+ = A xh + B S_u(u) + L (yh - y)`, scaled;
+    many, if batched.
 
-    `s` is the model's order, and that of an internal model `z+ = internal z + feed(y - y*)` where there is one: None
-    stands for integrators. Of a structured model `l_z` injects `L_z (yh - y)` into the neurons as well.
+    `s` is the model's order, and that of an internal model `z+ = internal z + error_input_matrix(y
+    - y*)` where there is one: None
+    stands for integrators. Of a structured model `l_z` injects `L_z (yh - y)` into the neurons as
+    well.
     """
 
     k: Float[np.ndarray, "*pairs m s"]
@@ -184,26 +213,31 @@ class Pair:
     @property
     def modes(self) -> Float[np.ndarray, "z z"]:
         """The internal model's matrix, of width zero where there is none."""
-        return np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
+        return (
+            np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
+        )
 
-    def at(self, which: int | Int[np.ndarray, "N"]) -> "Pair":
+    def at(self, which: int | Int[np.ndarray, "N"]) -> "Gains":
         """One of many, or some."""
         l_z = None if self.l_z is None else self.l_z[which]
-        return Pair(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)
+        return Gains(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)
 
 
-def feed(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
-    """How the error enters an internal model: each output enters every state of its own copy alike."""
+def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
+    """How the error enters an internal model: each output enters every state of its own copy
+    alike."""
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 
 def held(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """What an internal model does while a limit acts: integrators (ones on the diagonal) rest, oscillators go on."""
+    """What an internal model does while a limit acts: integrators (ones on the diagonal) rest,
+    oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 
 def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float[np.ndarray, "..."]:
-    """`data[key]` as a finite float64 array of that many dimensions; raises `BadRequest` otherwise."""
+    """`data[key]` as a finite float64 array of that many dimensions; raises `BadRequest`
+    otherwise."""
     require(key in data, key, "missing", "the stored model lacks this entry", AGAIN)
     try:
         values = np.asarray(data[key], dtype=np.float64)
@@ -211,6 +245,9 @@ def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float
         raise BadRequest(key, data[key], "not a rectangular array of numbers", AGAIN) from error
     if values.size == 0 and values.ndim < dimensions:  # JSON keeps no shape of an empty array
         values = values.reshape((0,) * dimensions)
-    sound, problem = values.ndim == dimensions, f"expected a finite array of {dimensions} dimension(s)"
+    sound, problem = (
+        values.ndim == dimensions,
+        f"expected a finite array of {dimensions} dimension(s)",
+    )
     require(sound and bool(np.isfinite(values).all()), key, f"shape {values.shape}", problem, AGAIN)
     return values

@@ -1,9 +1,12 @@
-"""Settings every test shares: hypothesis profiles, one torch thread, and where the benchmark records lie."""
+"""Settings every test shares: hypothesis profiles, one torch thread, and where the benchmark
+records lie."""
 
 import os
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # two workers with default threads are 20 times slower than one
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # two workers with default threads are 20 times slower than one
 
 import gc
 import hashlib
@@ -31,11 +34,24 @@ settings.register_profile("soak", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-# Whole runs, verified again and again: a shape checked at each of a million steps is four fifths of their time, and the
+# Whole runs, verified again and again: a shape checked at each of a million steps is four fifths of
+# their time, and the
 # tests of each room check the same functions.
 WHOLE_RUNS = {
-    *("test_contributing", "test_data_sets", "test_docs_commands", "test_docs_notebooks", "test_evidence_controls"),
-    *("test_extensions", "test_loop_within_limits", "test_results_verify", "test_study_line", "test_study_refine"),
+    *(
+        "test_contributing",
+        "test_data_sets",
+        "test_docs_commands",
+        "test_docs_notebooks",
+        "test_evidence_controls",
+    ),
+    *(
+        "test_extensions",
+        "test_loop_within_limits",
+        "test_results_verify",
+        "test_study_line",
+        "test_study_refine",
+    ),
     *("test_table_columns", "test_cli_guard", "test_log_to_device"),
 }
 # Of these, whose tests look at the figures that a run draws.
@@ -44,7 +60,8 @@ DRAWING = {"test_study_line", "test_docs_notebooks"}
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """The modules stay until the end: no collection of garbage looks at them, while they are loaded or afterwards."""
+    """The modules stay until the end: no collection of garbage looks at them, while they are loaded
+    or afterwards."""
     gc.disable()
     try:
         return (yield)
@@ -55,18 +72,21 @@ def pytest_collection() -> Iterator[None]:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The long ones first, else in pytest-randomly's order: no worker begins a long one when the others are done."""
+    """The long ones first, else in pytest-randomly's order: no worker begins a long one when the
+    others are done."""
     items.sort(key=lambda item: item.path.stem not in WHOLE_RUNS)
 
 
-# Of each function, in each test: shapes that are wrong are wrong from the first calls on, and the check of a call takes
+# Of each function, in each test: shapes that are wrong are wrong from the first calls on, and the
+# check of a call takes
 # longer than most calls.
 CHECKED_CALLS = 50
 calls: Counter[Callable[..., Any]] = Counter()
 
 
 def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
-    """`jaxtyping.jaxtyped`, which the import hook puts on all that it loads: made and used at first calls alone."""
+    """`jaxtyping.jaxtyped`, which the import hook puts on all that it loads: made and used at first
+    calls alone."""
 
     def decorated(part: Any) -> Any:
         if isfunction(part):
@@ -80,7 +100,9 @@ def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
     return decorated
 
 
-def first(plain: Callable[..., Any], checked: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
+def first(
+    plain: Callable[..., Any], checked: Callable[[], Callable[..., Any]]
+) -> Callable[..., Any]:
     @wraps(plain)
     def either(*given: Any, **named: Any) -> Any:
         calls[plain] += 1
@@ -110,7 +132,8 @@ def shapes_unchecked(unchecked: bool = True) -> Iterator[None]:
 
 
 def vectors_alone(savefig: Callable[..., None]) -> Callable[..., None]:
-    """Half of a report's time: every figure is drawn as PDF, and as PNG in the tests of the figures."""
+    """Half of a report's time: every figure is drawn as PDF, and as PNG in the tests of the
+    figures."""
 
     def save(figure: Any, path: str | Path, **how: Any) -> None:
         if Path(path).suffix == ".png":
@@ -123,7 +146,8 @@ def vectors_alone(savefig: Callable[..., None]) -> Callable[..., None]:
 
 @pytest.fixture(autouse=True)
 def _no_composition_left() -> Iterator[None]:
-    """A request composed in this process holds Hydra's one place for it: the next test begins without."""
+    """A request composed in this process holds Hydra's one place for it: the next test begins
+    without."""
     yield
     GlobalHydra.instance().clear()
 
@@ -132,13 +156,18 @@ def _no_composition_left() -> Iterator[None]:
 def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
     module = request.module.__name__.rpartition(".")[2]
     with shapes_unchecked(module in WHOLE_RUNS), pytest.MonkeyPatch.context() as patch:
-        if module in WHOLE_RUNS - DRAWING:  # a third of a short run, and rendering is half of a report
+        if (
+            module in WHOLE_RUNS - DRAWING
+        ):  # a third of a short run, and rendering is half of a report
             patch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())
             patch.setattr(
-                "matplotlib.figure.Figure.savefig", vectors_alone(resolve_name("matplotlib.figure:Figure.savefig"))
+                "matplotlib.figure.Figure.savefig",
+                vectors_alone(resolve_name("matplotlib.figure:Figure.savefig")),
             )
         yield
-        assert jaxtyping.config.jaxtyping_disable == (module in WHOLE_RUNS), "a fixture left it otherwise"
+        assert jaxtyping.config.jaxtyping_disable == (module in WHOLE_RUNS), (
+            "a fixture left it otherwise"
+        )
 
 
 # What `verify` makes again of a run: pure functions of their parts.
@@ -190,7 +219,8 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def smoke_study(shared_folder: Path) -> Path:
-    """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers: read only."""
+    """`results/smoke` with one finished run of `experiment=smoke`, shared by all workers: read
+    only."""
     from filelock import FileLock
 
     from ssm_study.cli.main import main
@@ -199,7 +229,10 @@ def smoke_study(shared_folder: Path) -> Path:
     with FileLock(shared_folder / "smoke.lock"):
         if not (results / "smoke" / "runs.parquet").exists():
             with shapes_unchecked():
-                assert main(["run", "experiment=smoke", f"results_dir={results}", "progress=false"]) == 0
+                assert (
+                    main(["run", "experiment=smoke", f"results_dir={results}", "progress=false"])
+                    == 0
+                )
     return results / "smoke"
 
 

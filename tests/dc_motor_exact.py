@@ -1,4 +1,5 @@
-"""The event-accurate motor: a matrix exponential in each stick/slip mode, switch times by root finding.
+"""The event-accurate motor: a matrix exponential in each stick/slip mode, switch times by root
+finding.
 
 An oracle for `DCMotor`, sharing its parameters and nothing else: it is slow, and right to rounding.
 """
@@ -20,7 +21,8 @@ Modes = tuple[int, int]  # of motor shaft and load: -1, +1 slipping that way, 0 
 
 @dataclass(frozen=True, kw_only=True)
 class ExactRun:
-    """States at the sampling instants (`T + 1`, the last one after the last input) and the times at which modes end."""
+    """States at the sampling instants (`T + 1`, the last one after the last input) and the times at
+    which modes end."""
 
     x: Float[np.ndarray, "T 4"]
     switch_times_s: Float[np.ndarray, "S"]
@@ -49,7 +51,8 @@ class _Flow:
         return expm(self.f * t) @ z
 
     def keeps(self, z: Float[np.ndarray, "5"], body: int) -> float:
-        """Positive while the body stays in its mode: speed along its sign, or friction reserve while stuck."""
+        """Positive while the body stays in its mode: speed along its sign, or friction reserve
+        while stuck."""
         if self.modes[body] != 0:
             return float(self.modes[body] * z[1 + body])
         return float(self.limit - abs(self.torque[body] @ z))
@@ -62,7 +65,8 @@ def _mode(speed: float, torque: float, limit: float) -> int:
 
 
 def _end_within(flow: _Flow, z: Float[np.ndarray, "5"], body: int, span: float) -> float:
-    """When the body leaves a mode it has left after `span`; a mode on its edge at 0 may end one tolerance later."""
+    """When the body leaves a mode it has left after `span`; a mode on its edge at 0 may end one
+    tolerance later."""
 
     def keeps(t: float) -> float:
         return flow.keeps(flow.at(z, t), body)
@@ -73,15 +77,20 @@ def _end_within(flow: _Flow, z: Float[np.ndarray, "5"], body: int, span: float) 
     return float(brentq(keeps, earliest, span, xtol=SWITCH_TIME_TOLERANCE_S, rtol=1e-14))
 
 
-def _first_end(flow: _Flow, z: Float[np.ndarray, "5"], span: float, scan: float) -> tuple[float, int] | None:
-    """The first time within `span` at which a body leaves its mode, and which body; None if neither does."""
+def _first_end(
+    flow: _Flow, z: Float[np.ndarray, "5"], span: float, scan: float
+) -> tuple[float, int] | None:
+    """The first time within `span` at which a body leaves its mode, and which body; None if neither
+    does."""
     looks = max(1, int(np.ceil(span / scan)))
     transition = expm(flow.f * (span / looks))
     before = z
     for look in range(looks):
         after = transition @ before
         ends = [
-            (_end_within(flow, before, body, span / looks), body) for body in (0, 1) if flow.keeps(after, body) < 0.0
+            (_end_within(flow, before, body, span / looks), body)
+            for body in (0, 1)
+            if flow.keeps(after, body) < 0.0
         ]
         if ends:
             t, body = min(ends)
@@ -90,7 +99,9 @@ def _first_end(flow: _Flow, z: Float[np.ndarray, "5"], span: float, scan: float)
     return None
 
 
-def _period(motor: DCMotor, z: Float[np.ndarray, "5"], v: float, load: float) -> tuple[Float[np.ndarray, "5"], list]:
+def _period(
+    motor: DCMotor, z: Float[np.ndarray, "5"], v: float, load: float
+) -> tuple[Float[np.ndarray, "5"], list]:
     """One sampling period; returns the augmented state after it and the switch times within it."""
     limit, t = motor.constants.coulomb, 0.0
     ends: list[float] = []

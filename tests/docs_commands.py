@@ -1,4 +1,5 @@
-"""The commands that README and docs show, and the one rule by which a test makes a long one short."""
+"""The commands that README and docs show, and the one rule by which a test makes a long one
+short."""
 
 import os
 import re
@@ -23,8 +24,10 @@ WRITTEN = re.compile(r'^( *)```\w+ title="([^"]+)"\n(.*?)^\1```', re.M | re.S)
 OURS = r"(?:ssm-study|python|make) [^`\n]+"
 INLINE, INDENTED = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`"), re.compile(rf"^    ({OURS})$", re.M)
 
-# The rule. The same command with these settings appended (or in place of its own), where its configuration has them;
-# of every swept list the first value; `experiment=smoke` is small as it is and stays whole, but for long sweeps.
+# The rule. The same command with these settings appended (or in place of its own), where its
+# configuration has them;
+# of every swept list the first value; `experiment=smoke` is small as it is and stays whole, but for
+# long sweeps.
 SMALL = {
     "model.starts": "1",
     "model.draws": "1",
@@ -42,12 +45,18 @@ SMALL = {
     "progress": "false",
 }
 # Of parts of this kind: records for the mismatch alone, and most candidates, are left out.
-FEW = {"input_weights": [0.01, 1.0], "output_noises": [0.01, 1.0], "stretch_shares": [0.3], "observer_rates": [0.2]}
+FEW = {
+    "input_weights": [0.01, 1.0],
+    "output_noises": [0.01, 1.0],
+    "stretch_shares": [0.3],
+    "observer_rates": [0.2],
+}
 FEWER = (
     ("data", ".SimulatedData", {"trials": "false"}),
     ("synthesis", ".Auto", {name: str(values).replace(" ", "") for name, values in FEW.items()}),
 )
-# A benchmark runs as a copy, its tables go beside the copy, with these options or this source instead of its own.
+# A benchmark runs as a copy, its tables go beside the copy, with these options or this source
+# instead of its own.
 SMALL_OPTIONS = {
     "loop_batch.py": "--cases 3 --samples 20 --one-by-one 1",
     "results_gather.py": "--runs 20",
@@ -63,7 +72,9 @@ SMALL_SOURCE = {  # pattern: what stands in its place
         r'^OVERRIDES = \("model=ssm"': 'OVERRIDES = ("model=ssm", "training.max_epochs=2"',
     },
     "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
-    "plants_error.py": {r"^CASES, SAMPLES, STEPS_S = .*": "CASES, SAMPLES, STEPS_S = 1, 40, (5e-4, 2.5e-4)"},
+    "plants_error.py": {
+        r"^CASES, SAMPLES, STEPS_S = .*": "CASES, SAMPLES, STEPS_S = 1, 40, (5e-4, 2.5e-4)"
+    },
     "plants_mcap.py": {r"^SAMPLES, ROUNDS = .*": "SAMPLES, ROUNDS = 500, 1"},
     "plants_simulation.py": {
         r"^CASES, SAMPLES = .*": "CASES, SAMPLES = 2, 40",
@@ -85,7 +96,13 @@ SMALL_SOURCE = {  # pattern: what stands in its place
     "training_optimisers.py": {r"^EPOCHS = .*": 'EPOCHS = {"lbfgs": 1, "adam": 1}'},
 }
 # Take seconds as they are; of a benchmark named nowhere here `--help` is asked.
-AS_IT_IS = {"loop_margin.py", "plants_choice.py", "plants_scores.py", "synthesis_figures.py", "training_targets.py"}
+AS_IT_IS = {
+    "loop_margin.py",
+    "plants_choice.py",
+    "plants_scores.py",
+    "synthesis_figures.py",
+    "training_targets.py",
+}
 ELSEWHERE = {  # what a test cannot have, by name
     "exchanger.csv": "a public record that is not part of the project: docs/data.md",
     "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
@@ -106,7 +123,8 @@ ELSEWHERE = {  # what a test cannot have, by name
 
 
 def commands(page: Path) -> Iterator[str]:
-    """Every command of the page: in a shell block, in an indented line of its own, in a code span."""
+    """Every command of the page: in a shell block, in an indented line of its own, in a code
+    span."""
     text = page.read_text()
     for block in SHELL.findall(text):
         for line in block.replace("\\\n", " ").splitlines():
@@ -119,7 +137,9 @@ def commands(page: Path) -> Iterator[str]:
 
 def every_command() -> dict[str, str]:
     """Command: the first page that shows it."""
-    return {command: page.name for page in reversed(PAGES) for command in reversed([*commands(page)])}
+    return {
+        command: page.name for page in reversed(PAGES) for command in reversed([*commands(page)])
+    }
 
 
 def files_to_write(page: Path) -> dict[str, str]:
@@ -130,16 +150,26 @@ def files_to_write(page: Path) -> dict[str, str]:
 def maker(study: str) -> str | None:
     """The documented command that makes this study, or what `make study` runs."""
     made = re.findall(r"^\t\$\(BIN\)/(ssm-study run .+)$", (ROOT / "Makefile").read_text(), re.M)
-    runs = [command for command in [*every_command(), *made] if command.startswith("ssm-study run ")]
     runs = [
-        command for command in runs if not any(word in command.replace("--with ", "") for word in [*ELSEWHERE, "--"])
+        command for command in [*every_command(), *made] if command.startswith("ssm-study run ")
+    ]
+    runs = [
+        command
+        for command in runs
+        if not any(word in command.replace("--with ", "") for word in [*ELSEWHERE, "--"])
     ]
     named = [command for command in runs if f"study={study}" in command.split()]
-    return next(iter(named + [c for c in runs if f"experiment={study}" in c.split() and " study=" not in c]), None)
+    return next(
+        iter(
+            named + [c for c in runs if f"experiment={study}" in c.split() and " study=" not in c]
+        ),
+        None,
+    )
 
 
 def small(arguments: list[str], written: Path | None = None) -> list[str]:
-    """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the reader's own."""
+    """The arguments of `ssm-study run` by the rule above; `written` holds configuration of the
+    reader's own."""
     if {"--help", "--cfg"} & set(arguments):
         return arguments
     words = [word if word.startswith("-") else first_value(word) for word in arguments]
@@ -147,18 +177,24 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
         return words if sum(word.count(",") for word in arguments) > 6 else arguments
     if not any(word.startswith(("study=", "experiment=")) for word in words):
         words.append("study=unnamed")  # not into the paper's, of which other pages speak
-    config = composed([*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])])
+    config = composed(
+        [*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])]
+    )
     given = {word.split("=")[0] for word in words}
     swept = OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]
     words += [first_value(f"{key}={values}") for key, values in swept.items() if key not in given]
     config = composed(words) if swept else config
     replaced = {key: value for key, value in SMALL.items() if has(config, key)}
-    if has(config, "data.benchmark"):  # the launcher's processes may be older than this test's environment
+    if has(
+        config, "data.benchmark"
+    ):  # the launcher's processes may be older than this test's environment
         replaced["data.folder"] = f"{os.environ['SSM_STUDY_DATA']}/{config.data.benchmark}"
     for part, kind, fewer in FEWER:
         if str(config[part]._target_).endswith(kind):
             replaced |= {f"+{part}.{name}": value for name, value in fewer.items()}
-    return [word for word in words if word.split("=")[0] not in replaced] + [f"{k}={v}" for k, v in replaced.items()]
+    return [word for word in words if word.split("=")[0] not in replaced] + [
+        f"{k}={v}" for k, v in replaced.items()
+    ]
 
 
 def has(config: DictConfig, key: str) -> bool:
@@ -168,7 +204,8 @@ def has(config: DictConfig, key: str) -> bool:
 
 
 def composed(words: list[str]) -> DictConfig:
-    """The configuration of the first job, nothing run: unknown groups, options and values do not compose."""
+    """The configuration of the first job, nothing run: unknown groups, options and values do not
+    compose."""
     words = [first_value(word) for word in words if not word.startswith("-")]
     with initialize_config_dir(str(configuration_folder()), version_base="1.3"):
         config = compose("study", words, return_hydra_config=True)
@@ -196,11 +233,14 @@ def small_copy(script: Path, to: Path) -> None:
 
 
 def small_benchmark(words: list[str]) -> list[str]:
-    """`benchmarks/x.py [act] ...` with the options that shorten it in place of its own; `--help` where nothing does."""
+    """`benchmarks/x.py [act] ...` with the options that shorten it in place of its own; `--help`
+    where nothing does."""
     name = Path(words[0]).name
     if name not in AS_IT_IS | {key.split()[0] for key in [*SMALL_OPTIONS, *SMALL_SOURCE]}:
         return [words[0], "--help"]
-    options = SMALL_OPTIONS.get(f"{name} {words[1]}" if words[1:] else name, SMALL_OPTIONS.get(name, ""))
+    options = SMALL_OPTIONS.get(
+        f"{name} {words[1]}" if words[1:] else name, SMALL_OPTIONS.get(name, "")
+    )
     flags = {word for word in options.split() if word.startswith("--")}
     return [*without(words, flags), *shlex.split(options)]
 
@@ -214,7 +254,8 @@ def without(words: list[str], flags: set[str]) -> list[str]:
 
 
 def place(folder: Path) -> None:
-    """A clone as far as the commands need one: benchmarks, the committed tables, the configuration, a log."""
+    """A clone as far as the commands need one: benchmarks, the committed tables, the configuration,
+    a log."""
     folder.mkdir(parents=True)
     (folder / "benchmarks").mkdir()
     for script in (ROOT / "benchmarks").glob("*.py"):

@@ -1,4 +1,5 @@
-"""A study of nothing, with jobs that behave as badly as asked: what the engine's tests run in real processes."""
+"""A study of nothing, with jobs that behave as badly as asked: what the engine's tests run in real
+processes."""
 
 import ctypes
 import importlib
@@ -40,7 +41,9 @@ def compute(folder: Path, *_: float, **asked: Any) -> None:
 
 
 DATA = Stage(name="data", compute=compute, read=read)
-MODEL = Stage(name="model", compute=compute, read=read, measure=lambda number, _: {"number": number})
+MODEL = Stage(
+    name="model", compute=compute, read=read, measure=lambda number, _: {"number": number}
+)
 
 
 class Badly(Task[Settings]):
@@ -59,7 +62,11 @@ class Badly(Task[Settings]):
         BEHAVIOUR[request.do](run)
         number = run.facts["number"]
         (run.path / "model.json").write_text(json.dumps({"number": number}))
-        return {"fit_test_percent": number + request.rate, "stable_fraction": 1.0, "threads_seen": _threads(request)}
+        return {
+            "fit_test_percent": number + request.rate,
+            "stable_fraction": 1.0,
+            "threads_seen": _threads(request),
+        }
 
     def warm(self, again: Set[str]) -> None:  # noqa: ARG002
         for module in filter(None, os.environ.get("WARM", "").split()):

@@ -43,10 +43,17 @@ LIMIT = 1.5  # scaled: within it most set points of a replay can be held, beyond
 
 
 def device(
-    folder: Path, *, kind: str, channels: int = 1, real: str = "double", integral: bool | list[str] = False
+    folder: Path,
+    *,
+    kind: str,
+    channels: int = 1,
+    real: str = "double",
+    integral: bool | list[str] = False,
 ) -> Device:
     """With limits that the replay runs into."""
-    controller = load(random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral))
+    controller = load(
+        random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral)
+    )
     ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in (-1, 1))
     return Device.of(controller, real, *ends)
 
@@ -59,23 +66,35 @@ def written(device: Device, folder: Path, about: str = "test", name: str = "cont
 
 
 def compiled(
-    folder: Path, *words: str, sources: tuple[str, ...] = ("controller_replay.c",), compiler: str = "gcc"
+    folder: Path,
+    *words: str,
+    sources: tuple[str, ...] = ("controller_replay.c",),
+    compiler: str = "gcc",
 ) -> str:
     """Build and run; what the program says. A compiler that is not there skips the test."""
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} on this machine")
-    subprocess.run([compiler, *WARNINGS, *EXACT, *words, *sources, "-o", "replay"], cwd=folder, check=True)
+    subprocess.run(
+        [compiler, *WARNINGS, *EXACT, *words, *sources, "-o", "replay"], cwd=folder, check=True
+    )
     done = subprocess.run([folder / "replay"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 def products(device: Device, folder: Path) -> int:
-    """How often the C code multiplies two floats in one sample: compiled as C++, with a type that counts."""
+    """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
+    counts."""
     header = c_files(device, about="counted")["controller.h"].replace("#include <math.h>", "")
-    sizes = (device.controller.scale.outputs, device.controller.scale.outputs, device.controller.scale.inputs)
+    sizes = (
+        device.controller.scale.outputs,
+        device.controller.scale.outputs,
+        device.controller.scale.inputs,
+    )
     called = "track(&state, y, r, u)" if device.set_points else "step(&state, y, u)"
-    body = "controller_state state; Real y[{}], r[{}], u[{}]; controller_reset(&state);".format(*sizes)
+    body = "controller_state state; Real y[{}], r[{}], u[{}]; controller_reset(&state);".format(
+        *sizes
+    )
     main = f'int main() {{ {body} controller_{called}; printf("%ld", products); }}'
     folder.mkdir()
     (folder / "counted.cpp").write_text(COUNTING + re.sub(r"\bdouble\b", "Real", header) + main)

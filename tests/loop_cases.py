@@ -1,4 +1,5 @@
-"""A grey-box model of the motor and its balls: what the loop's tests close the loop with, without any training."""
+"""A grey-box model of the motor and its balls: what the loop's tests close the loop with, without
+any training."""
 
 from functools import cache
 from pathlib import Path
@@ -6,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.dc_motor import DCMotor
-from ssm_study.signals import Scale, Trajectory
-from ssm_study.certificates.certificate import Design
 from ssm_study.robustness.mismatch import ANGLES, Mismatch, View
+from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
@@ -24,18 +25,27 @@ BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 def flat(by_frequency: np.ndarray, gain: float) -> Mismatch:
     """One view of which only sizes are known."""
     none = np.zeros(len(ANGLES), dtype=complex)
-    return Mismatch(views=(View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency),))
+    return Mismatch(
+        views=(
+            View(
+                amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency
+            ),
+        )
+    )
 
 
 @cache
 def motor() -> DCMotor:
-    values = yaml.safe_load((Path(__file__).parents[1] / "conf" / "plant" / "dc_motor.yaml").read_text())
+    values = yaml.safe_load(
+        (Path(__file__).parents[1] / "conf" / "plant" / "dc_motor.yaml").read_text()
+    )
     return DCMotor(**{name: value for name, value in values.items() if name != "_target_"})
 
 
 @cache
 def motor_model() -> SSM:
-    """Second order, dead-zone and friction as one flat piece of S_u; least squares on `motor_record`, 84 % fit."""
+    """Second order, dead-zone and friction as one flat piece of S_u; least squares on
+    `motor_record`, 84 % fit."""
     return SSM(
         linear=StateSpace(
             a=np.array([[0.973, 0.1], [0.0, -0.495]]),
@@ -43,7 +53,9 @@ def motor_model() -> SSM:
             c=np.array([[1.0, 0.0]]),
             d=np.zeros((1, 1)),
         ),
-        scaffold_in=MonotoneScaffold(breakpoints=np.array([[-0.39, 0.39]]), slopes=np.array([[1.0, 0.12, 1.0]])),
+        scaffold_in=MonotoneScaffold(
+            breakpoints=np.array([[-0.39, 0.39]]), slopes=np.array([[1.0, 0.12, 1.0]])
+        ),
         scaffold_out=LinearScaffold(gain=np.eye(1)),
         scale=Scale(
             input_scale=np.array([1.7]),
@@ -57,7 +69,8 @@ def motor_model() -> SSM:
 
 @cache
 def motor_record() -> Trajectory:
-    """Levels held for 2 to 30 samples, noise of variance 0.02: a validation record as the study draws them."""
+    """Levels held for 2 to 30 samples, noise of variance 0.02: a validation record as the study
+    draws them."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(-3, 3, 120), rng.integers(2, 30, 120))[:800, None]
     y = motor().simulate(u[None])[1][0]
@@ -66,7 +79,9 @@ def motor_record() -> Trajectory:
 
 @cache
 def motor_design() -> Design:
-    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    synthesis = RiccatiSynthesis(
+        rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1
+    )
     model = motor_model()
     return Design(
         state_feedback=synthesis.state_feedback(model.linear, INPUT_BALL),
@@ -87,7 +102,9 @@ def random_model(seed: int, *, inputs: int = 1, outputs: int = 1, order: int = 4
             c=rng.standard_normal((outputs, order)),
             d=np.zeros((outputs, inputs)),
         ),
-        scaffold_in=MonotoneScaffold(breakpoints=breakpoints, slopes=rng.uniform(0.5, 1.0, (inputs, 4))),
+        scaffold_in=MonotoneScaffold(
+            breakpoints=breakpoints, slopes=rng.uniform(0.5, 1.0, (inputs, 4))
+        ),
         scaffold_out=LinearScaffold.identity(outputs),
         scale=Scale(
             input_scale=rng.uniform(0.5, 2, inputs),

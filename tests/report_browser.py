@@ -1,4 +1,5 @@
-"""A headless Chromium for the tests of the report page; they skip with a reason where there is none."""
+"""A headless Chromium for the tests of the report page; they skip with a reason where there is
+none."""
 
 import os
 import shutil
@@ -29,7 +30,9 @@ def chromium(profile: Path, *, phone: bool = False, dark: bool = False) -> Itera
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
     found = {name: shutil.which(name) for name in ("chromium", "chromedriver")}
     if not all(found.values()):
-        pytest.skip("no chromium with chromedriver on this machine (Debian: chromium, chromium-driver)")
+        pytest.skip(
+            "no chromium with chromedriver on this machine (Debian: chromium, chromium-driver)"
+        )
     options = webdriver.ChromeOptions()
     options.binary_location = found["chromium"]
     for switch in (*SWITCHES, f"user-data-dir={profile}", "window-size=1400,1000"):
@@ -37,7 +40,9 @@ def chromium(profile: Path, *, phone: bool = False, dark: bool = False) -> Itera
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     if phone:
         options.add_experimental_option("mobileEmulation", PHONE)
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(found["chromedriver"]))
+    driver = webdriver.Chrome(
+        options=options, service=webdriver.ChromeService(found["chromedriver"])
+    )
     try:
         driver.set_script_timeout(60)
         if dark:
@@ -52,12 +57,17 @@ def wait_for(driver: Any, condition: str, seconds: float = 30) -> None:
     """Until the JavaScript expression holds."""
     from selenium.webdriver.support.ui import WebDriverWait
 
-    WebDriverWait(driver, seconds, 0.05).until(lambda d: d.execute_script(f"return Boolean({condition})"), condition)
+    WebDriverWait(driver, seconds, 0.05).until(
+        lambda d: d.execute_script(f"return Boolean({condition})"), condition
+    )
 
 
 def axe_script() -> str:
-    """The accessibility checker: `$AXE_CORE` (an axe.min.js), else the one in the package `axe-core-python`."""
+    """The accessibility checker: `$AXE_CORE` (an axe.min.js), else the one in the package
+    `axe-core-python`."""
     if path := os.environ.get("AXE_CORE"):
         return Path(path).read_text()
-    package = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed and AXE_CORE is not set")
+    package = pytest.importorskip(
+        "axe_core_python", reason="axe-core-python is not installed and AXE_CORE is not set"
+    )
     return Path(package.__file__).with_name("axe.min.js").read_text()

@@ -1,4 +1,5 @@
-"""Schema-true tables and run folders with made-up numbers, for testing what draws and reads them. Never a result."""
+"""Schema-true tables and run folders with made-up numbers, for testing what draws and reads them.
+Never a result."""
 
 import json
 from pathlib import Path
@@ -33,7 +34,10 @@ def table(runs: int = 60, seed: int = 0) -> pd.DataFrame:
 
 def failures(runs: int = 4) -> pd.DataFrame:
     """A study in which nothing worked."""
-    rows = [{"study": "sweep", "run": f"f{k}", "status": "failed", "seed": k, "order": 8} for k in range(runs)]
+    rows = [
+        {"study": "sweep", "run": f"f{k}", "status": "failed", "seed": k, "order": 8}
+        for k in range(runs)
+    ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 

@@ -1,10 +1,12 @@
-"""The gradient of a structured model's squared error by its adjoint, compiled: the second route to J'r.
+"""The gradient of a structured model's squared error by its adjoint, compiled: the second route to
+J'r.
 
 With `g = 2 weight^2 (ybar - y)` and `l[T] = 0`, backwards over the samples, S = diag phi'(z):
 
     dw = E' l[k+1] + H' g,   dz = S dw,   l[k] = A' l[k+1] + F' dz + C' g
 
-    dL/dA = sum l[k+1] x',  dL/dB = sum l[k+1] v',  dL/dE = sum l[k+1] w',  dL/dF = sum dz x',  dL/dG = sum dz v',
+    dL/dA = sum l[k+1] x',  dL/dB = sum l[k+1] v',  dL/dE = sum l[k+1] w',  dL/dF = sum dz x',
+    dL/dG = sum dz v',
     dL/dC = sum g x',  dL/dD = sum g v',  dL/dH = sum g w',  dL/dbias = sum (dz - phi'(bias) dw)
 
 Source: Bryson & Ho, Applied Optimal Control (1975), section 2.2.
@@ -43,7 +45,8 @@ def _add_outer(left, right, out):  # out[i, j] += left[i] right[j], record by re
 @njit(error_model="numpy")
 @no_type_check
 def _derivatives(k, v, x0, y, weight):
-    """Of `sum (weight (ybar - y))^2`, `v (N, T, m, AT_ONCE)`: forward with everything kept, then backward."""
+    """Of `sum (weight (ybar - y))^2`, `v (N, T, m, AT_ONCE)`: forward with everything kept, then
+    backward."""
     n, q, m, p, samples = k.a.shape[0], k.e.shape[1], v.shape[2], k.c.shape[0], v.shape[1]
     at, et, ft, ct, ht = k.a.T.copy(), k.e.T.copy(), k.f.T.copy(), k.c.T.copy(), k.h.T.copy()
     da, db, de = np.zeros((n, n, AT_ONCE)), np.zeros((n, m, AT_ONCE)), np.zeros((n, q, AT_ONCE))
@@ -51,7 +54,12 @@ def _derivatives(k, v, x0, y, weight):
     dc, dd, dh = np.zeros((p, n, AT_ONCE)), np.zeros((p, m, AT_ONCE)), np.zeros((p, q, AT_ONCE))
     x, g = np.empty((samples + 1, n, AT_ONCE)), np.empty((samples, p, AT_ONCE))
     w, slope = np.empty((samples, q, AT_ONCE)), np.empty((samples, q, AT_ONCE))
-    z, dw, ahead, here = np.empty((q, AT_ONCE)), np.empty((q, AT_ONCE)), np.empty((n, AT_ONCE)), np.empty((n, AT_ONCE))
+    z, dw, ahead, here = (
+        np.empty((q, AT_ONCE)),
+        np.empty((q, AT_ONCE)),
+        np.empty((n, AT_ONCE)),
+        np.empty((n, AT_ONCE)),
+    )
     still, rest = np.empty(q), np.empty(q)
     for i in range(q):
         still[i], rest[i] = bend(k.kinds[i], k.bias[i])
@@ -108,7 +116,8 @@ def _derivatives(k, v, x0, y, weight):
 
 
 def gradient(one, theta, derivatives=_derivatives):  # type: ignore[no-untyped-def]
-    """`dL/dtheta` of `L = |r|^2` by block, r as `Residuals.residual` has it; linear S_u and S_y, no integrator."""
+    """`dL/dtheta` of `L = |r|^2` by block, r as `Residuals.residual` has it; linear S_u and S_y, no
+    integrator."""
 
     def blocks(side):  # type: ignore[no-untyped-def]
         empty = np.zeros((-len(side) % AT_ONCE, *side.shape[1:]))  # records of no weight

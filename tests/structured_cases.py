@@ -1,18 +1,27 @@
-"""Random systems with neurons, and what their trajectories do: the route that no inequality enters."""
+"""Random systems with neurons, and what their trajectories do: the route that no inequality
+enters."""
 
 import numpy as np
 
+from ssm_study.certificates.problem import Neurons, Problem, dual
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Scale
-from ssm_study.certificates.problem import Neurons, Problem, dual
 from ssm_study.systems import JacobianBall, StructuredSystem
 
 KNOWN = JacobianBall(alpha=1.0, beta=0.0)
 
 
-def drawn(seed: int, n: int = 3, q: int = 2, size: float = 0.4, radius: float = 0.95, h: float = 0.0, m: int = 1):
+def drawn(
+    seed: int,
+    n: int = 3,
+    q: int = 2,
+    size: float = 0.4,
+    radius: float = 0.95,
+    h: float = 0.0,
+    m: int = 1,
+):
     """`A` of that radius, neurons of that size, one output that sees them if `h`."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(n, n))
@@ -33,7 +42,15 @@ def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) 
     feeds, one = side == "state_feedback", np.eye(system.order)
     system = system if feeds else dual(system)
     neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=not feeds)
-    return Problem(a=system.a, b=system.b, neurons=neurons, ball=ball, rate=rate, state_weight=one, input_weight=0.1)
+    return Problem(
+        a=system.a,
+        b=system.b,
+        neurons=neurons,
+        ball=ball,
+        rate=rate,
+        state_weight=one,
+        input_weight=0.1,
+    )
 
 
 def slopes_of_all(system: StructuredSystem, seed: int, random: int) -> np.ndarray:
@@ -49,7 +66,9 @@ def slowest(metric: np.ndarray, steps: list[np.ndarray]) -> float:
     return max(float(np.linalg.norm(root @ step @ inverse, 2)) for step in steps)
 
 
-def controlled_steps(system: StructuredSystem, k: np.ndarray, ball: JacobianBall, slopes: np.ndarray) -> list:
+def controlled_steps(
+    system: StructuredSystem, k: np.ndarray, ball: JacobianBall, slopes: np.ndarray
+) -> list:
     """`A + E S F + (B + E S G) J K` at both ends and the centre of the ball."""
     ends = (ball.lower, ball.alpha, ball.upper)
     at = [system.at_slopes(row) for row in slopes]
@@ -57,7 +76,11 @@ def controlled_steps(system: StructuredSystem, k: np.ndarray, ball: JacobianBall
 
 
 def observing_steps(
-    system: StructuredSystem, l_: np.ndarray, l_z: np.ndarray, ball: JacobianBall, slopes: np.ndarray
+    system: StructuredSystem,
+    l_: np.ndarray,
+    l_z: np.ndarray,
+    ball: JacobianBall,
+    slopes: np.ndarray,
 ) -> list:
     """`A + L J C + E S (F + L_z J C)`, and with H: `A + E S F + L J (C + H S F)`."""
     steps = []
@@ -83,7 +106,9 @@ def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> Str
         h=np.zeros((1, q)),
         bias=rng.normal(size=q),
         neurons=neurons,
-        scaffold_in=MonotoneScaffold(breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.4, 0.9]])),
+        scaffold_in=MonotoneScaffold(
+            breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.4, 0.9]])
+        ),
         scaffold_out=LinearScaffold(gain=np.eye(1)),
         scale=Scale(
             input_scale=np.array([2.0]),

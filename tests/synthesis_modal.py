@@ -1,8 +1,12 @@
-"""Oracles. Theorem 1 on the modes that matter, in the coordinates where a solver can see its solutions; modal gains.
+"""Oracles. Theorem 1 on the modes that matter, in the coordinates where a solver can see its
+solutions; modal gains.
 
-Restricted to the modes with `|lambda| > r`, scaled by 1/r and balanced by their minimum energy, the block matrix has
-condition number about one over the room to the frontier, whatever the model's order; the slow modes are added by a
-Lyapunov equation. This keeps the LMI's generality and cures its false "infeasible" (docs/theory.md).
+Restricted to the modes with `|lambda| > r`, scaled by 1/r and balanced by their minimum energy, the
+block matrix has
+condition number about one over the room to the frontier, whatever the model's order; the slow modes
+are added by a
+Lyapunov equation. This keeps the LMI's generality and cures its false "infeasible"
+(docs/theory.md).
 """
 
 from collections.abc import Callable
@@ -14,23 +18,28 @@ import numpy as np
 import scipy
 from jaxtyping import Complex
 
+from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.refusal import require
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.lmi import OBJECTIVES, SOLVERS, CompiledLmi
 from ssm_study.synthesis.modes import FastGain, energy_root, split_modes, with_slow_modes
-from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.systems import JacobianBall
 
-# The inequality is asked for a rate this share of the room faster, so that the slow modes find room beside it.
+# The inequality is asked for a rate this share of the room faster, so that the slow modes find room
+# beside it.
 SHARES = (0.3, 0.1, 0.6)
 FASTEST = 0.5
 
 
 def modal_gain(
-    eigenvalues: Complex[np.ndarray, "n"], b: Complex[np.ndarray, "n"], ball: JacobianBall, contraction: float
+    eigenvalues: Complex[np.ndarray, "n"],
+    b: Complex[np.ndarray, "n"],
+    ball: JacobianBall,
+    contraction: float,
 ) -> Complex[np.ndarray, "n"]:
-    """`k (n,)` with `u = sum_i k_i z_i`, zero on slow modes; distinct eigenvalues, conjugate pairs with conjugate b."""
+    """`k (n,)` with `u = sum_i k_i z_i`, zero on slow modes; distinct eigenvalues, conjugate pairs
+    with conjugate b."""
     fast = np.abs(eigenvalues) > contraction
     modes = eigenvalues[fast]
     moved = modes[:, None] - contraction**2 / modes.conj()
@@ -38,19 +47,23 @@ def modal_gain(
     np.fill_diagonal(apart, 1.0)
     k = np.zeros(len(eigenvalues), dtype=complex)
     # One quotient at a time: the products alone overflow for hundreds of modes.
-    k[fast] = -np.prod(moved / apart, axis=1) / (b[fast] * (1 - ball.relative_radius**2) * ball.alpha)
+    k[fast] = -np.prod(moved / apart, axis=1) / (
+        b[fast] * (1 - ball.relative_radius**2) * ball.alpha
+    )
     return k
 
 
 def modal_energy(
     eigenvalues: Complex[np.ndarray, "k"], b: Complex[np.ndarray, "k"], contraction: float
 ) -> Complex[np.ndarray, "k k"]:
-    """`W` of the fast modes (all `|lambda| > r`): Hermitian; `P = (1/delta^2 - 1) W` with sigma = 1."""
+    """`W` of the fast modes (all `|lambda| > r`): Hermitian; `P = (1/delta^2 - 1) W` with sigma =
+    1."""
     return np.outer(b, b.conj()) / (np.outer(eigenvalues, eigenvalues.conj()) - contraction**2)
 
 
 def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver: str) -> Solution:
-    """The inequality at a contraction `faster` than asked, on its fast modes; raises `NoSolution` like its parts."""
+    """The inequality at a contraction `faster` than asked, on its fast modes; raises `NoSolution`
+    like its parts."""
     modes = split_modes(problem.a, problem.b, faster)
     m = problem.b.shape[1]
     if modes.fast == 0:
@@ -62,14 +75,28 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     balanced_a = scipy.linalg.solve_triangular(root, ah @ root, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
     lmi = CompiledLmi(
-        a=balanced_a, b=balanced_b, objective=objective, full=False, state_weight=np.eye(modes.fast), input_weight=1.0
+        a=balanced_a,
+        b=balanced_b,
+        objective=objective,
+        full=False,
+        state_weight=np.eye(modes.fast),
+        input_weight=1.0,
     )
     # Scaled by 1/r, the asked factor is one: a rate just above zero stands for it.
     found = lmi.solve(
-        replace(problem, a=balanced_a, b=balanced_b, rate=float(np.finfo(float).eps), state_weight=np.eye(modes.fast)),
+        replace(
+            problem,
+            a=balanced_a,
+            b=balanced_b,
+            rate=float(np.finfo(float).eps),
+            state_weight=np.eye(modes.fast),
+        ),
         solver,
     )
-    k = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T").T @ modes.left[: modes.fast]
+    k = (
+        scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T").T
+        @ modes.left[: modes.fast]
+    )
     fast = FastGain(k=k, p=root @ (found.p / found.sigma) @ root.T)
     p = with_slow_modes(problem, modes, fast)
     return Solution(p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast} fast modes")
@@ -77,7 +104,8 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
 
 @dataclass(frozen=True, kw_only=True)
 class ModalLmiSynthesis(Synthesis):
-    """The paper's inequality where it is well conditioned. `objective`, `solver` as for the plain LMI."""
+    """The paper's inequality where it is well conditioned. `objective`, `solver` as for the plain
+    LMI."""
 
     objective: str = "largest_margin"
     solver: str = "CLARABEL"
@@ -87,13 +115,28 @@ class ModalLmiSynthesis(Synthesis):
     def __post_init__(self) -> None:
         super().__post_init__()
         choices = tuple(name for name in OBJECTIVES if name != "guaranteed_cost")
-        require(self.objective in choices, "synthesis.objective", self.objective, "unknown", f"use one of {choices}")
-        require(self.solver in SOLVERS, "synthesis.solver", self.solver, "unknown", f"use one of {tuple(SOLVERS)}")
+        require(
+            self.objective in choices,
+            "synthesis.objective",
+            self.objective,
+            "unknown",
+            f"use one of {choices}",
+        )
+        require(
+            self.solver in SOLVERS,
+            "synthesis.solver",
+            self.solver,
+            "unknown",
+            f"use one of {tuple(SOLVERS)}",
+        )
 
     def solve(self, problem: Problem) -> Solution:
         return solve_on_fast_modes(problem, problem.contraction, self.objective, self.solver)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        r, solve = problem.contraction, partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
+        r, solve = (
+            problem.contraction,
+            partial(solve_on_fast_modes, objective=self.objective, solver=self.solver),
+        )
         floor = max(frontier.contraction_limit, FASTEST * r)
         return [partial(solve, problem, float(r * (floor / r) ** share)) for share in SHARES]

@@ -1,4 +1,5 @@
-"""Oracle: the largest relative radius of the ball at which Theorem 1 is feasible, as a function of r."""
+"""Oracle: the largest relative radius of the ball at which Theorem 1 is feasible, as a function of
+r."""
 
 import numpy as np
 
@@ -6,9 +7,11 @@ from ssm_study.synthesis.frontier import largest_energy, unreached_modulus
 
 
 def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
-    """The supremum of `beta/|alpha|` at which Theorem 1 is feasible with `r = contraction`; 0 if no ball at all is.
+    """The supremum of `beta/|alpha|` at which Theorem 1 is feasible with `r = contraction`; 0 if no
+    ball at all is.
 
-    For one input `prod r/|lambda_i|` over `|lambda_i| > r`; for several `1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
+    For one input `prod r/|lambda_i|` over `|lambda_i| > r`; for several `1 / sqrt(1 +
+    lambda_max(Bh^T S Bh))`.
     """
     if unreached_modulus(a, b) >= contraction:
         return 0.0

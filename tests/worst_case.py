@@ -1,4 +1,5 @@
-"""How tight a bound is: the Jacobian farthest from the centre that a search can find, against the certified radius.
+"""How tight a bound is: the Jacobian farthest from the centre that a search can find, against the
+certified radius.
 
 The other route to the bounds of docs/theory.md: from below."""
 
@@ -13,13 +14,15 @@ from ssm_study.bounds.network import Network
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.systems import JacobianBall
 
-# Slopes of a piecewise-linear network have no gradient; the search climbs a smoothed copy, sharper in each round.
+# Slopes of a piecewise-linear network have no gradient; the search climbs a smoothed copy, sharper
+# in each round.
 TEMPERATURES = (1.0, 0.3, 0.1, 0.03)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Worst:
-    """The input `v (m,)` whose Jacobian is farthest from `alpha I`, and that distance: a bound from below."""
+    """The input `v (m,)` whose Jacobian is farthest from `alpha I`, and that distance: a bound from
+    below."""
 
     v: Float[np.ndarray, "m"]
     distance: float
@@ -29,8 +32,11 @@ class Worst:
         return self.distance / ball.beta if ball.beta > 0 else 1.0
 
 
-def worst_jacobian(scaffold: Scaffold, ball: JacobianBall, *, starts: int, seed: int = 0, span: float = 5.0) -> Worst:
-    """`max_v |J(v) - alpha I|_2` by sampling and, for networks, ascent from the best `starts` on a smoothed copy."""
+def worst_jacobian(
+    scaffold: Scaffold, ball: JacobianBall, *, starts: int, seed: int = 0, span: float = 5.0
+) -> Worst:
+    """`max_v |J(v) - alpha I|_2` by sampling and, for networks, ascent from the best `starts` on a
+    smoothed copy."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-span, span, size=(64 * starts, scaffold.inputs))
     distances = [_distance(scaffold.jacobian(v), ball.alpha) for v in points]
@@ -57,17 +63,31 @@ def _distance(jacobian: Float[np.ndarray, "m m"], alpha: float) -> float:
 def _climb(network: Network, alpha: float, start: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
     v = start
     for temperature in TEMPERATURES:
-        v = np.asarray(scipy.optimize.minimize(_nearness, v, args=(network, alpha, temperature), method="L-BFGS-B").x)
+        v = np.asarray(
+            scipy.optimize.minimize(
+                _nearness, v, args=(network, alpha, temperature), method="L-BFGS-B"
+            ).x
+        )
     return v
 
 
-def _nearness(v: Float[np.ndarray, "m"], network: Network, alpha: float, temperature: float) -> float:
+def _nearness(
+    v: Float[np.ndarray, "m"], network: Network, alpha: float, temperature: float
+) -> float:
     return -_distance(_smooth_jacobian(network, v, temperature), alpha)
 
 
-def _smooth_jacobian(network: Network, v: Float[np.ndarray, "m"], temperature: float) -> Float[np.ndarray, "k m"]:
+def _smooth_jacobian(
+    network: Network, v: Float[np.ndarray, "m"], temperature: float
+) -> Float[np.ndarray, "k m"]:
     d, product = v, np.eye(network.inputs)
-    layers = zip(network.weights, network.biases, network.negative_slopes, network.positive_slopes, strict=False)
+    layers = zip(
+        network.weights,
+        network.biases,
+        network.negative_slopes,
+        network.positive_slopes,
+        strict=False,
+    )
     for w, b, low, high in layers:
         z = w @ d + b
         slope = low + (high - low) * scipy.special.expit(z / temperature)

@@ -1,11 +1,16 @@
 """Is the prediction right on plants that it was not made on? One line per plant, order and seed.
 
-    python -m benchmarks.adversarial --plant play peaking_gain --order 4 8 --seed 0 1 2 3 4 --to adversarial.csv
+    python -m benchmarks.adversarial --plant play peaking_gain --order 4 8 --seed 0 1 2 3 4 --to
+    adversarial.csv
 
-Each line is what `ssm-study run plant=... comparison@loop.comparison=design_grid` computes: designs drawn from a wide
-grid and the choice of `auto`, each on the plant. `old` is the rule that went before: one record at full amplitude, its
-noise left in, an average where the input has no power, and the fastest design that passes. `evidence` is what a run
-would say of data and model; where it is "cannot judge", a run predicts nothing. With `--table` the lines of the file
+Each line is what `ssm-study run plant=... comparison@loop.comparison=design_grid` computes: designs
+drawn from a wide
+grid and the choice of `auto`, each on the plant. `old` is the rule that went before: one record at
+full amplitude, its
+noise left in, an average where the input has no power, and the fastest design that passes.
+`evidence` is what a run
+would say of data and model; where it is "cannot judge", a run predicts nothing. With `--table` the
+lines of the file
 are summed by plant and nothing is computed.
 """
 
@@ -27,9 +32,9 @@ from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.signals import DataSet
 from ssm_study.robustness.mismatch import Mismatch, View
 from ssm_study.robustness.prediction import predict
+from ssm_study.signals import DataSet
 
 HERE = Path(__file__).resolve().parent
 
@@ -45,10 +50,13 @@ def plant_of(name: str) -> Plant:
 
 
 def before(known: Identified) -> Mismatch:
-    """What the rule that went before knew: the validation record alone, its average where the input has no power."""
+    """What the rule that went before knew: the validation record alone, its average where the input
+    has no power."""
     shown = replace(known, trials=()).shown
     view: View = shown.views[0]
-    unknown = np.isin(np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9))
+    unknown = np.isin(
+        np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9)
+    )
     sizes = np.where(unknown, view.gain, view.by_frequency)
     return Mismatch(views=(replace(view, by_frequency=sizes, linear=0 * view.linear, rest=sizes),))
 
@@ -69,17 +77,29 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     known = Identified.of(model, certified_balls(model), data)
     grid, loop = DesignGrid(designs=designs), parts.loop.fitted(model)
     rows = pd.DataFrame(grid.rows(plant, known, loop, seed))
-    about = {"plant": name, "shown_by": getattr(plant, "shown_by", "the project's own"), "order": order, "seed": seed}
+    about = {
+        "plant": name,
+        "shown_by": getattr(plant, "shown_by", "the project's own"),
+        "order": order,
+        "seed": seed,
+    }
     if rows.empty:
         return about
-    validation, test = (Simulation.of(model, part, data.start_up_samples) for part in (data.validation, data.test))
+    validation, test = (
+        Simulation.of(model, part, data.start_up_samples) for part in (data.validation, data.test)
+    )
     about["evidence"] = judge(data, model, validation, test, known.shown).level
     settles, drawn = rows.stable_count_noise_free == rows.initial_conditions, rows.index > 0
     candidates = grid.auto.candidates(model, known.balls)
     pairs, record = grid.drawn(candidates, seed), before(known)
-    old = [predict(model, candidates.gains(pair), known.balls, record).keeps_the_plant() for pair in pairs]
+    old = [
+        predict(model, candidates.gains(pair), known.balls, record).predicts_stability()
+        for pair in pairs
+    ]
     old = np.array([False, *old])
-    controlled, alone = (pd.to_numeric(rows[f"settling_time_{name}_s"])[0] for name in ("mean", "open_loop"))
+    controlled, alone = (
+        pd.to_numeric(rows[f"settling_time_{name}_s"])[0] for name in ("mean", "open_loop")
+    )
     return about | {
         "designs": int(drawn.sum()), "settle": int((settles & drawn).sum()),
         "old_predicted": int(old.sum()), "old_wrong": int((old & ~settles).sum()),
@@ -92,7 +112,8 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
 
 
 def by_plant(lines: pd.DataFrame) -> str:
-    """The table of docs/trust.md: what both rules predict, and how many of these designs do not settle.
+    """The table of docs/trust.md: what both rules predict, and how many of these designs do not
+    settle.
 
     `time` is the median settling time of the predicted choices, relative to the plant left alone.
     """
@@ -100,12 +121,32 @@ def by_plant(lines: pd.DataFrame) -> str:
         settled=lines.choice_predicted & lines.choice_settles, silent=lines.evidence == "cannot judge", models=1,
         **{f"sound_{name}": lines[name].where(lines.evidence == "sound", 0) for name in ("predicted", "wrong")},
     )  # fmt: skip
-    counts = ["models", "designs", "settle", "old_predicted", "old_wrong", "predicted", "wrong", "both_right"]
+    counts = [
+        "models",
+        "designs",
+        "settle",
+        "old_predicted",
+        "old_wrong",
+        "predicted",
+        "wrong",
+        "both_right",
+    ]
     groups = lines.groupby(["plant", "shown_by"])
-    table = groups[[*counts, "choice_predicted", "settled", "silent", "sound_predicted", "sound_wrong"]].sum()
-    table["time"] = lines[lines.choice_predicted].groupby(["plant", "shown_by"])["choice_time_ratio"].median()
+    table = groups[
+        [*counts, "choice_predicted", "settled", "silent", "sound_predicted", "sound_wrong"]
+    ].sum()
+    table["time"] = (
+        lines[lines.choice_predicted].groupby(["plant", "shown_by"])["choice_time_ratio"].median()
+    )
     table.loc[("all", ""), :] = table.sum(min_count=1)
-    heads = ["plant", "fault shown by", "models", "designs", "settle", "old rule: predicted / wrong"]
+    heads = [
+        "plant",
+        "fault shown by",
+        "models",
+        "designs",
+        "settle",
+        "old rule: predicted / wrong",
+    ]
     heads += [
         "this rule: predicted / wrong",
         "without a doubt",
@@ -119,14 +160,22 @@ def by_plant(lines: pd.DataFrame) -> str:
         pairs = [f"{row[a]:.0f} / {row[b]:.0f}" for a, b in
                  (("old_predicted", "old_wrong"), ("predicted", "wrong"), ("sound_predicted", "sound_wrong"),
                   ("choice_predicted", "settled"))]  # fmt: skip
-        cells = [plant, shown_by, *(f"{row[name]:.0f}" for name in counts[:3]), *pairs[:3], f"{row.both_right:.0f}"]
+        cells = [
+            plant,
+            shown_by,
+            *(f"{row[name]:.0f}" for name in counts[:3]),
+            *pairs[:3],
+            f"{row.both_right:.0f}",
+        ]
         time = f"{row.time:.2f}" if plant != "all" and row.choice_predicted else ""
         rows.append("| " + " | ".join([*cells, pairs[3], f"{row.silent:.0f}", time]) + " |")
     return "\n".join(rows)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     names = [path.stem for path in sorted((HERE / "conf").glob("*.yaml"))]
     parser.add_argument("--plant", nargs="+", default=names)
     parser.add_argument("--order", nargs="+", type=int, default=[4, 8])
@@ -145,8 +194,13 @@ def main() -> None:
             for order in asked.order:
                 if (name, order, seed) not in done:
                     lines.append(line(name, order, seed, asked.designs))
-                    print({key: value for key, value in lines[-1].items() if key != "shown_by"}, flush=True)
-                    pd.DataFrame(lines).to_csv(asked.to, index=False, lineterminator="\n", float_format="%.4g")
+                    print(
+                        {key: value for key, value in lines[-1].items() if key != "shown_by"},
+                        flush=True,
+                    )
+                    pd.DataFrame(lines).to_csv(
+                        asked.to, index=False, lineterminator="\n", float_format="%.4g"
+                    )
 
 
 if __name__ == "__main__":

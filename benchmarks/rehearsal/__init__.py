@@ -1,1 +1,2 @@
-"""Rehearsals of the servo benchmark's test: what serves one table of docs/data.md, added by `--with`."""
+"""Rehearsals of the servo benchmark's test: what serves one table of docs/data.md, added by
+`--with`."""

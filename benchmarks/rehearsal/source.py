@@ -1,4 +1,5 @@
-"""Rehearsals of a test that must not be opened: a servo fitted to the training record repeats its motion, disturbed."""
+"""Rehearsals of a test that must not be opened: a servo fitted to the training record repeats its
+motion, disturbed."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,11 +17,15 @@ from ssm_study.signals import DataSet, Trajectory
 
 @dataclass(frozen=True, kw_only=True)
 class Rehearsal(RecordedSource):
-    """Training and validation of `experiments`, tested on `rehearsals` simulated records; its test files stay closed.
+    """Training and validation of `experiments`, tested on `rehearsals` simulated records; its test
+    files stay closed.
 
-    A `Servo` is fitted to the first training record and put under that record's controller (`kp`, `kv`) and
-    `reference` column. Each rehearsal adds its own `pulses` voltage pulses of `pulse_s` at random times, uniform within
-    plus and minus the largest voltage of the training record: inputs that the training record does not contain.
+    A `Servo` is fitted to the first training record and put under that record's controller (`kp`,
+    `kv`) and
+    `reference` column. Each rehearsal adds its own `pulses` voltage pulses of `pulse_s` at random
+    times, uniform within
+    plus and minus the largest voltage of the training record: inputs that the training record does
+    not contain.
     """
 
     experiments: RecordedExperiments
@@ -36,8 +41,18 @@ class Rehearsal(RecordedSource):
         for name in ("rehearsals", "pulses"):
             value = getattr(self, name)
             at_least(1, f"data.{name}", value, "use a positive whole number")
-        one = len(self.experiments.training[0].inputs) == len(self.experiments.training[0].outputs) == 1
-        require(one, "data.experiments", "several channels", "a servo has one voltage and one position", "name them")
+        one = (
+            len(self.experiments.training[0].inputs)
+            == len(self.experiments.training[0].outputs)
+            == 1
+        )
+        require(
+            one,
+            "data.experiments",
+            "several channels",
+            "a servo has one voltage and one position",
+            "name them",
+        )
 
     def files(self) -> tuple[Path, ...]:
         return self._closed().files()
@@ -46,8 +61,12 @@ class Rehearsal(RecordedSource):
         data = self._closed().build(seed)
         fine, recording = self._record(), self.experiments.training[0]
         servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, self.force_per_volt)
-        test = tuple(self._rehearsed(servo, fine, recording.decimate, k) for k in range(self.rehearsals))
-        about = {"held_out": f"{self.rehearsals} rehearsals on a servo fitted to the training record"}
+        test = tuple(
+            self._rehearsed(servo, fine, recording.decimate, k) for k in range(self.rehearsals)
+        )
+        about = {
+            "held_out": f"{self.rehearsals} rehearsals on a servo fitted to the training record"
+        }
         return replace(data, test=test, metadata=data.metadata | about)
 
     def _closed(self) -> RecordedExperiments:
@@ -56,7 +75,9 @@ class Rehearsal(RecordedSource):
 
     def _record(self, **changes: str) -> Trajectory:
         recording: Recording = replace(self.experiments.training[0], decimate=1, **changes)
-        return replace(recording, path=str(file_in(self.experiments.located(), recording.path))).read()
+        return replace(
+            recording, path=str(file_in(self.experiments.located(), recording.path))
+        ).read()
 
     def _rehearsed(self, servo: Servo, fine: Trajectory, every: int, k: int) -> Trajectory:
         reference, rng = self._record(output=self.reference).y[:, 0], np.random.default_rng(k)
@@ -65,7 +86,9 @@ class Rehearsal(RecordedSource):
         u, y = decimated(volt[:, None], position[:, None], every)
         return Trajectory(u=u, y=y, step_s=fine.step_s * every, name=f"rehearsal_{k + 1}")
 
-    def _pulses(self, largest: float, samples: int, step_s: float, rng: np.random.Generator) -> Float[np.ndarray, "T"]:
+    def _pulses(
+        self, largest: float, samples: int, step_s: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T"]:
         disturbance, width = np.zeros(samples), max(round(self.pulse_s / step_s), 1)
         for start in rng.integers(0, samples - width, size=self.pulses):
             disturbance[start : start + width] += rng.uniform(-largest, largest)

@@ -1,1 +1,2 @@
-"""What is provable of a model: slopes, Lipschitz constants, Gramians, Hankel singular values, balancing."""
+"""What is provable of a model: slopes, Lipschitz constants, Gramians, Hankel singular values,
+balancing."""

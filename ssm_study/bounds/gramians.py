@@ -1,4 +1,5 @@
-"""How strongly inputs reach states and states reach outputs: Gramians, Hankel singular values, balanced truncation."""
+"""How strongly inputs reach states and states reach outputs: Gramians, Hankel singular values,
+balanced truncation."""
 
 from dataclasses import dataclass
 
@@ -9,23 +10,34 @@ from jaxtyping import Float
 from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, StateSpace
 
-# Hankel singular values below this share of the largest are rounding: they are square roots of what is known to 1e-16.
+# Hankel singular values below this share of the largest are rounding: they are square roots of what
+# is known to 1e-16.
 BALANCING_FLOOR = 1e-8
-RANK_FLOOR = 1e-14  # share of the norm below which a smallest singular value is zero: a hundred roundings
+RANK_FLOOR = (
+    1e-14  # share of the norm below which a smallest singular value is zero: a hundred roundings
+)
 
 
 def gramian(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], horizon: int | None = None
 ) -> Float[np.ndarray, "n n"]:
-    """`W = sum_k A^k B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W = A W A^T + B B^T`.
+    """`W = sum_k A^k B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W =
+    A W A^T + B B^T`.
 
-    Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite horizon on a model
+    Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite
+    horizon on a model
     that is not stable. Source: [Z26] eq. (9), without the scaffolding.
     """
     if horizon is None:
         radius = float(np.abs(np.linalg.eigvals(a)).max())
         problem = "the infinite-horizon Gramian of a model that is not stable does not exist"
-        require(radius < 1, "spectral_radius", radius, problem, "use a finite horizon, or identify a stable model")
+        require(
+            radius < 1,
+            "spectral_radius",
+            radius,
+            problem,
+            "use a finite horizon, or identify a stable model",
+        )
         w = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     else:
         w, power = np.zeros_like(a), b
@@ -35,17 +47,22 @@ def gramian(
 
 
 def hankel_singular_values(linear: StateSpace) -> Float[np.ndarray, "n"]:
-    """`sqrt(eig(W_c W_o))`, descending: how much each balanced state carries from past input to future output."""
+    """`sqrt(eig(W_c W_o))`, descending: how much each balanced state carries from past input to
+    future output."""
     root_c, root_o = _roots(linear)
     return np.asarray(scipy.linalg.svdvals(root_o.T @ root_c))
 
 
 def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
-    """`z = T^+ x` by square roots (Laub et al. 1987): both Gramians are diagonal with the Hankel singular values.
+    """`z = T^+ x` by square roots (Laub et al. 1987): both Gramians are diagonal with the Hankel
+    singular values.
 
-    Keeps the first `order` states (default: all); twice the sum of the values dropped bounds the H-infinity norm of
-    what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a model that is not stable, an order
-    outside `1 .. n`, or kept states whose Hankel singular value lies below `BALANCING_FLOOR` of the largest: such
+    Keeps the first `order` states (default: all); twice the sum of the values dropped bounds the
+    H-infinity norm of
+    what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a model that is not
+    stable, an order
+    outside `1 .. n`, or kept states whose Hankel singular value lies below `BALANCING_FLOOR` of the
+    largest: such
     coordinates would be rounding noise.
     """
     order = linear.order if order is None else order
@@ -55,25 +72,38 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
     left, hankel, right_t = np.linalg.svd(root_o.T @ root_c)  # R_o^T R_c = U Sigma V^T
     well, least = hankel > BALANCING_FLOOR * hankel[0], float(hankel[order - 1])
     problem = f"below {BALANCING_FLOOR:g} of the largest ({hankel[0]:.3g}), so balanced coordinates are ill-conditioned"
-    require(well[order - 1], "hankel_smallest", least, problem, f"set reduction.truncate_to to at most {well.sum()}")
+    require(
+        well[order - 1],
+        "hankel_smallest",
+        least,
+        problem,
+        f"set reduction.truncate_to to at most {well.sum()}",
+    )
     scale = 1 / np.sqrt(hankel[:order])
     t = root_c @ right_t[:order].T * scale  # T = R_c V Sigma^{-1/2}
     t_inverse = scale[:, None] * (left[:, :order].T @ root_o.T)  # Sigma^{-1/2} U^T R_o^T
-    return StateSpace(a=t_inverse @ linear.a @ t, b=t_inverse @ linear.b, c=linear.c @ t, d=linear.d)
+    return StateSpace(
+        a=t_inverse @ linear.a @ t, b=t_inverse @ linear.b, c=linear.c @ t, d=linear.d
+    )
 
 
 def _roots(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
     """`R` with `R R^T = W` of both Gramians, by eigenvalues, so that a singular one is no error."""
-    both = (np.linalg.eigh(gramian(*pair)) for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T)))
+    both = (
+        np.linalg.eigh(gramian(*pair)) for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T))
+    )
     return [vectors * np.sqrt(np.maximum(values, 0.0)) for values, vectors in both]
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalProperty:
-    """`mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along any trajectory of n steps.
+    """`mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along any trajectory
+    of n steps.
 
-    `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')`, W' the Gramian of the linear part over as many
-    steps as it has states. `holds`: no mode is out of reach, within rounding, and `mu > 0`; of a high-order model
+    `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')`, W' the Gramian of the linear
+    part over as many
+    steps as it has states. `holds`: no mode is out of reach, within rounding, and `mu > 0`; of a
+    high-order model
     `lower` may underflow to zero although the property holds.
     Source: [Z26] Propositions 1 and 2.
     """
@@ -83,13 +113,20 @@ class LocalProperty:
     upper: float
 
 
-def local_property(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall) -> LocalProperty:
-    """Along any input the states can be steered both ways, if `(A, B)` is controllable and `mu_u > 0`.
+def local_property(
+    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
+) -> LocalProperty:
+    """Along any input the states can be steered both ways, if `(A, B)` is controllable and `mu_u >
+    0`.
 
-    Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable and `mu_y > 0`.
+    Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable
+    and `mu_y > 0`.
     """
     values = np.linalg.eigvalsh(gramian(a, b, len(a)))
-    mu, nu = abs(ball.alpha) - ball.beta, abs(ball.alpha) + ball.beta  # least and largest gain of a Jacobian
+    mu, nu = (
+        abs(ball.alpha) - ball.beta,
+        abs(ball.alpha) + ball.beta,
+    )  # least and largest gain of a Jacobian
     # Popov-Belevitch-Hautus: a mode lambda is out of reach iff [A - lambda I, B] loses rank.
     tests = [np.hstack([a - mode * np.eye(len(a)), b]) for mode in np.linalg.eigvals(a)]
     distance = min(float(np.linalg.svd(test, compute_uv=False)[-1]) for test in tests)

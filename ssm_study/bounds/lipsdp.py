@@ -1,10 +1,14 @@
-"""The Jacobian ball of a network by semidefinite programming: LipSDP with the centre of the ball among the unknowns.
+"""The Jacobian ball of a network by semidefinite programming: LipSDP with the centre of the ball
+among the unknowns.
 
-Neurons of slopes `lo <= hi`, a diagonal `T >= 0`: every Jacobian lies in the ball of centre C and radius L if
+Neurons of slopes `lo <= hi`, a diagonal `T >= 0`: every Jacobian lies in the ball of centre C and
+radius L if
 
-    L^2 |v|^2 - |W d - C v|^2 - 2 sum_l (d_l - lo q_l)^T T_l (hi q_l - d_l) >= 0     for all v, d  (q_l = W_l d_{l-1})
+    L^2 |v|^2 - |W d - C v|^2 - 2 sum_l (d_l - lo q_l)^T T_l (hi q_l - d_l) >= 0     for all v, d
+    (q_l = W_l d_{l-1})
 
-Source: Fazlyab et al. 2019, eq. (10) (C = 0 there; here the inequality is linear in C as well, so C is optimised).
+Source: Fazlyab et al. 2019, eq. (10) (C = 0 there; here the inequality is linear in C as well, so C
+is optimised).
 """
 
 import warnings
@@ -21,21 +25,27 @@ from ssm_study.bounds.slopes import SlopeBound, bound_from_ball
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import JacobianBall
 
-# The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by this share, far
+# The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by
+# this share, far
 # above that computation's rounding.
 ROUNDING_SHARE = 1e-7
-# Any multipliers prove a bound or none. Where the solver stopped just outside, slightly larger ones lie inside.
+# Any multipliers prove a bound or none. Where the solver stopped just outside, slightly larger ones
+# lie inside.
 ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 def lipsdp_bound(network: Network) -> SlopeBound:
-    """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the solver fails."""
+    """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the
+    solver fails."""
     centre, radius = lipsdp_ball(network, scalar_centre=True)
     return bound_from_ball(JacobianBall(alpha=float(centre[0, 0]), beta=radius), method="lipsdp")
 
 
-def lipsdp_ball(network: Network, scalar_centre: bool = False) -> tuple[Float[np.ndarray, "k m"], float]:
-    """Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any centre or (`scalar_centre`) of
+def lipsdp_ball(
+    network: Network, scalar_centre: bool = False
+) -> tuple[Float[np.ndarray, "k m"], float]:
+    """Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any centre or
+    (`scalar_centre`) of
     those that are `alpha I`. Refuses as above.
     """
     hidden = [len(b) for b in network.biases]
@@ -45,26 +55,47 @@ def lipsdp_ball(network: Network, scalar_centre: bool = False) -> tuple[Float[np
     square = cp.Variable(nonneg=True)  # L^2: the inequality is linear in it
     form = _sectors(network, multipliers) + square * _select(network, 0).T @ _select(network, 0)
     output = network.weights[-1] @ _select(network, len(hidden)) - centre @ _select(network, 0)
-    matrix = cp.bmat([[form, output.T], [output, np.eye(network.outputs)]])  # Schur complement of |W d - C v|^2
+    matrix = cp.bmat(
+        [[form, output.T], [output, np.eye(network.outputs)]]
+    )  # Schur complement of |W d - C v|^2
     problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             problem.solve(solver="CLARABEL")
     except (cp.error.SolverError, ArithmeticError) as error:
-        raise BadRequest("bound_method", "lipsdp", f"the solver failed ({error})", "use interval") from error
-    require(square.value is not None, "bound_method", "lipsdp", f"the solver reports {problem.status}", "use interval")
+        raise BadRequest(
+            "bound_method", "lipsdp", f"the solver failed ({error})", "use interval"
+        ) from error
+    require(
+        square.value is not None,
+        "bound_method",
+        "lipsdp",
+        f"the solver reports {problem.status}",
+        "use interval",
+    )
     found = np.asarray(centre.value, dtype=float).reshape(shape)
     values = [np.asarray(t.value, dtype=float) for t in multipliers]
     radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
-    require(np.isfinite(radius), "bound_method", "lipsdp", "the multipliers do not prove a bound", "use interval")
+    require(
+        np.isfinite(radius),
+        "bound_method",
+        "lipsdp",
+        "the multipliers do not prove a bound",
+        "use interval",
+    )
     return found, radius
 
 
-def _radius(network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]) -> float:
-    """The least L for these multipliers and this centre: the Schur complement onto v of all else. Infinite if none."""
+def _radius(
+    network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]
+) -> float:
+    """The least L for these multipliers and this centre: the Schur complement onto v of all else.
+    Infinite if none."""
     m, largest = network.inputs, max(float(t.max(initial=0.0)) for t in multipliers)
-    kept = [np.maximum(t, 0) + 1e-9 * largest for t in multipliers]  # strictly positive, so the block is invertible
+    kept = [
+        np.maximum(t, 0) + 1e-9 * largest for t in multipliers
+    ]  # strictly positive, so the block is invertible
     form = _sectors(network, kept)
     output = network.weights[-1] @ _select(network, len(kept)) - centre @ _select(network, 0)
     form = form - output.T @ output
@@ -74,7 +105,9 @@ def _radius(network: Network, multipliers: list[Float[np.ndarray, "_"]], centre:
     except np.linalg.LinAlgError:
         return np.inf
     needed = form[:m, m:] @ scipy.linalg.cho_solve(factor, form[m:, :m]) - form[:m, :m]
-    return float(np.sqrt(max(np.linalg.eigvalsh((needed + needed.T) / 2)[-1], 0.0)) * (1 + ROUNDING_SHARE))
+    return float(
+        np.sqrt(max(np.linalg.eigvalsh((needed + needed.T) / 2)[-1], 0.0)) * (1 + ROUNDING_SHARE)
+    )
 
 
 def _select(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
@@ -88,7 +121,9 @@ def _sectors(network: Network, multipliers: Sequence[Any]) -> Any:
     """`-2 sum_l (d - lo q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
     total: Any = 0
     for layer, t in enumerate(multipliers):
-        low, high = np.sort(np.stack([network.negative_slopes[layer], network.positive_slopes[layer]]), axis=0)
+        low, high = np.sort(
+            np.stack([network.negative_slopes[layer], network.positive_slopes[layer]]), axis=0
+        )
         d, q = _select(network, layer + 1), network.weights[layer] @ _select(network, layer)
         left, right = d - low[:, None] * q, high[:, None] * q - d
         scaled = (cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)) @ right

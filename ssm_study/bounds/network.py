@@ -1,4 +1,5 @@
-"""A leaky-ReLU network written around its value at zero, so that `N(0) = 0` to the last bit; its slopes and inverse.
+"""A leaky-ReLU network written around its value at zero, so that `N(0) = 0` to the last bit; its
+slopes and inverse.
 
 The scaffolding of [Z26] section IV.
 """
@@ -17,7 +18,9 @@ from ssm_study.refusal import require
 
 
 def leaky_relu(
-    z: Float[np.ndarray, "*batch h"], negative: Float[np.ndarray, "h"], positive: Float[np.ndarray, "h"]
+    z: Float[np.ndarray, "*batch h"],
+    negative: Float[np.ndarray, "h"],
+    positive: Float[np.ndarray, "h"],
 ) -> Float[np.ndarray, "*batch h"]:
     """`phi(z) = positive z` for `z >= 0`, `negative z` below."""
     return np.where(z >= 0, positive, negative) * z
@@ -27,9 +30,12 @@ def leaky_relu(
 class Network:
     """`N(v) = W_{L+1} d_L,  d_l = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l),  d_0 = v`.
 
-    Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations at zero; here the
-    subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L = len(biases)` layers of `leaky_relu`,
-    each neuron with its own slopes. Shapes: `weights[l] (h_{l+1}, h_l)`, one more of them than of `biases[l]`,
+    Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations
+    at zero; here the
+    subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L = len(biases)` layers
+    of `leaky_relu`,
+    each neuron with its own slopes. Shapes: `weights[l] (h_{l+1}, h_l)`, one more of them than of
+    `biases[l]`,
     `negative_slopes[l]` and `positive_slopes[l] (h_{l+1},)`.
     """
 
@@ -40,11 +46,15 @@ class Network:
 
     def __post_init__(self) -> None:
         widths = [w.shape[0] for w in self.weights[:-1]]
-        fits = len(self.weights) >= 2 and all(w.shape[1] == h for w, h in zip(self.weights[1:], widths, strict=True))
+        fits = len(self.weights) >= 2 and all(
+            w.shape[1] == h for w, h in zip(self.weights[1:], widths, strict=True)
+        )
         for layers in (self.biases, self.negative_slopes, self.positive_slopes):
             fits = fits and [layer.shape for layer in layers] == [(h,) for h in widths]
         shapes = [w.shape for w in self.weights]
-        require(fits, "weights", shapes, "the layers do not fit each other", "write model.json again")
+        require(
+            fits, "weights", shapes, "the layers do not fit each other", "write model.json again"
+        )
 
     @property
     def inputs(self) -> int:
@@ -65,13 +75,23 @@ class Network:
         d, product = v, np.eye(self.inputs)
         for w, b, low, high in self.hidden():
             z = w @ d + b
-            product = np.where(z >= 0, high, low)[:, None] * (w @ product)  # chain rule, slopes as they are active
+            product = np.where(z >= 0, high, low)[:, None] * (
+                w @ product
+            )  # chain rule, slopes as they are active
             d = leaky_relu(z, low, high) - leaky_relu(b, low, high)
         return self.weights[-1] @ product
 
     def hidden(self) -> list[tuple[Float[np.ndarray, "..."], ...]]:
         """Weight, bias, negative and positive slopes of each hidden layer."""
-        return list(zip(self.weights[:-1], self.biases, self.negative_slopes, self.positive_slopes, strict=True))
+        return list(
+            zip(
+                self.weights[:-1],
+                self.biases,
+                self.negative_slopes,
+                self.positive_slopes,
+                strict=True,
+            )
+        )
 
     def to_json(self) -> dict[str, Any]:
         return {name: [layer.tolist() for layer in layers] for name, layers in vars(self).items()}
@@ -79,7 +99,8 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableMap:
-    """`S(v) = linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear (k, m)`."""
+    """`S(v) = linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear
+    (k, m)`."""
 
     linear: Float[np.ndarray, "k m"]
     network: Network | None
@@ -96,16 +117,24 @@ class PortableMap:
             slopes = {"negative_slopes": (one,), "positive_slopes": (one,)}
             return Network(weights=(through, self.linear), biases=(zero,), **slopes)
         net, added = self.network, [through] * len(self.network.biases)
-        inner = (scipy.linalg.block_diag(w, i) for w, i in zip(net.weights[1:-1], added[1:], strict=True))
+        inner = (
+            scipy.linalg.block_diag(w, i) for w, i in zip(net.weights[1:-1], added[1:], strict=True)
+        )
         return Network(
-            weights=(np.vstack([net.weights[0], through]), *inner, np.hstack([net.weights[-1], self.linear])),
+            weights=(
+                np.vstack([net.weights[0], through]),
+                *inner,
+                np.hstack([net.weights[-1], self.linear]),
+            ),
             biases=tuple(np.append(b, zero) for b in net.biases),
             negative_slopes=tuple(np.append(s, one) for s in net.negative_slopes),
             positive_slopes=tuple(np.append(s, one) for s in net.positive_slopes),
         )
 
     def to_json(self) -> dict[str, Any]:
-        return {"linear": self.linear.tolist()} | ({} if self.network is None else self.network.to_json())
+        return {"linear": self.linear.tolist()} | (
+            {} if self.network is None else self.network.to_json()
+        )
 
 
 Exact = tuple[np.ndarray, int]  # integers and bits: the value is integers / 2^bits
@@ -125,25 +154,38 @@ class _Piece:
 
 
 def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
-    """The exact `[mu, nu]`: the least and the greatest slope. Raises `BadRequest` for more than one channel.
+    """The exact `[mu, nu]`: the least and the greatest slope. Raises `BadRequest` for more than one
+    channel.
 
-    Between break points the network is affine; sorting them and listing the pieces gives all slopes. Weights are
-    floats, hence dyadic rationals: slopes and offsets are integers over one power of two per layer, and only the break
+    Between break points the network is affine; sorting them and listing the pieces gives all
+    slopes. Weights are
+    floats, hence dyadic rationals: slopes and offsets are integers over one power of two per layer,
+    and only the break
     points are fractions. Nothing is rounded. It corrects the lower bound of [Z26] (docs/theory.md).
     """
     last, bits = _integers(network.weights[-1])
-    values = [Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits)) for piece in _pieces(network)]
+    values = [
+        Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits))
+        for piece in _pieces(network)
+    ]
     return min(values), max(values)
 
 
 def break_points(network: Network) -> list[Fraction]:
-    """Where the slope changes, in order; points between pieces of one slope may be among them. Refuses as above."""
+    """Where the slope changes, in order; points between pieces of one slope may be among them.
+    Refuses as above."""
     return [piece.low for piece in _pieces(network) if isinstance(piece.low, Fraction)]
 
 
 def _pieces(network: Network) -> list[_Piece]:
     shape = (network.inputs, network.outputs)
-    require(shape == (1, 1), "scaffold", shape, "break points order scalar maps only", "use method=interval or lipsdp")
+    require(
+        shape == (1, 1),
+        "scaffold",
+        shape,
+        "break points order scalar maps only",
+        "use method=interval or lipsdp",
+    )
     one = np.array([1], dtype=object)
     pieces = [_Piece(-inf, inf, one, 0 * one, 0)]
     for weights, biases, *slopes in network.hidden():
@@ -155,12 +197,15 @@ def _pieces(network: Network) -> list[_Piece]:
 def _integers(matrix: Float[np.ndarray, "..."]) -> Exact:  # matrix = integers / 2^bits, exactly
     ratios = [float(value).as_integer_ratio() for value in matrix.ravel()]
     bits = max(denominator.bit_length() - 1 for _, denominator in ratios)
-    scaled = [numerator << (bits - denominator.bit_length() + 1) for numerator, denominator in ratios]
+    scaled = [
+        numerator << (bits - denominator.bit_length() + 1) for numerator, denominator in ratios
+    ]
     return np.array(scaled, dtype=object).reshape(matrix.shape), bits
 
 
 def _through(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
-    """Split one affine piece at the zeros of the layer's pre-activations, and apply the active slopes on each part."""
+    """Split one affine piece at the zeros of the layer's pre-activations, and apply the active
+    slopes on each part."""
     affine, one = weights[1] + piece.bits, 1 << biases[1]
     bits = affine + biases[1]  # of the pre-activations, in which the biases are integers too
     at_zero = biases[0] * (1 << affine)
@@ -184,7 +229,8 @@ def _between(low: End, high: End) -> Fraction:
 
 @dataclass(frozen=True, kw_only=True)
 class Inverse:
-    """`v = matrix w`, or per channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
+    """`v = matrix w`, or per channel, with its points, slopes and offsets, `v = slopes[j] w +
+    offsets[j]`.
 
     j is the count of `points <= w`.
     """
@@ -203,9 +249,11 @@ class Inverse:
 
 
 def inverse_of(portable: PortableMap) -> Inverse | None:
-    """The inverse, as exact as its slopes; None for a map that couples its channels or is not strictly monotone.
+    """The inverse, as exact as its slopes; None for a map that couples its channels or is not
+    strictly monotone.
 
-    A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece. Source:
+    A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece.
+    Source:
     docs/theory.md, "With neurons".
     """
     gain = portable.linear
@@ -225,21 +273,32 @@ def _channels(portable: PortableMap) -> list[PortableMap]:
     assert net is not None
     inner, outer = net.weights[0], net.weights[-1]
     diagonal = np.array_equal(portable.linear, np.diag(gains))
-    apart = ((inner != 0).sum(axis=1) <= 1).all() and not np.any((outer.T != 0) & (inner == 0))  # one in, same out
+    apart = ((inner != 0).sum(axis=1) <= 1).all() and not np.any(
+        (outer.T != 0) & (inner == 0)
+    )  # one in, same out
     if len(net.biases) > 1 or not diagonal or not apart:
         return []
     found = []
     for c, gain in enumerate(gains):
         own = inner[:, c] != 0
-        layers = {name: (getattr(net, name)[0][own],) for name in ("biases", "negative_slopes", "positive_slopes")}
+        layers = {
+            name: (getattr(net, name)[0][own],)
+            for name in ("biases", "negative_slopes", "positive_slopes")
+        }
         network = Network(weights=(inner[own, c : c + 1], outer[c : c + 1, own]), **layers)
         found.append(PortableMap(linear=np.array([[gain]]), network=network))
     return found
 
 
 def _scalar(portable: PortableMap) -> tuple[Row, Row, Row] | None:
-    knots = np.unique([float(t) for t in break_points(portable.as_network())])  # pieces of one slope share a point
-    t = np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]]) if len(knots) else np.array([-1.0, 1.0])
+    knots = np.unique(
+        [float(t) for t in break_points(portable.as_network())]
+    )  # pieces of one slope share a point
+    t = (
+        np.concatenate([[knots[0] - 1], knots, [knots[-1] + 1]])
+        if len(knots)
+        else np.array([-1.0, 1.0])
+    )
     w = portable(t[:, None])[:, 0]
     t, w = (t[::-1], w[::-1]) if w[-1] < w[0] else (t, w)  # a falling map, from its other end
     if not (np.diff(w) > 0).all():

@@ -1,4 +1,5 @@
-"""The configured step between identification and synthesis: balanced coordinates, fewer states. Source: Moore 1981."""
+"""The configured step between identification and synthesis: balanced coordinates, fewer states.
+Source: Moore 1981."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,9 +10,11 @@ from ssm_study.refusal import at_least, require
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """`x = T z` with equal, diagonal Gramians; then keep the states that carry something: conf/reduction/balanced.yaml.
+    """`x = T z` with equal, diagonal Gramians; then keep the states that carry something:
+    conf/reduction/balanced.yaml.
 
-    `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates that floats do not
+    `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates
+    that floats do not
     hold. `absorb` is `SSM.absorbed`, done first.
     """
 
@@ -26,17 +29,29 @@ class Reduction:
         share, remedy = self.drop_below, "1e-6 changes the output by about one part in a million"
         inside, problem = BALANCING_FLOOR <= share < 1, f"must lie in [{BALANCING_FLOOR:g}, 1)"
         require(inside, "reduction.drop_below", share, problem, remedy)
-        problem, remedy = "truncation happens in balanced coordinates", "set it true, or reduction.truncate_to=null"
-        require(self.balanced or order is None, "reduction.balanced", self.balanced, problem, remedy)
+        problem, remedy = (
+            "truncation happens in balanced coordinates",
+            "set it true, or reduction.truncate_to=null",
+        )
+        require(
+            self.balanced or order is None, "reduction.balanced", self.balanced, problem, remedy
+        )
 
     def reduce(self, model: Any) -> Any:
-        """The same model (`with_linear`, perhaps `absorbed`) in balanced coordinates, with the kept states only.
+        """The same model (`with_linear`, perhaps `absorbed`) in balanced coordinates, with the kept
+        states only.
 
-        A model with neurons stays as it is: no state of its linear part can be dropped by itself (`BadRequest`).
+        A model with neurons stays as it is: no state of its linear part can be dropped by itself
+        (`BadRequest`).
         """
         if not hasattr(model, "with_linear"):
-            problem, remedy = "balanced truncation is of linear recurrences", "use reduction.truncate_to=null"
-            require(self.truncate_to is None, "reduction.truncate_to", self.truncate_to, problem, remedy)
+            problem, remedy = (
+                "balanced truncation is of linear recurrences",
+                "use reduction.truncate_to=null",
+            )
+            require(
+                self.truncate_to is None, "reduction.truncate_to", self.truncate_to, problem, remedy
+            )
             return model
         if self.absorb and hasattr(model, "absorbed"):
             model = model.absorbed()

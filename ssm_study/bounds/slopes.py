@@ -1,4 +1,5 @@
-"""What is provable of a scaffolding: its ball of Jacobians (docs/theory.md), and how each bound earned its trust."""
+"""What is provable of a scaffolding: its ball of Jacobians (docs/theory.md), and how each bound
+earned its trust."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,13 +12,15 @@ from ssm_study.bounds.network import Network, slope_interval
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Balls, JacobianBall
 
-# What is computed in floats is widened by this share: a thousand additions err by less than 1e-12, a norm by less.
+# What is computed in floats is widened by this share: a thousand additions err by less than 1e-12,
+# a norm by less.
 ROUNDING_SHARE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeBound:
-    """The ball `J = alpha I + beta Delta` that holds every Jacobian; the least and the greatest slope, with sign.
+    """The ball `J = alpha I + beta Delta` that holds every Jacobian; the least and the greatest
+    slope, with sign.
 
     In several dimensions these are the ends `alpha -+ beta` of the ball.
     """
@@ -29,7 +32,8 @@ class SlopeBound:
 
 
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
-    """Both ends rounded outwards to floats; the ball encloses the rational interval, not its rounded picture."""
+    """Both ends rounded outwards to floats; the ball encloses the rational interval, not its
+    rounded picture."""
     least, most, ball = _rounded_down(lower), -_rounded_down(-upper), enclosing_ball(lower, upper)
     return SlopeBound(lower=least, upper=most, ball=ball, method=method)
 
@@ -40,8 +44,11 @@ def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
-    """The smallest ball of floats with `alpha - beta <= lower` and `upper <= alpha + beta` in exact arithmetic."""
-    require(lower <= upper, "slopes", (float(lower), float(upper)), "lower exceeds upper", "swap them")
+    """The smallest ball of floats with `alpha - beta <= lower` and `upper <= alpha + beta` in exact
+    arithmetic."""
+    require(
+        lower <= upper, "slopes", (float(lower), float(upper)), "lower exceeds upper", "swap them"
+    )
     alpha = float((lower + upper) / 2)  # rounded; the radius covers it
     radius = max(upper - Fraction(alpha), Fraction(alpha) - lower)
     return JacobianBall(alpha=alpha, beta=-_rounded_down(-radius))
@@ -53,12 +60,16 @@ def _rounded_down(value: Fraction) -> float:
 
 
 def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
-    """A ball around `alpha I` that holds the ball around `centre`: the distance between the centres is paid for.
+    """A ball around `alpha I` that holds the ball around `centre`: the distance between the centres
+    is paid for.
 
-    `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which synthesis refuses.
+    `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which
+    synthesis refuses.
     """
     alpha = float(np.trace(centre)) / len(centre)
-    distance = float(np.linalg.norm(centre - alpha * np.eye(len(centre)), 2)) if len(centre) > 1 else 0.0
+    distance = (
+        float(np.linalg.norm(centre - alpha * np.eye(len(centre)), 2)) if len(centre) > 1 else 0.0
+    )
     return JacobianBall(alpha=alpha, beta=distance * (1 + ROUNDING_SHARE) + radius)
 
 
@@ -70,36 +81,61 @@ def network_bound(network: Network) -> SlopeBound:
 
     interval = interval_bound(network)
     try:
-        # balls that exclude zero by their relative radius, as the frontier sees them; the others by their radius
-        return min(interval, lipsdp_bound(network), key=lambda one: (min(one.ball.relative_radius, 1.0), one.ball.beta))
+        # balls that exclude zero by their relative radius, as the frontier sees them; the others by
+        # their radius
+        return min(
+            interval,
+            lipsdp_bound(network),
+            key=lambda one: (min(one.ball.relative_radius, 1.0), one.ball.beta),
+        )
     except BadRequest:  # the solver failed: what it was to improve on stands
         return interval
 
 
 def interval_bound(network: Network) -> SlopeBound:
-    """`|J(v) - centre| <= radius` entrywise for every v, by interval products `W_{L+1} Phi_L W_L ... Phi_1 W_1`.
+    """`|J(v) - centre| <= radius` entrywise for every v, by interval products `W_{L+1} Phi_L W_L
+    ... Phi_1 W_1`.
 
-    So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel. Refuses a network
+    So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel.
+    Refuses a network
     that is not square. Source: Moore 1966 (interval arithmetic).
     """
-    shape, problem = (network.outputs, network.inputs), "a ball around alpha I needs as many outputs as inputs"
+    shape, problem = (
+        (network.outputs, network.inputs),
+        "a ball around alpha I needs as many outputs as inputs",
+    )
     require(shape[0] == shape[1], "scaffold", shape, problem, "use a square scaffolding")
-    centre, size = np.eye(network.inputs), np.eye(network.inputs)  # size: what rounding errors are a share of
+    centre, size = (
+        np.eye(network.inputs),
+        np.eye(network.inputs),
+    )  # size: what rounding errors are a share of
     radius = np.zeros_like(centre)
     for weight, _, negative, positive in network.hidden():
         centre, radius, size = weight @ centre, np.abs(weight) @ radius, np.abs(weight) @ size
-        middle, half = ((positive + negative) / 2)[:, None], (np.abs(positive - negative) / 2)[:, None]
-        radius = np.abs(middle) * radius + half * (np.abs(centre) + radius)  # interval product, entry by entry
-        centre, size = middle * centre, np.maximum(np.abs(positive), np.abs(negative))[:, None] * size
+        middle, half = (
+            ((positive + negative) / 2)[:, None],
+            (np.abs(positive - negative) / 2)[:, None],
+        )
+        radius = np.abs(middle) * radius + half * (
+            np.abs(centre) + radius
+        )  # interval product, entry by entry
+        centre, size = (
+            middle * centre,
+            np.maximum(np.abs(positive), np.abs(negative))[:, None] * size,
+        )
     last = network.weights[-1]
     radius = np.abs(last) @ radius + ROUNDING_SHARE * (np.abs(last) @ size)
-    return bound_from_ball(ball_around_identity(last @ centre, float(np.linalg.norm(radius, 2))), method="interval")
+    return bound_from_ball(
+        ball_around_identity(last @ centre, float(np.linalg.norm(radius, 2))), method="interval"
+    )
 
 
 def spectral_norm_bound(network: Network) -> tuple[float, float]:
-    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure, [Z26] section IV.
+    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure,
+    [Z26] section IV.
 
-    The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map, yet the product is
+    The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map,
+    yet the product is
     positive. Neither says where the Jacobians lie: figures to print, never to certify with.
     """
     lower = upper = 1.0
@@ -115,14 +151,24 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
 def jacobian_ball(scaffold: Any) -> SlopeBound:
     """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
 
-    Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual), or the narrower of
+    Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual),
+    or the narrower of
     LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is not square.
     """
     shape = (scaffold.outputs, scaffold.inputs)
-    require(shape[0] == shape[1], "scaffold", shape, "the theorems need a square scaffolding", "lift to m channels")
+    require(
+        shape[0] == shape[1],
+        "scaffold",
+        shape,
+        "the theorems need a square scaffolding",
+        "lift to m channels",
+    )
     return scaffold.bound()
 
 
 def certified_balls(model: Any) -> Balls:
-    """The balls of `scaffold_in` and `scaffold_out` for the theorems, sound on both sides. Refuses as above."""
-    return Balls(input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball)
+    """The balls of `scaffold_in` and `scaffold_out` for the theorems, sound on both sides. Refuses
+    as above."""
+    return Balls(
+        input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball
+    )

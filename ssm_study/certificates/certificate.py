@@ -1,6 +1,8 @@
-"""What synthesis hands on: the certificates of a design, or why there are none, and the file they are kept in.
+"""What synthesis hands on: the certificates of a design, or why there are none, and the file they
+are kept in.
 
-Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26], docs/theory.md.
+Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26],
+docs/theory.md.
 """
 
 import hashlib
@@ -15,21 +17,41 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual
+from ssm_study.certificates.theorem import (
+    AGAIN,
+    Blocks,
+    Theorem,
+    VerificationContext,
+    theorem_named,
+    value_of,
+)
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual
-from ssm_study.certificates.theorem import AGAIN, Blocks, Known, Theorem, theorem_named, value_of
-from ssm_study.systems import JacobianBall, Pair
+from ssm_study.systems import Gains, JacobianBall
 
-# The letter of each matrix in a state feedback's problem, and an observer's for the same matrix, transposed.
-LETTERS = {"a": "a", "b": "c", "e": "f", "f": "e", "g": "h", "p": "q", "y": "u", "k": "l", "k_w": "l_z"}
+# The letter of each matrix in a state feedback's problem, and an observer's for the same matrix,
+# transposed.
+LETTERS = {
+    "a": "a",
+    "b": "c",
+    "e": "f",
+    "f": "e",
+    "g": "h",
+    "p": "q",
+    "y": "u",
+    "k": "l",
+    "k_w": "l_z",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side(Theorem, abstract=True):
-    """A gain with which differences contract by `r = sqrt(1 - rate)` a step, whatever the Jacobians in the ball.
+    """A gain with which differences contract by `r = sqrt(1 - rate)` a step, whatever the Jacobians
+    in the ball.
 
-    `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from a state feedback.
+    `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from
+    a state feedback.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -45,7 +67,8 @@ class Side(Theorem, abstract=True):
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Those that are deployed, by their letters: `k`, or `l` and, where neurons are injected into, `l_z`."""
+        """Those that are deployed, by their letters: `k`, or `l` and, where neurons are injected
+        into, `l_z`."""
         return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
 
     @property
@@ -59,22 +82,25 @@ class Side(Theorem, abstract=True):
         return float(np.linalg.norm(self.gain, 2))
 
     @classmethod
-    def ball(cls, known: Known) -> JacobianBall:
+    def ball(cls, known: VerificationContext) -> JacobianBall:
         """That of `S_u`, of an observer that of `S_y`."""
         return known.balls.output if cls.observes else known.balls.input
 
     def at_largest_rate(self) -> "Side | None":
-        """The same gain, certified at the largest rate that is proved for it; None where that is no more."""
+        """The same gain, certified at the largest rate that is proved for it; None where that is no
+        more."""
         return None
 
     @staticmethod
     @abstractmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """What is stored of a method's answer `found` to `problem`: every number that `conditions` uses."""
+        """What is stored of a method's answer `found` to `problem`: every number that `conditions`
+        uses."""
 
 
 class OfProblem(Side, abstract=True):
-    """Beside `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of `LETTERS`."""
+    """Beside `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of
+    `LETTERS`."""
 
     @staticmethod
     @abstractmethod
@@ -84,38 +110,65 @@ class OfProblem(Side, abstract=True):
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
         """The inequality, at a rate in (0, 1)."""
-        return {"inequality": cls.inequality(of), "rate above 0": [[of.rate]], "rate below 1": [[1 - of.rate]]}
+        return {
+            "inequality": cls.inequality(of),
+            "rate above 0": [[of.rate]],
+            "rate below 1": [[1 - of.rate]],
+        }
 
     @classmethod
-    def _system(cls, known: Known) -> Any:
+    def _system(cls, known: VerificationContext) -> Any:
         return known.system if cls.observes else known.controlled
 
-    def given(self, known: Known) -> dict[str, Any]:
+    def given(self, known: VerificationContext) -> dict[str, Any]:
         """Every field that is a matrix of the system."""
         system = self._system(known)
         return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
 
     @classmethod
-    def rate_limit_of(cls, known: Known) -> float:
-        """The exact frontier; with neurons the worst over frozen slopes, beyond which no certificate goes."""
+    def rate_limit_of(cls, known: VerificationContext) -> float:
+        """The exact frontier; with neurons the worst over frozen slopes, beyond which no
+        certificate goes."""
         system = cls._system(known)
-        return controller_frontier(dual(system) if cls.observes else system, cls.ball(known)).rate_limit
+        return controller_frontier(
+            dual(system) if cls.observes else system, cls.ball(known)
+        ).rate_limit
 
     @classmethod
     def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
-        """Every field that problem and solution have under its letter; an observer's turned back."""
-        of: dict[str, Any] = {**vars(problem), **vars(found), **(vars(problem.neurons) if problem.neurons else {})}
-        turned = {other: of[letter].T.copy() for letter, other in LETTERS.items() if of.get(letter) is not None}
+        """Every field that problem and solution have under its letter; an observer's turned
+        back."""
+        of: dict[str, Any] = {
+            **vars(problem),
+            **vars(found),
+            **(vars(problem.neurons) if problem.neurons else {}),
+        }
+        turned = {
+            other: of[letter].T.copy()
+            for letter, other in LETTERS.items()
+            if of.get(letter) is not None
+        }
         ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
-        of |= ball | {"eta": found.sigma, "lambda_": found.multipliers} | (turned if cls.observes else {})
+        of |= (
+            ball
+            | {"eta": found.sigma, "lambda_": found.multipliers}
+            | (turned if cls.observes else {})
+        )
         return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
 
     def posed(self) -> tuple[Problem, Solution]:
-        """The stored numbers as a method of design has them, an observer's transposed; no weights."""
+        """The stored numbers as a method of design has them, an observer's transposed; no
+        weights."""
         of: dict[str, Any] = dict(vars(self))
         if self.observes:
-            of |= {letter: np.ascontiguousarray(of[other].T) for letter, other in LETTERS.items() if other in of}
-        neurons = Neurons(e=of["e"], f=of["f"], g=of["g"], observes=self.observes) if "e" in of else None
+            of |= {
+                letter: np.ascontiguousarray(of[other].T)
+                for letter, other in LETTERS.items()
+                if other in of
+            }
+        neurons = (
+            Neurons(e=of["e"], f=of["f"], g=of["g"], observes=self.observes) if "e" in of else None
+        )
         ball, one = JacobianBall(alpha=self.alpha, beta=self.beta), np.eye(len(self.a))
         data = {"a": of["a"], "b": of["b"], "ball": ball, "rate": self.rate, "neurons": neurons}
         found = {"p": of["p"], "y": of["y"], "k": of["k"], "k_w": of.get("k_w"), "status": ""}
@@ -123,14 +176,17 @@ class OfProblem(Side, abstract=True):
         return Problem(**data, state_weight=one, input_weight=1.0), Solution(**found, sigma=sigma)
 
     def at_largest_rate(self) -> Side | None:
-        name = "structured_lmi" if hasattr(self, "lambda_") else "theorems.deployed_rate"  # CVXPY only with neurons
+        name = (
+            "structured_lmi" if hasattr(self, "lambda_") else "theorems.deployed_rate"
+        )  # CVXPY only with neurons
         found: Side | None = import_module(f"ssm_study.synthesis.{name}").at_largest_rate(self)
         return found
 
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedback(Side, abstract=True):
-    """`u = K x` contracts what is controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear in `p (n, n)`.
+    """`u = K x` contracts what is controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear
+    in `p (n, n)`.
 
     The printed proof says P, the inequality is the dual form.
     """
@@ -159,9 +215,11 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """No certificate at these settings: a result, not an error. `rate_limit` says how much was possible.
+    """No certificate at these settings: a result, not an error. `rate_limit` says how much was
+    possible.
 
-    `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one found nothing.
+    `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
+    found nothing.
     """
 
     theorem: str
@@ -178,15 +236,20 @@ class Infeasible:
 
 
 SIDES = ("state_feedback", "observer")
-# Parts of the file that are another part's theorem once more: at the largest rate, under another weight, with limits.
+# Parts of the file that are another part's theorem once more: at the largest rate, under another
+# weight, with limits.
 BESIDE = {f"{side}_deployed": side for side in SIDES} | {"tolerance_by_frequency": "tolerance"}
-OF_LIMITS = {"state_feedback_limited": "limited_input", "state_feedback_unlimited": "unlimited_start"}  # by theorem
+OF_LIMITS = {
+    "state_feedback_limited": "limited_input",
+    "state_feedback_unlimited": "unlimited_start",
+}  # by theorem
 BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Controller and observer; either may be missing, with its reason. `beside`: proved of the pair as deployed."""
+    """Controller and observer; either may be missing, with its reason. `beside`: proved of the pair
+    as deployed."""
 
     state_feedback: StateFeedback | Infeasible
     observer: Observer | Infeasible
@@ -198,28 +261,34 @@ class Design:
 
     @property
     def feasible(self) -> bool:
-        return not any(isinstance(part, Infeasible) for part in (self.state_feedback, self.observer))
+        return not any(
+            isinstance(part, Infeasible) for part in (self.state_feedback, self.observer)
+        )
 
     def parts(self) -> tuple[StateFeedback, Observer]:
         """Both sides; raises `BadRequest` with the reason where one is infeasible."""
         for name in SIDES:
             part = self.content[name]
             if isinstance(part, Infeasible):
-                raise BadRequest(f"design.{name}", "infeasible", part.reason.rstrip("."), "close no loop with it")
+                raise BadRequest(
+                    f"design.{name}", "infeasible", part.reason.rstrip("."), "close no loop with it"
+                )
         return self.state_feedback, self.observer  # type: ignore[return-value]  # Infeasible has just been refused
 
     @property
-    def pair(self) -> Pair:
+    def pair(self) -> Gains:
         """The gains of both sides; `BadRequest` as of `parts`."""
         feedback, observer = self.parts()
         n, l_z = len(observer.l), getattr(observer, "l_z", None)
         internal = feedback.a[n:, n:] if len(feedback.a) > n else None
-        return Pair(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
+        return Gains(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
 
     @property
     def inverts(self) -> bool:
         """Whether the law undoes the input map: `u = S_u^{-1}(K xh)`."""
-        return "inverted_input" in str(getattr(self.state_feedback, "theorem", type(self.state_feedback)))
+        return "inverted_input" in str(
+            getattr(self.state_feedback, "theorem", type(self.state_feedback))
+        )
 
     @property
     def content(self) -> dict[str, Theorem | Infeasible]:
@@ -235,13 +304,18 @@ class Design:
     def certified_rate(self, side: str) -> float | None:
         """The largest rate that is proved for the gain of this side; None without any."""
         parts = self.content[side], self.beside.get(f"{side}_deployed")
-        return max((part.rate for part in parts if isinstance(part, Side) and part.certified), default=None)
+        return max(
+            (part.rate for part in parts if isinstance(part, Side) and part.certified), default=None
+        )
 
     def to_json(self) -> dict[str, Any]:
-        """The public file `certificate.json`: nested lists whose numbers read back to the same floats."""
+        """The public file `certificate.json`: nested lists whose numbers read back to the same
+        floats."""
         content = {}
         for label, part in self.content.items():
-            plain: dict[str, Any] = {"certified_rate": self.certified_rate(label)} if label in SIDES else {}
+            plain: dict[str, Any] = (
+                {"certified_rate": self.certified_rate(label)} if label in SIDES else {}
+            )
             plain |= {"theorem": part.name()} if isinstance(part, Theorem) else {}
             for name, value in vars(part).items():
                 plain[name.rstrip("_")] = value.tolist() if isinstance(value, np.ndarray) else value
@@ -251,7 +325,8 @@ class Design:
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "Design":
-        """Raises `BadRequest` for a missing part, an unknown or missing field, or a matrix that is no matrix."""
+        """Raises `BadRequest` for a missing part, an unknown or missing field, or a matrix that is
+        no matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
         parts = {name: _read(name, stored) for name, stored in content.items()}
@@ -259,7 +334,9 @@ class Design:
         return cls(**sides, beside=parts)
 
     def save(self, path: Path) -> None:
-        path.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_text(
+            json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
 
     @classmethod
     def load(cls, path: Path) -> "Design":
@@ -267,15 +344,19 @@ class Design:
 
 
 def digest(content: dict[str, Any]) -> str:
-    """SHA-256 of a part's other fields as canonical JSON: whether the file still says what was written."""
+    """SHA-256 of a part's other fields as canonical JSON: whether the file still says what was
+    written."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def _read(label: str, content: dict[str, Any]) -> Any:
-    """A part by its own theorem; one that names none is of the theorem that bears the part's name."""
+    """A part by its own theorem; one that names none is of the theorem that bears the part's
+    name."""
     require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
-    values = {name: value for name, value in content.items() if name not in ("digest", "certified_rate")}
+    values = {
+        name: value for name, value in content.items() if name not in ("digest", "certified_rate")
+    }
     part = BESIDE.get(label, label)
     theorem = theorem_named(str(values.setdefault("theorem", part)))
     fits = theorem.part == part and OF_LIMITS.get(label, theorem.name()) == theorem.name()
@@ -288,7 +369,9 @@ def _read(label: str, content: dict[str, Any]) -> Any:
         problem = "is missing" if name in types else "is not part of a certificate"
         require(False, f"certificate.{label}.{name}", values.get(name), problem, AGAIN)
     read = {n: value_of(f"certificate.{label}.{n}", types[n].type, values[n]) for n in types}
-    sizes: dict[str, tuple[int, str]] = {}  # of each letter of a shape, and the field that has it first
+    sizes: dict[
+        str, tuple[int, str]
+    ] = {}  # of each letter of a shape, and the field that has it first
     for name, matrix in read.items():
         letters, shape = getattr(types[name].type, "dim_str", "").split(), np.shape(matrix)
         for letter, size in zip(letters, shape, strict=True):

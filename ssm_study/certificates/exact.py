@@ -1,7 +1,9 @@
 """The verdict on a certificate: exact arithmetic on the stored floats, no tolerance anywhere.
 
-By halves, in balls that hold the exact number; where one contains zero with twice as many digits, and where `BITS` do
-not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The verdict". Source: Johansson 2017 (Arb).
+By halves, in balls that hold the exact number; where one contains zero with twice as many digits,
+and where `BITS` do
+not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The verdict". Source:
+Johansson 2017 (Arb).
 """
 
 from typing import Any
@@ -10,7 +12,12 @@ import numpy as np
 from flint import arb_mat, ctx, fmpq, fmpq_mat, fmpz_mat
 from jaxtyping import Float
 
-BITS = (128, 256, 512, 1024)  # floats have 53; certificates whose margin floats still see are decided by the first
+BITS = (
+    128,
+    256,
+    512,
+    1024,
+)  # floats have 53; certificates whose margin floats still see are decided by the first
 
 
 class Exact:
@@ -27,7 +34,8 @@ class Exact:
 
     @classmethod
     def of(cls, value: Any) -> "Exact":
-        """The very rationals that floats are. Raises `ValueError` or `OverflowError` for NaN or infinity."""
+        """The very rationals that floats are. Raises `ValueError` or `OverflowError` for NaN or
+        infinity."""
         if isinstance(value, cls):
             return value
         matrix = np.atleast_2d(np.asarray(value, dtype=float))
@@ -37,7 +45,9 @@ class Exact:
     @classmethod
     def block(cls, rows: list[list[Any]]) -> "Exact":
         """As `np.block`; raises `ValueError` where the blocks do not fit."""
-        return cls._of_entries(np.block([[cls.of(block)._entries() for block in row] for row in rows]))
+        return cls._of_entries(
+            np.block([[cls.of(block)._entries() for block in row] for row in rows])
+        )
 
     @classmethod
     def _of_entries(cls, entries: np.ndarray) -> "Exact":
@@ -63,7 +73,9 @@ class Exact:
 
     def rounded(self) -> Float[np.ndarray, "r c"]:
         """Each entry rounded once to the nearest float: the same bits on every machine."""
-        return np.array([[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()])
+        return np.array(
+            [[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()]
+        )
 
     def __add__(self, other: Any) -> "Exact":
         return Exact(self.rational + Exact.of(other).rational)
@@ -86,7 +98,9 @@ class Exact:
         return Exact.of(other) @ self
 
     def __mul__(self, other: Any) -> "Exact":
-        number, matrix = (self, Exact.of(other)) if self.shape == (1, 1) else (Exact.of(other), self)
+        number, matrix = (
+            (self, Exact.of(other)) if self.shape == (1, 1) else (Exact.of(other), self)
+        )
         if number.shape != (1, 1):
             raise ValueError("only a number scales a matrix")
         return Exact(matrix.rational * number.rational[0, 0])
@@ -107,12 +121,17 @@ def is_positive_definite(matrix: Exact) -> bool:
     return has_positive_leading_minors(integer)
 
 
-def _definite(matrix: arb_mat) -> bool | None:  # What these balls prove; None where one of them leaves it open
+def _definite(
+    matrix: arb_mat,
+) -> bool | None:  # What these balls prove; None where one of them leaves it open
     rows, half = matrix.tolist(), matrix.nrows() // 2
     if not half:
         return True if rows[0][0] > 0 else False if rows[0][0] <= 0 else None
     first, rest = slice(half), slice(half, None)
-    a, b, c = (arb_mat([row[s] for row in rows[r]]) for r, s in ((first, first), (first, rest), (rest, rest)))
+    a, b, c = (
+        arb_mat([row[s] for row in rows[r]])
+        for r, s in ((first, first), (first, rest), (rest, rest))
+    )
     if (upper := _definite(a)) is not True:
         return upper
     try:
@@ -122,7 +141,8 @@ def _definite(matrix: arb_mat) -> bool | None:  # What these balls prove; None w
 
 
 def has_positive_leading_minors(integer: fmpz_mat) -> bool:
-    """Sylvester's criterion through the fraction-free elimination, whose pivots are the leading principal minors."""
+    """Sylvester's criterion through the fraction-free elimination, whose pivots are the leading
+    principal minors."""
     eliminated, _, order, _ = integer._fflu()
     size = integer.nrows()
     return order == list(range(size)) and all(eliminated[i, i] > 0 for i in range(size))

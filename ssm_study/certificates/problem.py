@@ -1,4 +1,5 @@
-"""What every method solves: Theorem 1's inequality for one pair; Theorem 2's is the same for the transposed pair.
+"""What every method solves: Theorem 1's inequality for one pair; Theorem 2's is the same for the
+transposed pair.
 
 Source: [Z26], with the corrections of docs/theory.md.
 """
@@ -18,14 +19,16 @@ DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h
 
 
 def dual(system: System) -> System:
-    """`(A^T, C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the observer, transposed."""
+    """`(A^T, C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the
+    observer, transposed."""
     turned = {name: np.ascontiguousarray(getattr(system, DUAL[name]).T) for name in vars(system)}
     return type(system)(**turned)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neurons:
-    """`w = phi(z) - phi(bias)`, slopes in [0, 1], beside the `a, b` of a problem; of an observer the dual system's."""
+    """`w = phi(z) - phi(bias)`, slopes in [0, 1], beside the `a, b` of a problem; of an observer
+    the dual system's."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -34,12 +37,14 @@ class Neurons:
 
     @property
     def injects(self) -> bool:
-        """Whether the output may be injected into the neurons: of an observer whose output they do not enter."""
+        """Whether the output may be injected into the neurons: of an observer whose output they do
+        not enter."""
         return self.observes and not self.g.any()
 
     @property
     def units(self) -> Float[np.ndarray, "q"]:
-        """Powers of two `d` that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ by many decades."""
+        """Powers of two `d` that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ
+        by many decades."""
         into, seen = np.linalg.norm(self.e, axis=0), np.linalg.norm(self.f, axis=1)
         ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
         return np.exp2(np.round(np.log2(ratio) / 2))
@@ -47,16 +52,21 @@ class Neurons:
     def scaled(self) -> "Neurons":
         """The same neurons, `d w` for w and `d z` for z."""
         d = self.units
-        return Neurons(e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes)
+        return Neurons(
+            e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Find `K` and `P` such that `A + B J K` contracts by `r = sqrt(1 - rate)` for every `J` of the ball.
+    """Find `K` and `P` such that `A + B J K` contracts by `r = sqrt(1 - rate)` for every `J` of the
+    ball.
 
-    Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`, symmetric:
-    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1) or matrices that are
-    not finite. A ball that holds zero admits analysis only: `design.Request` refuses it.
+    Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`,
+    symmetric:
+    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1) or
+    matrices that are
+    not finite. A ball that holds zero admits analysis only: `design.DesignAttempt` refuses it.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -68,10 +78,28 @@ class Problem:
     neurons: Neurons | None = None
 
     def __post_init__(self) -> None:
-        require(bool(0 < self.rate < 1), "rate", self.rate, "a contraction rate lies in (0, 1)", "try 0.1")
+        require(
+            bool(0 < self.rate < 1),
+            "rate",
+            self.rate,
+            "a contraction rate lies in (0, 1)",
+            "try 0.1",
+        )
         finite = all(np.isfinite(m).all() for m in (self.a, self.b, self.state_weight))
-        require(bool(finite), "a, b", "NaN or infinity", "the matrices are not finite", "identify the model again")
-        require(bool(self.input_weight > 0), "input_weight", self.input_weight, "must be positive", "try 1")
+        require(
+            bool(finite),
+            "a, b",
+            "NaN or infinity",
+            "the matrices are not finite",
+            "identify the model again",
+        )
+        require(
+            bool(self.input_weight > 0),
+            "input_weight",
+            self.input_weight,
+            "must be positive",
+            "try 1",
+        )
 
     @property
     def contraction(self) -> float:
@@ -99,9 +127,11 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Matrices of Theorem 1 as a method found them, not yet verified: `p, y (n, n)`, `k (m, n)`, `sigma`.
+    """Matrices of Theorem 1 as a method found them, not yet verified: `p, y (n, n)`, `k (m, n)`,
+    `sigma`.
 
-    With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an observer injects;
+    With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an
+    observer injects;
     `logs` is where a search over multipliers ended.
     """
 
@@ -129,12 +159,14 @@ def symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 class NoSolution(Exception):
-    """A method ended without matrices; the message says what the solver reported. Information, not a verdict."""
+    """A method ended without matrices; the message says what the solver reported. Information, not
+    a verdict."""
 
 
 @contextmanager
 def within_floats() -> Iterator[None]:
-    """A singular matrix, or eigenvalues that do not converge, end the attempt as `NoSolution` and not the run."""
+    """A singular matrix, or eigenvalues that do not converge, end the attempt as `NoSolution` and
+    not the run."""
     try:
         yield
     except np.linalg.LinAlgError as error:

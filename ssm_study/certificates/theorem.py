@@ -1,7 +1,10 @@
-"""What a theorem answers, and what follows: its certificate is stored, decided exactly, read back and verified.
+"""What a theorem answers, and what follows: its certificate is stored, decided exactly, read back
+and verified.
 
-A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json` stores, its
-`conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers (floats, exact ones, a solver's
+A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json`
+stores, its
+`conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers (floats, exact
+ones, a solver's
 expressions) is for the caller to say. How floats are decided: docs/theory.md, "The verdict".
 """
 
@@ -17,9 +20,9 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.certificates.exact import Exact, is_positive_definite
 from ssm_study.extensions import load
 from ssm_study.refusal import require
-from ssm_study.certificates.exact import Exact, is_positive_definite
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
 FOLDER = "ssm_study.certificates.theorems"
@@ -27,9 +30,18 @@ AGAIN = "synthesise again"
 UNFIT = "the matrices do not fit the model"
 
 # Fields that stand beside the proof: no condition may use them.
-INFORMATION = ("certified", "margin", "condition", "rate_limit", "method", "solver_status", "seconds")
+INFORMATION = (
+    "certified",
+    "margin",
+    "condition",
+    "rate_limit",
+    "method",
+    "solver_status",
+    "seconds",
+)
 
-# Upper triangle of a symmetric block matrix: row `i` holds the blocks `i, i + 1, ...`; `0` is a block of zeros.
+# Upper triangle of a symmetric block matrix: row `i` holds the blocks `i, i + 1, ...`; `0` is a
+# block of zeros.
 Blocks = list[list[Any]]
 
 
@@ -48,16 +60,22 @@ def full(upper: Blocks) -> Blocks:
 
 def stacked(rows: Blocks) -> Any:
     """Blocks side by side as they are: `np.block`, exactly where one of them is exact."""
-    return Exact.block(rows) if any(isinstance(block, Exact) for row in rows for block in row) else np.block(rows)
+    return (
+        Exact.block(rows)
+        if any(isinstance(block, Exact) for row in rows for block in row)
+        else np.block(rows)
+    )
 
 
 def diagonal(entries: Any) -> Any:
-    """The diagonal matrix of a stored vector, whose zeros nobody can alter: a multiplier `Lambda`."""
+    """The diagonal matrix of a stored vector, whose zeros nobody can alter: a multiplier
+    `Lambda`."""
     return entries.diagonal() if isinstance(entries, Exact) else np.diagflat(entries)
 
 
 def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
-    """`D M D` with `D = diag(|M_ii|)^(-1/2)`: what definiteness and conditioning mean whatever the units."""
+    """`D M D` with `D = diag(|M_ii|)^(-1/2)`: what definiteness and conditioning mean whatever the
+    units."""
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
     scaled = scale[:, None] * matrix * scale
     return (scaled + scaled.T) / 2
@@ -74,10 +92,11 @@ def condition(matrix: Float[np.ndarray, "n n"]) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Known:
+class VerificationContext:
     """What a verifier derives from `model.json` by itself, beside which a certificate is held.
 
-    `system` is the model's recurrence and `controlled` what the state feedback acts on (with integral action another);
+    `system` is the model's recurrence and `controlled` what the state feedback acts on (with
+    integral action another);
     `gains` are those of the parts that stand beside this one in the file, by their letter.
     """
 
@@ -89,11 +108,15 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class Theorem(ABC):
-    """One certificate: the numbers of a theorem, whether they prove it, and information beside them.
+    """One certificate: the numbers of a theorem, whether they prove it, and information beside
+    them.
 
-    `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest eigenvalue of the first
-    condition scaled to a unit diagonal, `condition` that of the metric's matrix scaled likewise. A class that is not
-    declared `abstract=True` and leaves a question open is refused with a `TypeError` that names it, when it is defined.
+    `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
+    eigenvalue of the first
+    condition scaled to a unit diagonal, `condition` that of the metric's matrix scaled likewise. A
+    class that is not
+    declared `abstract=True` and leaves a question open is refused with a `TypeError` that names it,
+    when it is defined.
     """
 
     alpha: float
@@ -107,7 +130,8 @@ class Theorem(ABC):
 
     final: ClassVar[bool] = False
     part: ClassVar[str]  # where it stands in `certificate.json`
-    # The field that holds the metric or its inverse: its condition number is told, and it fixes the order.
+    # The field that holds the metric or its inverse: its condition number is told, and it fixes the
+    # order.
     metric_matrix: ClassVar[str]
     # Fields that are exact products of two others, rounded once: `{"x": ("k", "y")}`.
     products: ClassVar[Mapping[str, tuple[str, str]]] = {}
@@ -115,7 +139,11 @@ class Theorem(ABC):
     def __init_subclass__(cls, *, abstract: bool = False, **options: Any) -> None:
         super().__init_subclass__(**options)
         unanswered = [name for name in ("metric_matrix", "part") if not hasattr(cls, name)]
-        unanswered += [name for name in dir(cls) if getattr(getattr(cls, name, None), "__isabstractmethod__", False)]
+        unanswered += [
+            name
+            for name in dir(cls)
+            if getattr(getattr(cls, name, None), "__isabstractmethod__", False)
+        ]
         cls.final = not abstract
         if unanswered and cls.final:
             raise TypeError(f"theorem {cls.__name__} does not answer: {', '.join(unanswered)}")
@@ -123,20 +151,21 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Named block matrices (upper triangles) that must be positive definite; `of` has every field and product."""
+        """Named block matrices (upper triangles) that must be positive definite; `of` has every
+        field and product."""
 
     @abstractmethod
-    def given(self, known: Known) -> dict[str, Any]:
+    def given(self, known: VerificationContext) -> dict[str, Any]:
         """Fields that are not the theorem's but the model's, as the verifier knows them."""
 
     @staticmethod
     @abstractmethod
-    def ball(known: Known) -> JacobianBall:
+    def ball(known: VerificationContext) -> JacobianBall:
         """The ball that `alpha, beta` must contain."""
 
     @classmethod
     @abstractmethod
-    def rate_limit_of(cls, known: Known) -> float | None:
+    def rate_limit_of(cls, known: VerificationContext) -> float | None:
         """The exact limit of the rate, if one is known; None where nothing can be said."""
 
     @classmethod
@@ -145,14 +174,18 @@ class Theorem(ABC):
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
-    def _evaluated(cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]) -> dict[str, Blocks]:
+    def _evaluated(
+        cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]
+    ) -> dict[str, Blocks]:
         """All blocks of the conditions, in the numbers that `read` makes of the stored ones."""
         of = {label: read(value) for label, value in numbers.items()}
         of |= {label: of[left] @ of[right] for label, (left, right) in cls.products.items()}
-        return {label: full(upper) for label, upper in cls.conditions(SimpleNamespace(**of)).items()}
+        return {
+            label: full(upper) for label, upper in cls.conditions(SimpleNamespace(**of)).items()
+        }
 
     @classmethod
-    def in_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
+    def as_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
         """The conditions in floats, each scaled to a unit diagonal."""
         found = cls._evaluated(np.atleast_2d, numbers)
         return {label: unit_diagonal(np.block(blocks)) for label, blocks in found.items()}
@@ -160,7 +193,10 @@ class Theorem(ABC):
     @classmethod
     def exactly(cls, **numbers: Any) -> dict[str, Exact]:
         """The conditions in exact arithmetic. Raises `ValueError` where the shapes do not fit."""
-        return {label: Exact.block(blocks) for label, blocks in cls._evaluated(Exact.of, numbers).items()}
+        return {
+            label: Exact.block(blocks)
+            for label, blocks in cls._evaluated(Exact.of, numbers).items()
+        }
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
@@ -168,11 +204,14 @@ class Theorem(ABC):
         return all(is_positive_definite(matrix) for matrix in cls.exactly(**numbers).values())
 
     @classmethod
-    def proved(cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any) -> Any:
-        """The certificate of these numbers: products rounded, verdict exact; `started` by `time.perf_counter`."""
+    def proved(
+        cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any
+    ) -> Any:
+        """The certificate of these numbers: products rounded, verdict exact; `started` by
+        `time.perf_counter`."""
         information |= {
             "certified": cls.holds(**numbers),
-            "margin": margin(next(iter(cls.in_floats(**numbers).values()))),
+            "margin": margin(next(iter(cls.as_floats(**numbers).values()))),
             "condition": condition(numbers[cls.metric_matrix]),
             "solver_status": status,
             "seconds": time.perf_counter() - started,
@@ -182,17 +221,27 @@ class Theorem(ABC):
     @classmethod
     def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
         """Exact, each entry rounded once to the nearest float."""
-        return {name: (Exact.of(of[left]) @ of[right]).rounded() for name, (left, right) in cls.products.items()}
+        return {
+            name: (Exact.of(of[left]) @ of[right]).rounded()
+            for name, (left, right) in cls.products.items()
+        }
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """The stored fields that are the theorem's own: all but the products and the information beside them."""
-        return {name: value for name, value in vars(self).items() if name not in {*INFORMATION, *self.products}}
+        """The stored fields that are the theorem's own: all but the products and the information
+        beside them."""
+        return {
+            name: value
+            for name, value in vars(self).items()
+            if name not in {*INFORMATION, *self.products}
+        }
 
-    def broken(self, known: Known) -> list[str]:
-        """Sentences, one per claim of this certificate that does not hold beside what is known of the model.
+    def broken(self, known: VerificationContext) -> list[str]:
+        """Sentences, one per claim of this certificate that does not hold beside what is known of
+        the model.
 
-        A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the reverse.
+        A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
+        reverse.
         """
         if isinstance(known.system, StructuredSystem) != hasattr(self, "e"):
             return [f": {UNFIT}"]
@@ -206,17 +255,26 @@ class Theorem(ABC):
             return [f": {UNFIT}"]
         derived = given | self._rounded_products(stored)
         wrong = [name for name, value in derived.items() if not np.array_equal(stored[name], value)]
-        broken = [f".{name}: differs from what the model and the other matrices give" for name in wrong]
+        broken = [
+            f".{name}: differs from what the model and the other matrices give" for name in wrong
+        ]
         failing = [name for name, matrix in conditions.items() if not is_positive_definite(matrix)]
         if (not failing) != self.certified:
             found = f"fails ({', '.join(failing)})" if failing else "holds"
-            broken.append(f".certified = {self.certified}: in exact arithmetic the inequality {found}")
+            broken.append(
+                f".certified = {self.certified}: in exact arithmetic the inequality {found}"
+            )
         return broken
 
 
 def theorem_named(name: str) -> type[Theorem]:
-    """The theorem of a file in `theorems/`, or of a plug-in that is loaded; raises `BadRequest` for any other name."""
-    if name.isidentifier() and not name.startswith("_") and importlib.util.find_spec(f"{FOLDER}.{name}") is not None:
+    """The theorem of a file in `theorems/`, or of a plug-in that is loaded; raises `BadRequest` for
+    any other name."""
+    if (
+        name.isidentifier()
+        and not name.startswith("_")
+        and importlib.util.find_spec(f"{FOLDER}.{name}") is not None
+    ):
         importlib.import_module(f"{FOLDER}.{name}")
     else:
         load()
@@ -229,17 +287,22 @@ def theorem_named(name: str) -> type[Theorem]:
 
 
 def value_of(where: str, kind: Any, value: Any) -> Any:
-    """A field of a certificate as its type has it; raises `BadRequest` for what is no such thing."""
+    """A field of a certificate as its type has it; raises `BadRequest` for what is no such
+    thing."""
     if kind in (bool, str):
         require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", AGAIN)
         return value
     number = kind is float
     try:
         entries = np.array(value, dtype=object)
-        words = any(isinstance(entry, bool | str) for entry in entries.flat)  # NumPy would read "0.5" and true
+        words = any(
+            isinstance(entry, bool | str) for entry in entries.flat
+        )  # NumPy would read "0.5" and true
         matrix = np.array(np.nan) if words else entries.astype(float)
     except (TypeError, ValueError, OverflowError):
         matrix = np.array(np.nan)
-    fits = matrix.ndim == (0 if number else len(kind.dim_str.split())) and bool(np.isfinite(matrix).all())
+    fits = matrix.ndim == (0 if number else len(kind.dim_str.split())) and bool(
+        np.isfinite(matrix).all()
+    )
     require(fits, where, value, f"is not a finite {'number' if number else 'matrix'}", AGAIN)
     return float(value) if number else matrix

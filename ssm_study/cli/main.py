@@ -1,4 +1,5 @@
-"""`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the request was wrong."""
+"""`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the
+request was wrong."""
 
 import argparse
 import os
@@ -35,11 +36,19 @@ def main(arguments: list[str] | None = None) -> int:
         command: Command = options.command
         return command(options) or DONE
     except KeyboardInterrupt:
-        print("ssm-study: interrupted; the same command again does what is missing", file=sys.stderr)
-        sys.excepthook = lambda *_: None  # without a traceback, yet ended by the signal: a script's loop ends with it
+        print(
+            "ssm-study: interrupted; the same command again does what is missing", file=sys.stderr
+        )
+        sys.excepthook = lambda *_: (
+            None
+        )  # without a traceback, yet ended by the signal: a script's loop ends with it
         raise
-    except Exception as error:  # the one guard: whatever a file holds, no command ends in a traceback
-        if isinstance(error, BrokenPipeError) and _reader_is_gone():  # `ssm-study show STUDY | head`
+    except (
+        Exception
+    ) as error:  # the one guard: whatever a file holds, no command ends in a traceback
+        if (
+            isinstance(error, BrokenPipeError) and _reader_is_gone()
+        ):  # `ssm-study show STUDY | head`
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return DONE
         if "SSM_STUDY_TRACEBACK" in os.environ and not isinstance(error, (BadRequest, OSError)):
@@ -54,15 +63,25 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
         return error
     if isinstance(error, OSError):
         named = error.filename is not None  # the error of a write does not know its file
-        return full_or_forbidden(*(("file", error) if named else ("command", error, " ".join(arguments))))
-    problem = f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
-    remedy = "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
+        return full_or_forbidden(
+            *(("file", error) if named else ("command", error, " ".join(arguments)))
+        )
+    problem = (
+        f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
+    )
+    remedy = (
+        "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
+    )
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 
 def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
-    """The sentence for a disk that is full or a folder that is not ours; `field` names what was asked."""
-    problem, remedy = error.strerror or type(error).__name__, "make room, or choose a folder that you may write to"
+    """The sentence for a disk that is full or a folder that is not ours; `field` names what was
+    asked."""
+    problem, remedy = (
+        error.strerror or type(error).__name__,
+        "make room, or choose a folder that you may write to",
+    )
     return BadRequest(field, error.filename or otherwise, problem, remedy)
 
 
@@ -74,8 +93,10 @@ def _reader_is_gone() -> bool:
 
 
 def limit_threads() -> None:
-    """Before torch is imported: one thread, unless the environment says otherwise (two processes with as many threads
-    as cores each are 20 times slower). Single runs and Hydra's basic launcher work in this very process."""
+    """Before torch is imported: one thread, unless the environment says otherwise (two processes
+    with as many threads
+    as cores each are 20 times slower). Single runs and Hydra's basic launcher work in this very
+    process."""
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads sleep instead of spinning
     for variable in COUNTS:
         os.environ.setdefault(variable, "1")
@@ -89,9 +110,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    commands.add_parser("run", help="do one run, or with -m a sweep; see `ssm-study run --help`", add_help=False)
-    made = commands.add_parser("new", help="write a study folder of your own: plant, theorem, figure, test, README")
-    made.add_argument("folder", type=Path, metavar="FOLDER", help="a folder that does not exist yet")
+    commands.add_parser(
+        "run", help="do one run, or with -m a sweep; see `ssm-study run --help`", add_help=False
+    )
+    made = commands.add_parser(
+        "new", help="write a study folder of your own: plant, theorem, figure, test, README"
+    )
+    made.add_argument(
+        "folder", type=Path, metavar="FOLDER", help="a folder that does not exist yet"
+    )
     made.set_defaults(command=lambda options: print(*new(options.folder), sep="\n"))
     told = "write an input for your own plant: several amplitudes, each period twice, then rest"
     excited = commands.add_parser("excite", help=told, description=told[0].upper() + told[1:] + ".")
@@ -110,20 +137,36 @@ def _parser() -> argparse.ArgumentParser:
 def _on_its_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
     from ssm_study.table import folders
 
-    found = {"study": folders.study_folder, "run": folders.run_folder}[subject](getattr(options, subject))
+    found = {"study": folders.study_folder, "run": folders.run_folder}[subject](
+        getattr(options, subject)
+    )
     setattr(options, subject, found)
     return action(options)
 
 
 def new(folder: Path) -> list[Path]:
-    """Write configuration, plant, theorem, figure, test and README into a new folder; returns the files.
+    """Write configuration, plant, theorem, figure, test and README into a new folder; returns the
+    files.
 
-    The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot, or is taken.
+    The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot,
+    or is taken.
     """
     name = folder.name
-    require(bool(re.fullmatch(r"[a-z]\w*", name)), "new", name, "cannot name a package", "use letters, digits and _")
+    require(
+        bool(re.fullmatch(r"[a-z]\w*", name)),
+        "new",
+        name,
+        "cannot name a package",
+        "use letters, digits and _",
+    )
     require(not folder.exists(), "new", folder, "exists", "name a folder that does not")
-    require(find_spec(name) is None, "new", name, "is the name of an installed package", "choose another")
+    require(
+        find_spec(name) is None,
+        "new",
+        name,
+        "is the name of an installed package",
+        "choose another",
+    )
     written = []
     for source in sorted(path for path in TEMPLATE.rglob("*.txt") if path.is_file()):
         to = folder / str(source.relative_to(TEMPLATE)).removesuffix(".txt").replace("@NAME@", name)
@@ -145,11 +188,22 @@ def _excite(options: argparse.Namespace) -> None:
     settings = known | {name: value for name, value in vars(options).items() if value is not None}
     for name in OwnPlantRecord.__dataclass_fields__:
         words = f"--{name.replace('_', '-')}"
-        require(name in settings, words, "not given", "no record is known", "give it, or --after RUN of a first log")
-    print(OwnPlantRecord(**{name: settings[name] for name in OwnPlantRecord.__dataclass_fields__}).write(options.to))
+        require(
+            name in settings,
+            words,
+            "not given",
+            "no record is known",
+            "give it, or --after RUN of a first log",
+        )
+    print(
+        OwnPlantRecord(
+            **{name: settings[name] for name in OwnPlantRecord.__dataclass_fields__}
+        ).write(options.to)
+    )
 
 
-# Each command imports what it takes when it is given, so that `--help` and refusals load no library of numerics.
+# Each command imports what it takes when it is given, so that `--help` and refusals load no library
+# of numerics.
 def _gather(options: argparse.Namespace) -> None:
     from ssm_study.table.gather import gather
 
@@ -159,7 +213,13 @@ def _gather(options: argparse.Namespace) -> None:
 def _show(options: argparse.Namespace) -> None:
     from ssm_study.table.show import show
 
-    show(options.study, by=options.by, where=options.where, cost=options.cost, columns=options.columns)
+    show(
+        options.study,
+        by=options.by,
+        where=options.where,
+        cost=options.cost,
+        columns=options.columns,
+    )
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -195,7 +255,9 @@ def _export(options: argparse.Namespace) -> None:
     from ssm_study.export.targets import export
     from ssm_study.study.verify import verify
 
-    verify(options.run).demand("run", options.run)  # what is exported claims to be certified: recompute it first
+    verify(options.run).demand(
+        "run", options.run
+    )  # what is exported claims to be certified: recompute it first
     for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
         print(path)
 
@@ -220,14 +282,19 @@ def _report(options: argparse.Namespace) -> None:
     try:  # first: after the figures of 20,000 runs it would take 80 MB more
         pages += [] if options.only else [write_page(options.study, tuple(options.others))]
     finally:
-        for path in [*([] if options.others else draw(options.only, options.study, tell=print)), *pages]:
+        for path in [
+            *([] if options.others else draw(options.only, options.study, tell=print)),
+            *pages,
+        ]:
             print(path)
 
 
 def _watch(options: argparse.Namespace) -> None:
     from ssm_study.report.page.live import serve
 
-    with serve(options.study, options.port, announce=lambda address: print(address, flush=True)) as server:
+    with serve(
+        options.study, options.port, announce=lambda address: print(address, flush=True)
+    ) as server:
         server.serve_forever()
 
 
@@ -236,51 +303,143 @@ ACTIONS: dict[str, tuple[Command, str, str]] = {
     "gather": (_gather, "study", "(re)build runs.parquet and runs.csv of a study folder"),
     "show": (_show, "study", "print the study's table, best first; failures with reasons"),
     "verify": (_verify, "run", "recompute every claim of a run from its files alone"),
-    "refine": (_refine, "run", "measure the mismatch in closed loop, choose the controller again, run it"),
-    "reproduce": (_reproduce, "run", "do a run again from its configuration and compare every number"),
+    "refine": (
+        _refine,
+        "run",
+        "measure the mismatch in closed loop, choose the controller again, run it",
+    ),
+    "reproduce": (
+        _reproduce,
+        "run",
+        "do a run again from its configuration and compare every number",
+    ),
     "export": (_export, "run", "write the controller in C, as ONNX and for python-control"),
-    "report": (_report, "study", "draw the figures of a study into its folder and write its page, report.html"),
-    "watch": (_watch, "study", "serve the report page on a local port while a sweep runs; it reloads itself"),
-    "export-mcap": (_export_mcap, "study", "write the closed loops of all runs into one recording, for Foxglove"),
-    "export-mlflow": (_export_mlflow, "study", "write a finished study into an MLflow store (extra mlflow)"),
+    "report": (
+        _report,
+        "study",
+        "draw the figures of a study into its folder and write its page, report.html",
+    ),
+    "watch": (
+        _watch,
+        "study",
+        "serve the report page on a local port while a sweep runs; it reloads itself",
+    ),
+    "export-mcap": (
+        _export_mcap,
+        "study",
+        "write the closed loops of all runs into one recording, for Foxglove",
+    ),
+    "export-mlflow": (
+        _export_mlflow,
+        "study",
+        "write a finished study into an MLflow store (extra mlflow)",
+    ),
 }
 EXCITE: dict[str, dict[str, Any]] = {
-    "--to": {"type": Path, "metavar": "FILE", "required": True, "help": "the CSV file to write: time_s, input"},
-    "--after": {"type": Path, "metavar": "RUN", "help": "the run of a first log: what is not given below is its own"},
+    "--to": {
+        "type": Path,
+        "metavar": "FILE",
+        "required": True,
+        "help": "the CSV file to write: time_s, input",
+    },
+    "--after": {
+        "type": Path,
+        "metavar": "RUN",
+        "help": "the run of a first log: what is not given below is its own",
+    },
     "--lower": {"type": float, "metavar": "U", "help": "smallest input, in its unit"},
     "--upper": {"type": float, "metavar": "U", "help": "largest input"},
     "--rest": {"type": float, "metavar": "U", "help": "the input at which the plant rests"},
     "--step-s": {"type": float, "metavar": "S", "help": "sampling time, seconds"},
-    "--settle-s": {"type": float, "metavar": "S", "help": "how long the plant takes to come to rest, seconds"},
+    "--settle-s": {
+        "type": float,
+        "metavar": "S",
+        "help": "how long the plant takes to come to rest, seconds",
+    },
     "--seed": {"type": int, "default": 0, "metavar": "N", "help": "seed of the random levels"},
 }
 SUBJECTS = {
     "study": "the study folder, e.g. results/paper",
     "run": "the run folder, or the study with the digits that `show` prints: results/paper/1a2b3c4d5e",
 }
-FIGURES = sorted(path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py"))
+FIGURES = sorted(
+    path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py")
+)
 ONLY = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
 OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
     "show": {
-        "--by": {"metavar": "COLUMN", "help": "sort by this column of runs.csv, in its better direction"},
-        "--where": {"metavar": "EXPR", "help": "keep runs for which this holds, e.g. 'order == 8 and seed < 5'"},
-        "--columns": {"action": "store_true", "help": "list the columns that hold values, with unit and meaning"},
-        "--cost": {"action": "store_true", "help": "how long each stage took, and what reuse saved"},
+        "--by": {
+            "metavar": "COLUMN",
+            "help": "sort by this column of runs.csv, in its better direction",
+        },
+        "--where": {
+            "metavar": "EXPR",
+            "help": "keep runs for which this holds, e.g. 'order == 8 and seed < 5'",
+        },
+        "--columns": {
+            "action": "store_true",
+            "help": "list the columns that hold values, with unit and meaning",
+        },
+        "--cost": {
+            "action": "store_true",
+            "help": "how long each stage took, and what reuse saved",
+        },
     },
-    "verify": {"--json": {"action": "store_true", "help": "for machines: every claim, and what was not checked"}},
+    "verify": {
+        "--json": {
+            "action": "store_true",
+            "help": "for machines: every claim, and what was not checked",
+        }
+    },
     "refine": {
-        "--record": {"type": Path, "metavar": "LOG", "help": "log of a trial, with the columns of the run's data"},
-        "--times": {"type": int, "default": 4, "metavar": "N", "help": "stop after N iterations, each a run (4)"},
+        "--record": {
+            "type": Path,
+            "metavar": "LOG",
+            "help": "log of a trial, with the columns of the run's data",
+        },
+        "--times": {
+            "type": int,
+            "default": 4,
+            "metavar": "N",
+            "help": "stop after N iterations, each a run (4)",
+        },
     },
     "export": {
-        "--to": {"type": Path, "required": True, "metavar": "DIR", "help": "the folder to write into"},
-        "--real": {"default": "double", "metavar": "TYPE", "help": "floats of the C code: double (default) or float"},
-        "--prefix": {"default": "controller", "metavar": "NAME", "help": "what the names of the C code begin with"},
+        "--to": {
+            "type": Path,
+            "required": True,
+            "metavar": "DIR",
+            "help": "the folder to write into",
+        },
+        "--real": {
+            "default": "double",
+            "metavar": "TYPE",
+            "help": "floats of the C code: double (default) or float",
+        },
+        "--prefix": {
+            "default": "controller",
+            "metavar": "NAME",
+            "help": "what the names of the C code begin with",
+        },
     },
     "report": {
-        "others": {"nargs": "*", "type": Path, "metavar": "STUDY", "help": "further studies to show on the same page"},
+        "others": {
+            "nargs": "*",
+            "type": Path,
+            "metavar": "STUDY",
+            "help": "further studies to show on the same page",
+        },
         "--only": {"action": "append", "metavar": "NAME", "help": ONLY},
     },
-    "watch": {"--port": {"type": int, "default": 8420, "metavar": "PORT", "help": "local port (0: any free one)"}},
-    "export-mlflow": {"--store": {"metavar": "ADDRESS", "help": "address (default: sqlite:///STUDY/mlflow.db)"}},
+    "watch": {
+        "--port": {
+            "type": int,
+            "default": 8420,
+            "metavar": "PORT",
+            "help": "local port (0: any free one)",
+        }
+    },
+    "export-mlflow": {
+        "--store": {"metavar": "ADDRESS", "help": "address (default: sqlite:///STUDY/mlflow.db)"}
+    },
 }

@@ -1,4 +1,5 @@
-"""A request, checked before Hydra acts on it: our three options, and every configuration of a sweep."""
+"""A request, checked before Hydra acts on it: our three options, and every configuration of a
+sweep."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -22,12 +23,23 @@ OPTIONS = {
 LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
 SINE = re.compile(r"""(?<!["'\w])(\w+\([^()"']*\))""")
 # What Hydra answers by itself: versions, the composed configuration.
-JUST_ASKING = ("--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc")
+JUST_ASKING = (
+    "--hydra-help",
+    "--version",
+    "--cfg",
+    "-c",
+    "--info",
+    "-i",
+    "--shell-completion",
+    "-sc",
+)
 
 
 def translate(arguments: list[str]) -> list[str]:
     """Our own options of `ssm-study run` as Hydra's arguments; `-m` may stand anywhere."""
-    many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)  # only a launcher can plan
+    many = any(
+        word in ("-m", "--multirun", "--dry-run") for word in arguments
+    )  # only a launcher can plan
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
     if "--dry-run" in rest:
         rest = [word for word in rest if not word.startswith(LAUNCHER)]
@@ -43,7 +55,8 @@ def quoted(words: Iterable[str]) -> list[str]:
 def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     """The request, composed; refused are foreign targets, Hydra's own section included.
 
-    Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes first.
+    Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
+    first.
     Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
     request = Command(arguments, folder, name)
@@ -54,7 +67,8 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
 
 @contextmanager
 def checked(request: Command) -> Iterator[None]:
-    """Raise `BadRequest` before Hydra makes anything; while a launcher works that tells nothing, tell how far it is.
+    """Raise `BadRequest` before Hydra makes anything; while a launcher works that tells nothing,
+    tell how far it is.
 
     The jobs that a search asks for are not known beforehand: a wrong one is a failed row.
     """
@@ -65,11 +79,15 @@ def checked(request: Command) -> Iterator[None]:
     if not request.many:
         settings = STUDY.settings(config)
         _ = STUDY.finished(settings) or STUDY.request(settings)  # built only if it is to run
-    if not request.many or launcher.endswith("ProcessesLauncher"):  # ours checks its jobs, and counts them
+    if not request.many or launcher.endswith(
+        "ProcessesLauncher"
+    ):  # ours checks its jobs, and counts them
         yield
         return
     jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), combinations(config))
-    for job in jobs if "ssm_study" not in launcher else ():  # on Slurm our launcher checks them, too
+    for job in (
+        jobs if "ssm_study" not in launcher else ()
+    ):  # on Slurm our launcher checks them, too
         if STUDY.finished(job.settings) is None:
             job.check(STUDY)
     with Watch([job.folder for job in jobs]) if jobs else nullcontext():

@@ -1,4 +1,5 @@
-"""`ssm-study run`: one run or a sweep, composed by Hydra, with a sentence for whatever is wrong with the request."""
+"""`ssm-study run`: one run or a sweep, composed by Hydra, with a sentence for whatever is wrong
+with the request."""
 
 import gc
 import os
@@ -14,10 +15,10 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.cli.hydra_errors import advised, refuse_dashes
 from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden, limit_threads
 from ssm_study.cli.request import JUST_ASKING, check_request, checked, translate
+from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, forget
 from ssm_study.refusal import require
 
@@ -25,21 +26,36 @@ PYTHONS_WARNING = warnings.formatwarning
 
 
 def refuse_more_threads_than_cores() -> None:
-    """Refuse a count of threads in the environment that is no number or more than the cores this process may use."""
+    """Refuse a count of threads in the environment that is no number or more than the cores this
+    process may use."""
     limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
     for variable in COUNTS:
         asked = os.environ[variable]
         fits = asked.isdigit() and 1 <= int(asked) <= cores
-        require(fits, variable, asked, f"this machine gives {cores} cores", f"set it to a number from 1 to {cores}")
+        require(
+            fits,
+            variable,
+            asked,
+            f"this machine gives {cores} cores",
+            f"set it to a number from 1 to {cores}",
+        )
 
 
 def _warned(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    line: str | None = None,
 ) -> str:
     """Our own warnings are sentences for the user: without the line of code that gave them."""
     ours = category.__module__.startswith("ssm_study")
-    return f"ssm-study: {message}\n" if ours else PYTHONS_WARNING(message, category, filename, lineno, line)
+    return (
+        f"ssm-study: {message}\n"
+        if ours
+        else PYTHONS_WARNING(message, category, filename, lineno, line)
+    )
 
 
 def configuration_folder() -> Path:
@@ -49,18 +65,23 @@ def configuration_folder() -> Path:
 
 
 def run(overrides: list[str]) -> int:
-    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a wrong request."""
+    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a
+    wrong request."""
     warnings.formatwarning = _warned
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     overrides = translate(overrides)
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
+    os.environ["HYDRA_FULL_ERROR"] = (
+        "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
+    )
     sys.argv = ["ssm-study run", *overrides]
     try:
         if any(word in ("--help", "-h") for word in overrides):
             Command(overrides, configuration_folder(), "study").help()
         elif any(word.split("=")[0] in JUST_ASKING for word in overrides):
-            answered = hydra.main(version_base="1.3", config_path=str(configuration_folder()), config_name="study")
+            answered = hydra.main(
+                version_base="1.3", config_path=str(configuration_folder()), config_name="study"
+            )
             answered(lambda _: None)()
         else:
             request = check_request(overrides, configuration_folder(), "study")
@@ -70,7 +91,9 @@ def run(overrides: list[str]) -> int:
         return DONE
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
-    except ValueError as error:  # Hydra's own, for a number or null where the name of a choice belongs
+    except (
+        ValueError
+    ) as error:  # Hydra's own, for a number or null where the name of a choice belongs
         if "Config group override" not in str(error):
             raise
         raise advised(error, overrides, configuration_folder()) from error

@@ -25,34 +25,50 @@ def conclude_run(config: DictConfig) -> bool:
     study, console = study_folder(config), Console()
     record = read_record(study / str(config.run)) or {}
     width = min(WIDTH, console.width) if console.is_terminal else WIDTH
-    drawn = RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]  # a baseline closes no loop
+    drawn = (
+        RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]
+    )  # a baseline closes no loop
     figures = [study / "figures" / f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")]
-    # What was told of a study that has not changed is told again: reading it takes pandas, half a second to import.
-    told, about = study / ".told" / f"{config.run}.json", [__version__, str(Path.cwd()), str(study), width]
+    # What was told of a study that has not changed is told again: reading it takes pandas, half a
+    # second to import.
+    told, about = (
+        study / ".told" / f"{config.run}.json",
+        [__version__, str(Path.cwd()), str(study), width],
+    )
     known = _told(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
     if known[:-1] != about or record.get("status") != OK:
         known = [*about, _outcome(study, record, drawn, figures, width)]
         with suppress(OSError):  # a study that may only be read
             told.parent.mkdir(exist_ok=True)
-            told.write_text(json.dumps(known), encoding="utf-8")  # last: it vouches for tables and figures
+            told.write_text(
+                json.dumps(known), encoding="utf-8"
+            )  # last: it vouches for tables and figures
     console.print(Text.from_ansi(known[-1]), soft_wrap=True)
-    return record.get("status") not in (OK, INFEASIBLE) or (config.strict and record.get("evidence") == "cannot judge")
+    return record.get("status") not in (OK, INFEASIBLE) or (
+        config.strict and record.get("evidence") == "cannot judge"
+    )
 
 
 def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """What the file holds, if it is younger than every record, every coming and going of a run, and all `files`.
+    """What the file holds, if it is younger than every record, every coming and going of a run, and
+    all `files`.
 
     Figures that are younger show another run of the study.
     """
     with suppress(OSError, ValueError):
-        changed = max(path.stat().st_mtime_ns for path in (study, *study.glob(f"*/{RECORD}"), *files))
+        changed = max(
+            path.stat().st_mtime_ns for path in (study, *study.glob(f"*/{RECORD}"), *files)
+        )
         if told.stat().st_mtime_ns > changed:
             return list(json.loads(told.read_text(encoding="utf-8")))
     return []
 
 
-def _outcome(study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int) -> str:
-    """Of a study gathered and drawn: how the run went, as a coloured terminal of that width shows it."""
+def _outcome(
+    study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
+) -> str:
+    """Of a study gathered and drawn: how the run went, as a coloured terminal of that width shows
+    it."""
     from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
     from ssm_study.table.gather import gather
@@ -61,7 +77,13 @@ def _outcome(study: Path, record: dict[str, Any], drawn: Sequence[str], figures:
     shown = figures if record.get("status") == OK else []
     if shown:
         draw(drawn, study, run=record["run"])
-    page = Console(file=io.StringIO(), width=width, force_terminal=True, color_system="standard", no_color=False)
+    page = Console(
+        file=io.StringIO(),
+        width=width,
+        force_terminal=True,
+        color_system="standard",
+        no_color=False,
+    )
     with page.capture() as said:
         print_outcome(record, [path for path in shown if path.is_file()], page)
     return said.get().rstrip("\n")

@@ -1,6 +1,8 @@
-"""The laws that every plant, scaffolding, theorem, model and experiment obeys: `pytest --pyargs ssm_study.conformance`.
+"""The laws that every plant, scaffolding, theorem, model and experiment obeys: `pytest --pyargs
+ssm_study.conformance`.
 
-Judged is every yaml of a group, ours and those of trusted packages (`ssm_study.extensions`); `-k NAME` judges one.
+Judged is every yaml of a group, ours and those of trusted packages (`ssm_study.extensions`); `-k
+NAME` judges one.
 """
 
 from functools import cache
@@ -18,7 +20,8 @@ def folders() -> list[Path]:
 
 
 def choices(group: str) -> list[str]:
-    """Every yaml of the group that is complete: one that asks for a file (`???`) is its owner's to test."""
+    """Every yaml of the group that is complete: one that asks for a file (`???`) is its owner's to
+    test."""
     every = (path for folder in folders() for path in (folder / group).glob("*.yaml"))
     return sorted({path.stem for path in every if ": ???" not in path.read_text(encoding="utf-8")})
 

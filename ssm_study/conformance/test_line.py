@@ -1,4 +1,5 @@
-"""Every choice of a swappable part runs the whole line, without being listed here: a new yaml is a new test case."""
+"""Every choice of a swappable part runs the whole line, without being listed here: a new yaml is a
+new test case."""
 
 import json
 import os
@@ -13,7 +14,13 @@ from ssm_study.extensions import configurations, modules
 from ssm_study.report import figures
 from ssm_study.study.verify import verify
 
-TINY = ["experiment=smoke", "progress=false", "data.samples=300", "data.test_samples=300", "training.max_epochs=2"]
+TINY = [
+    "experiment=smoke",
+    "progress=false",
+    "data.samples=300",
+    "data.test_samples=300",
+    "training.max_epochs=2",
+]
 # Without the search over rates, and without trials: the case is another part.
 QUICK = ("synthesis=riccati", "+data.trials=false")
 
@@ -22,18 +29,26 @@ OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reductio
 EVERY = [
     *[(*QUICK, f"{option}={name}") for group, option in OPTIONS.items() for name in choices(group)],
     *[(f"synthesis={name}",) for name in choices("synthesis")],
-    *[(f"experiment={path.stem}",) for folder in configurations() for path in folder.glob("experiment/*.yaml")],
+    *[
+        (f"experiment={path.stem}",)
+        for folder in configurations()
+        for path in folder.glob("experiment/*.yaml")
+    ],
 ]
 
 
 @pytest.fixture(autouse=True)
 def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the check of every call that a test run may ask of jaxtyping: here whole lines run, step by step.
+    """Without the check of every call that a test run may ask of jaxtyping: here whole lines run,
+    step by step.
 
-    No generator: of a module that jaxtyping checks, pytest would take its fixture for one that returns.
+    No generator: of a module that jaxtyping checks, pytest would take its fixture for one that
+    returns.
     """
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
-    monkeypatch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())  # each draws the same two, for a third of its time
+    monkeypatch.setattr(
+        "ssm_study.cli.summary.RUN_FIGURES", ()
+    )  # each draws the same two, for a third of its time
 
 
 @pytest.fixture(scope="session")
@@ -56,11 +71,17 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
     assert [finding for finding in verify(path.parent) if not finding.holds] == []
     for name in modules("figures"):
         assert figures.caption(name)
-        assert all(drawn.stat().st_size > 0 for drawn in figures.draw([name], shared_results / study))
+        assert all(
+            drawn.stat().st_size > 0 for drawn in figures.draw([name], shared_results / study)
+        )
 
 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
     """Ours are found first: a yaml or figure of the same name would never be used."""
-    ours, *others = ([path.relative_to(folder) for path in folder.glob("*/*.yaml")] for folder in folders())
+    ours, *others = (
+        [path.relative_to(folder) for path in folder.glob("*/*.yaml")] for folder in folders()
+    )
     assert not {path for theirs in others for path in theirs} & set(ours)
-    assert not set(modules("figures")) & {path.stem for path in Path(figures.__file__).parent.glob("*.py")}
+    assert not set(modules("figures")) & {
+        path.stem for path in Path(figures.__file__).parent.glob("*.py")
+    }

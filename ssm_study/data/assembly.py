@@ -1,6 +1,8 @@
-"""From records to a data set: scales as pure gains about the equilibrium, and what must hold of every record.
+"""From records to a data set: scales as pure gains about the equilibrium, and what must hold of
+every record.
 
-And a data set as named arrays and one json-able dictionary, and back, bit for bit: how the store keeps it.
+And a data set as named arrays and one json-able dictionary, and back, bit for bit: how the store
+keeps it.
 """
 
 from collections.abc import Sequence
@@ -22,42 +24,86 @@ TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside 
 
 
 def assemble(
-    parts: Parts, rest: Rest, channels: tuple[Channels, Channels], start_up_samples: int, **told: Any
+    parts: Parts,
+    rest: Rest,
+    channels: tuple[Channels, Channels],
+    start_up_samples: int,
+    **told: Any,
 ) -> DataSet:
     """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`.
 
-    `parts` are training, validation and test, `told` the other fields of the data set. Raises `BadRequest` for a part
-    without records, differing sampling times, a record no longer than the start-up window, or a channel that is
+    `parts` are training, validation and test, `told` the other fields of the data set. Raises
+    `BadRequest` for a part
+    without records, differing sampling times, a record no longer than the start-up window, or a
+    channel that is
     constant over the training records.
     """
     named: dict[str, Any] = {}
     for part, records in zip(("training", "validation", "test"), parts, strict=True):
-        require(len(records) > 0, f"data.{part}", "none", "a data set needs at least one record here", "add one")
-        named[part] = tuple(replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records))
-    training, window = named["training"], f"no longer than the start-up window of {start_up_samples} samples"
+        require(
+            len(records) > 0,
+            f"data.{part}",
+            "none",
+            "a data set needs at least one record here",
+            "add one",
+        )
+        named[part] = tuple(
+            replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)
+        )
+    training, window = (
+        named["training"],
+        f"no longer than the start-up window of {start_up_samples} samples",
+    )
     step_s = training[0].step_s
     for record in (record for records in named.values() for record in records):
         remedy = "use a longer record or a smaller data.start_up_samples"
-        require(len(record) > start_up_samples + 1, f"{record.name} (samples)", len(record), window, remedy)
+        require(
+            len(record) > start_up_samples + 1,
+            f"{record.name} (samples)",
+            len(record),
+            window,
+            remedy,
+        )
         same = abs(record.step_s - step_s) <= SAME_STEP * step_s
         problem = f"differs from the {step_s:g} s of the first training record"
-        require(same, f"{record.name}.step_s", record.step_s, problem, "resample the records to one sampling time")
+        require(
+            same,
+            f"{record.name}.step_s",
+            record.step_s,
+            problem,
+            "resample the records to one sampling time",
+        )
     scales: dict[str, Any] = {}
     for name, side, at, own in zip(("input", "output"), "uy", rest, channels, strict=True):
         values = np.concatenate([getattr(record, side) for record in training])
         problem = "constant over the training records, so nothing can be identified from it"
         for column, channel in zip(values.T, own, strict=True):
-            require(np.ptp(column) > 0, channel.name, column[0], problem, "excite it, or leave the channel out")
-        scales |= {f"{name}_scale": np.sqrt(np.mean((values - at) ** 2, axis=0)), f"{name}_equilibrium": at}
+            require(
+                np.ptp(column) > 0,
+                channel.name,
+                column[0],
+                problem,
+                "excite it, or leave the channel out",
+            )
+        scales |= {
+            f"{name}_scale": np.sqrt(np.mean((values - at) ** 2, axis=0)),
+            f"{name}_equilibrium": at,
+        }
     told |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
     return DataSet(**named, **told, scale=Scale(**scales))
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Arrays `part/i/u`, `part/i/y` and the four vectors of the scale; names, units and periods in the dictionary."""
+    """Arrays `part/i/u`, `part/i/y` and the four vectors of the scale; names, units and periods in
+    the dictionary."""
     arrays = dict(vars(data.scale))
-    about: dict[str, Any] = {"start_up_samples": data.start_up_samples, "metadata": dict(data.metadata)}
-    about |= {name: [asdict(channel) for channel in getattr(data, name)] for name in ("inputs", "outputs")}
+    about: dict[str, Any] = {
+        "start_up_samples": data.start_up_samples,
+        "metadata": dict(data.metadata),
+    }
+    about |= {
+        name: [asdict(channel) for channel in getattr(data, name)] for name in ("inputs", "outputs")
+    }
     for part in PARTS:
         records: tuple[Trajectory, ...] = getattr(data, part)
         about[part] = [{k: getattr(record, k) for k in TOLD} for record in records]
@@ -66,12 +112,19 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
     return {name: np.ascontiguousarray(values) for name, values in arrays.items()}, about
 
 
-def dataset_from_tensors(arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]) -> DataSet:
+def dataset_from_tensors(
+    arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]
+) -> DataSet:
     """The inverse of `dataset_to_tensors`."""
     parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
     for part in PARTS:
         told = enumerate(about[part])
-        parts[part] = tuple(Trajectory(u=arrays[f"{part}/{i}/u"], y=arrays[f"{part}/{i}/y"], **one) for i, one in told)
+        parts[part] = tuple(
+            Trajectory(u=arrays[f"{part}/{i}/u"], y=arrays[f"{part}/{i}/y"], **one)
+            for i, one in told
+        )
     for name in ("inputs", "outputs"):
         parts[name] = tuple(Channel(**channel) for channel in about[name])
-    return DataSet(**parts, scale=Scale(**{name: values for name, values in arrays.items() if "/" not in name}))
+    return DataSet(
+        **parts, scale=Scale(**{name: values for name, values in arrays.items() if "/" not in name})
+    )

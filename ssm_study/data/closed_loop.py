@@ -1,8 +1,12 @@
-"""A log made in a closed loop whose set point is known: the input as the set point alone would make it.
+"""A log made in a closed loop whose set point is known: the input as the set point alone would make
+it.
 
-A fit from the one to the other takes the controller for part of the plant where noise is slow. What the set point r
-explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`; the model is fitted to `u_r` and y
-(two stages). F has `LAGS` samples, by which the input's answer must be over; of a nonlinear plant it is the best linear
+A fit from the one to the other takes the controller for part of the plant where noise is slow. What
+the set point r
+explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`; the model is
+fitted to `u_r` and y
+(two stages). F has `LAGS` samples, by which the input's answer must be over; of a nonlinear plant
+it is the best linear
 part. Of a PI `u = u_eq + gain (e + i)`, `e = r - y`, r is `y + e`.
 Source: Van den Hof & Schrama, Automatica 29 (1993) 1523-1527.
 """
@@ -23,31 +27,57 @@ AT_LIMIT = 0.02  # share of the samples at the largest or the smallest input, of
 Rows = Float[np.ndarray, "T r"]
 
 
-def from_set_points(logs: Sequence[Trajectory], references: Sequence[Rows]) -> tuple[list[Trajectory], float]:
+def from_set_points(
+    logs: Sequence[Trajectory], references: Sequence[Rows]
+) -> tuple[list[Trajectory], float]:
     """The logs with `u_r` for u, one filter for all, and the share of the input's power that it is.
 
     Raises `BadRequest` for logs that are too short.
     """
-    at_least(FEWEST * LAGS, "data.reference (samples of the logs)", sum(map(len, logs)), "log longer")
+    at_least(
+        FEWEST * LAGS, "data.reference (samples of the logs)", sum(map(len, logs)), "log longer"
+    )
     at_rest = (np.repeat(r[:1], LAGS, axis=0) for r in references)  # before each log
     past = [lagged(np.concatenate(pair), LAGS) for pair in zip(at_rest, references, strict=True)]
     x, u = np.concatenate(past), np.concatenate([log.u for log in logs])
     filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]
-    share = float(((x @ filtered - u.mean(axis=0)) ** 2).sum() / max(((u - u.mean(axis=0)) ** 2).sum(), 1e-300))
+    share = float(
+        ((x @ filtered - u.mean(axis=0)) ** 2).sum()
+        / max(((u - u.mean(axis=0)) ** 2).sum(), 1e-300)
+    )
     seen = u.min(axis=0), u.max(axis=0)  # beyond what was applied nothing is known
-    return [replace(log, u=np.clip(rows @ filtered, *seen)) for log, rows in zip(logs, past, strict=True)], share
+    return [
+        replace(log, u=np.clip(rows @ filtered, *seen))
+        for log, rows in zip(logs, past, strict=True)
+    ], share
 
 
 def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
-    """`r = y + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it rested at the start.
+    """`r = y + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it
+    rested at the start.
 
-    Raises `BadRequest` for more than one input or output, and where the input is at a limit, which hides e.
+    Raises `BadRequest` for more than one input or output, and where the input is at a limit, which
+    hides e.
     """
     field, shape, u = "data.controller", (log.u.shape[1], log.y.shape[1]), log.u[:, 0]
-    require(shape == (1, 1), field, shape, "inputs and outputs, of which a PI has one each", "name the set point")
+    require(
+        shape == (1, 1),
+        field,
+        shape,
+        "inputs and outputs, of which a PI has one each",
+        "name the set point",
+    )
     problem = "of the samples are at a limit of the input, where a PI does not do what it asks"
     share = max(float((u == end).mean()) for end in (u.min(), u.max()))
-    require(share < AT_LIMIT, field, f"{share:.0%}", problem, "log the set point, and name it data.reference")
+    require(
+        share < AT_LIMIT,
+        field,
+        f"{share:.0%}",
+        problem,
+        "log the set point, and name it data.reference",
+    )
     asked, c = (u - u[0]) / gain, log.step_s / integral_s
-    e = asked - scipy.signal.lfilter([0.0, c], [1.0, c - 1.0], asked)  # i from asked: i+ = (1 - c) i + c asked
+    e = asked - scipy.signal.lfilter(
+        [0.0, c], [1.0, c - 1.0], asked
+    )  # i from asked: i+ = (1 - c) i + c asked
     return log.y + e[:, None]

@@ -1,4 +1,5 @@
-"""Experiments assigned to training, validation and test one by one: the benchmark records, and where they lie."""
+"""Experiments assigned to training, validation and test one by one: the benchmark records, and
+where they lie."""
 
 import importlib
 import os
@@ -14,16 +15,25 @@ from ssm_study.refusal import BadRequest, one_of, require
 from ssm_study.signals import DataSet, Trajectory
 
 RECORDS_VARIABLE = "SSM_STUDY_DATA"  # a folder with one folder per benchmark
-RECORDS_BESIDE = Path("../shared/data")  # where a clone may have them, relative to the folder one works in
-DOWNLOADERS = {"emps": "EMPS", "ced": "CED", "cascaded_tanks": "Cascaded_Tanks", "silverbox": "Silverbox"}
+RECORDS_BESIDE = Path(
+    "../shared/data"
+)  # where a clone may have them, relative to the folder one works in
+DOWNLOADERS = {
+    "emps": "EMPS",
+    "ced": "CED",
+    "cascaded_tanks": "Cascaded_Tanks",
+    "silverbox": "Silverbox",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedExperiments(AroundRest):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
-    `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see `data.metrics.SCORES`. A `fold` is
-    held out of every training recording and scored in place of `test`, whose files are then not opened.
+    `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see
+    `data.metrics.SCORES`. A `fold` is
+    held out of every training recording and scored in place of `test`, whose files are then not
+    opened.
     """
 
     benchmark: str
@@ -37,7 +47,13 @@ class RecordedExperiments(AroundRest):
         super().__post_init__()
         one_of(SCORES, "data.score", self.score)
         for part in ("training", "validation", "test"):
-            require(len(getattr(self, part)) > 0, f"data.{part}", "none", "no recording is named", "name at least one")
+            require(
+                len(getattr(self, part)) > 0,
+                f"data.{part}",
+                "none",
+                "no recording is named",
+                "name at least one",
+            )
 
     def files(self) -> tuple[Path, ...]:
         apart = (*self.validation, *self.test) if self.fold is None else ()
@@ -48,14 +64,23 @@ class RecordedExperiments(AroundRest):
         about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
         if self.fold is not None:
             about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
-        return self.assembled(self._parts(), (self.training[0].inputs, self.training[0].outputs), **about)
+        return self.assembled(
+            self._parts(), (self.training[0].inputs, self.training[0].outputs), **about
+        )
 
     def _parts(self) -> Parts:
-        """Training, validation and test; of a fold, what is kept also validates, as it does without folds."""
+        """Training, validation and test; of a fold, what is kept also validates, as it does without
+        folds."""
         folder = self.located()
         if self.fold is None:
-            return _read(folder, self.training), _read(folder, self.validation), _read(folder, self.test)
-        parts = [without_fold(record, self.fold, self.folds) for record in _read(folder, self.training)]
+            return (
+                _read(folder, self.training),
+                _read(folder, self.validation),
+                _read(folder, self.test),
+            )
+        parts = [
+            without_fold(record, self.fold, self.folds) for record in _read(folder, self.training)
+        ]
         kept = [piece for pieces, _ in parts for piece in pieces]
         return kept, kept, [piece for _, piece in parts]
 
@@ -63,14 +88,22 @@ class RecordedExperiments(AroundRest):
         """The folder of the records; `BadRequest` where there is none."""
         if self.folder is None:
             return benchmark_folder(self.benchmark)
-        require(Path(self.folder).is_dir(), "data.folder", self.folder, "no such folder", "check the spelling")
+        require(
+            Path(self.folder).is_dir(),
+            "data.folder",
+            self.folder,
+            "no such folder",
+            "check the spelling",
+        )
         return Path(self.folder)
 
 
 def benchmark_folder(benchmark: str) -> Path:
-    """The folder of a benchmark (`DOWNLOADERS`): in $SSM_STUDY_DATA, in ../shared/data, or the official package's.
+    """The folder of a benchmark (`DOWNLOADERS`): in $SSM_STUDY_DATA, in ../shared/data, or the
+    official package's.
 
-    That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest` where it is nowhere.
+    That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest`
+    where it is nowhere.
     """
     around = [Path(os.environ[RECORDS_VARIABLE])] if RECORDS_VARIABLE in os.environ else []
     for place in (*around, RECORDS_BESIDE):
@@ -84,18 +117,28 @@ def benchmark_folder(benchmark: str) -> Path:
     except (ImportError, KeyError) as error:
         raise BadRequest("data.folder", None, problem, remedy) from error
     except Exception as error:  # whatever the network and the archive readers raise (2026-11)
-        raise BadRequest("data.folder", None, f"{problem}, and downloading failed ({error})", remedy) from error
+        raise BadRequest(
+            "data.folder", None, f"{problem}, and downloading failed ({error})", remedy
+        ) from error
     return Path(found if isinstance(found, str | os.PathLike) else found[0]).parent
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """The file of that name, or of its stem as CSV or MAT: records are distributed as both. Refuses without."""
+    """The file of that name, or of its stem as CSV or MAT: records are distributed as both. Refuses
+    without."""
     exact = folder / name
-    twins = sorted(p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv"))
+    twins = sorted(
+        p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")
+    )
     found = [exact] if exact.is_file() else twins
-    require(found, "data.folder", folder, f"has no {name}", "point it at the benchmark's own folder")
+    require(
+        found, "data.folder", folder, f"has no {name}", "point it at the benchmark's own folder"
+    )
     return found[0]
 
 
 def _read(folder: Path, recordings: list[Recording]) -> list[Trajectory]:
-    return [replace(recording, path=str(file_in(folder, recording.path))).read() for recording in recordings]
+    return [
+        replace(recording, path=str(file_in(folder, recording.path))).read()
+        for recording in recordings
+    ]

@@ -1,8 +1,11 @@
 """MCAP recordings: one protobuf message per sample and topic, log times from the sampling clock.
 
-Groups below one name on one clock share a topic: `/case_0/input` and `/case_0/output` are the fields `input` and
-`output` of `/case_0`. A message takes 16 bytes of index and a head, so this halves a recording and its time to write.
-Read back to the same groups and numbers: every checksum is verified, so a flipped bit is an error and not a number.
+Groups below one name on one clock share a topic: `/case_0/input` and `/case_0/output` are the
+fields `input` and
+`output` of `/case_0`. A message takes 16 bytes of index and a head, so this halves a recording and
+its time to write.
+Read back to the same groups and numbers: every checksum is verified, so a flipped bit is an error
+and not a number.
 """
 
 import json
@@ -46,9 +49,11 @@ DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error,
 
 @dataclass(frozen=True, kw_only=True)
 class SignalGroup:
-    """Signals sampled together: `values (T, c)` of the `channels`, at `time_s (T,)`, under one topic such as `/output`.
+    """Signals sampled together: `values (T, c)` of the `channels`, at `time_s (T,)`, under one
+    topic such as `/output`.
 
-    Times are kept to the nanosecond. Channel names must be identifiers, for they become protobuf fields.
+    Times are kept to the nanosecond. Channel names must be identifiers, for they become protobuf
+    fields.
     """
 
     topic: str
@@ -72,12 +77,20 @@ class SignalGroup:
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
     """Write the groups to a new file at `path`, beside it first and moved there when complete.
 
-    Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in the channel metadata
-    as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata` (plant, seed, ...) in a metadata record.
+    Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in
+    the channel metadata
+    as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata` (plant, seed, ...) in a
+    metadata record.
     Raises `BadRequest` for two groups on one topic.
     """
     topics = [group.topic for group in groups]
-    require(len(set(topics)) == len(topics), "topics", topics, "two groups share a topic", "name them apart")
+    require(
+        len(set(topics)) == len(topics),
+        "topics",
+        topics,
+        "two groups share a topic",
+        "name them apart",
+    )
     temporary = path.with_name(f".{path.name}.part")
     options = MCAPWriteOptions(
         compression=MCAPCompression.Zstd,
@@ -89,58 +102,86 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     )
     context = foxglove.Context()
     queue: list[tuple[int, int, bytes]] = []
-    written = BytesIO()  # on a full disk Foxglove prints a line a message and its error does not say what it met
+    written = (
+        BytesIO()
+    )  # on a full disk Foxglove prints a line a message and its error does not say what it met
     with foxglove.open_mcap(written, context=context, writer_options=options) as writer:
         writer.write_metadata(METADATA_NAME, metadata)
         shared = _shared(groups)
         channels = [_open_channel(context, topic, parts) for topic, parts in shared.items()]
         for index, parts in enumerate(shared.values()):
             times = np.rint(parts[0].time_s * NANOSECONDS).astype(np.int64).tolist()
-            queue += [(time, index, message) for time, message in zip(times, _encoded(parts), strict=True)]
-        for time, index, message in sorted(queue, key=lambda item: item[:2]):  # by log time, as players expect
+            queue += [
+                (time, index, message) for time, message in zip(times, _encoded(parts), strict=True)
+            ]
+        for time, index, message in sorted(
+            queue, key=lambda item: item[:2]
+        ):  # by log time, as players expect
             channels[index].log(message, log_time=time)
     temporary.write_bytes(written.getbuffer())
     temporary.replace(path)
 
 
 def _shared(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
-    """The topics as they are written: those below one name become that name where their clocks are one."""
+    """The topics as they are written: those below one name become that name where their clocks are
+    one."""
     below: dict[str, list[SignalGroup]] = defaultdict(list)
     for group in groups:
         below[group.topic.rpartition("/")[0]].append(group)
     topics: dict[str, list[SignalGroup]] = {}
     for parent, parts in below.items():
         named = all(part.topic.rpartition("/")[2].isidentifier() for part in parts)
-        together = len(parts) > 1 and named and all(np.array_equal(part.time_s, parts[0].time_s) for part in parts)
+        together = (
+            len(parts) > 1
+            and named
+            and all(np.array_equal(part.time_s, parts[0].time_s) for part in parts)
+        )
         single = parent == "" or not together or any(group.topic == parent for group in groups)
         topics |= {part.topic: [part] for part in parts} if single else {parent: parts}
     return topics
 
 
-def _open_channel(context: foxglove.Context, topic: str, parts: list[SignalGroup]) -> foxglove.Channel:
-    """A topic whose schema is one message of doubles, or one of such messages; field numbers in the order given."""
+def _open_channel(
+    context: foxglove.Context, topic: str, parts: list[SignalGroup]
+) -> foxglove.Channel:
+    """A topic whose schema is one message of doubles, or one of such messages; field numbers in the
+    order given."""
     words = "".join(ch if ch.isalnum() else " " for ch in topic).split()
     message = "".join(word[0].upper() + word[1:] for word in words)
-    file = descriptor_pb2.FileDescriptorProto(name=f"{message}.proto", package="ssm_study", syntax="proto3")
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{message}.proto", package="ssm_study", syntax="proto3"
+    )
     whole, kind = file.message_type.add(name=message), descriptor_pb2.FieldDescriptorProto
     about = {}
     for number, part in enumerate(parts, start=1):
         fields, prefix = whole.field, "unit."
         if part.topic != topic:
-            name, inner = part.topic.rpartition("/")[2], f"Part{number}"  # protobufjs: no type is called like a field
-            of = {"number": number, "type": kind.TYPE_MESSAGE, "type_name": f".ssm_study.{message}.{inner}"}
+            name, inner = (
+                part.topic.rpartition("/")[2],
+                f"Part{number}",
+            )  # protobufjs: no type is called like a field
+            of = {
+                "number": number,
+                "type": kind.TYPE_MESSAGE,
+                "type_name": f".ssm_study.{message}.{inner}",
+            }
             whole.field.add(name=name, label=kind.LABEL_OPTIONAL, **of)
             fields, prefix = whole.nested_type.add(name=inner).field, f"unit.{name}."
         for order, channel in enumerate(part.channels, start=1):
-            fields.add(name=channel.name, number=order, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL)
+            fields.add(
+                name=channel.name, number=order, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL
+            )
             about[prefix + channel.name] = channel.unit
     data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
     schema = foxglove.Schema(name=f"ssm_study.{message}", encoding="protobuf", data=data)
-    return foxglove.Channel(topic, schema=schema, message_encoding="protobuf", context=context, metadata=about)
+    return foxglove.Channel(
+        topic, schema=schema, message_encoding="protobuf", context=context, metadata=about
+    )
 
 
 def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
-    """A message of zeros, each double behind its tag, and where the bytes of the doubles lie: of a fixed size."""
+    """A message of zeros, each double behind its tag, and where the bytes of the doubles lie: of a
+    fixed size."""
     message, at = b"", list[int]()
     for number, channels in enumerate(counts, start=1):
         tags = [TagBytes(order, DOUBLE) for order in range(1, channels + 1)]
@@ -164,7 +205,8 @@ def _encoded(parts: list[SignalGroup]) -> list[bytes]:
 
 
 def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
-    """The signal groups of a recording (topics of protobuf or JSON messages, their number fields) and its metadata.
+    """The signal groups of a recording (topics of protobuf or JSON messages, their number fields)
+    and its metadata.
 
     Raises `BadRequest` for a file that is missing, truncated or damaged, or that holds no numbers.
     """
@@ -183,18 +225,31 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     for record in _records(path):
         found[type(record)].append(record)
     schemas = {schema.id: schema for schema in found[records.Schema]}
-    topics: dict[int, tuple[records.Channel, list[records.Message]]] = {c.id: (c, []) for c in found[records.Channel]}
+    topics: dict[int, tuple[records.Channel, list[records.Message]]] = {
+        c.id: (c, []) for c in found[records.Channel]
+    }
     for message in found[records.Message]:
         topics[message.channel_id][1].append(message)
     own = [record.metadata for record in found[records.Metadata] if record.name == METADATA_NAME]
     metadata = {key: value for one in own for key, value in one.items()}
     require(found[records.DataEnd], "path", path, "the data section has no end", "record it again")
-    counted, promised = len(found[records.Message]), {one.message_count for one in found[records.Statistics]}
+    counted, promised = (
+        len(found[records.Message]),
+        {one.message_count for one in found[records.Statistics]},
+    )
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     require(promised <= {counted}, "path", path, problem, "record it again")
-    read = (_groups(*topic, schemas.get(topic[0].schema_id)) for topic in topics.values() if topic[1])
+    read = (
+        _groups(*topic, schemas.get(topic[0].schema_id)) for topic in topics.values() if topic[1]
+    )
     numeric = tuple(group for groups in read for group in groups)
-    require(len(numeric) > 0, "path", path, "holds no topic with number fields", "record the signals as numbers")
+    require(
+        len(numeric) > 0,
+        "path",
+        path,
+        "holds no topic with number fields",
+        "record the signals as numbers",
+    )
     return numeric, metadata
 
 
@@ -202,36 +257,54 @@ def _records(path: Path) -> Iterator[records.McapRecord]:
     """Of the file and of its chunks; `BadRequest` before more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
-        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
+        reader = StreamReader(
+            stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size
+        )
         for record in reader.records:
             if not isinstance(record, records.Chunk):
                 yield record
                 continue
-            packed = record.compression == "zstd"  # its frame says how much it unpacks to, whatever the chunk claims
-            unpacked += max(record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0)
+            packed = (
+                record.compression == "zstd"
+            )  # its frame says how much it unpacks to, whatever the chunk claims
+            unpacked += max(
+                record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0
+            )
             remedy = "split the recording"
-            require(unpacked <= LARGEST, "path", path, f"unpacks to more than {LARGEST >> 20} MiB", remedy)
+            require(
+                unpacked <= LARGEST,
+                "path",
+                path,
+                f"unpacks to more than {LARGEST >> 20} MiB",
+                remedy,
+            )
             yield from breakup_chunk(record, validate_crc=True)
 
 
 def _groups(
     channel: records.Channel, messages: list[records.Message], schema: records.Schema | None
 ) -> Iterator[SignalGroup]:
-    """The number fields of one topic, those of each message within its messages as a topic below it."""
+    """The number fields of one topic, those of each message within its messages as a topic below
+    it."""
     contents = [message.data for message in messages]
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
     names: list[Names] = []
     if decode is not None:
         names, values = _protobuf(decode, contents)
     elif channel.message_encoding == "json":
-        names, values = _columns([{(k,): v for k, v in _object(json.loads(content)).items()} for content in contents])
+        names, values = _columns(
+            [{(k,): v for k, v in _object(json.loads(content)).items()} for content in contents]
+        )
     for part in dict.fromkeys(name[:-1] for name in names):
         at = [k for k, name in enumerate(names) if name[:-1] == part]
         units = [channel.metadata.get(f"unit.{'.'.join(names[k])}", "") for k in at]
         yield SignalGroup(
             topic="/".join((channel.topic, *part)),
-            time_s=np.array([message.log_time for message in messages], dtype=np.int64) / NANOSECONDS,
-            channels=tuple(Channel(name=names[k][-1], unit=unit) for k, unit in zip(at, units, strict=True)),
+            time_s=np.array([message.log_time for message in messages], dtype=np.int64)
+            / NANOSECONDS,
+            channels=tuple(
+                Channel(name=names[k][-1], unit=unit) for k, unit in zip(at, units, strict=True)
+            ),
             values=values[:, at],
         )
 
@@ -242,28 +315,38 @@ def _object(message: Any) -> dict[str, Any]:
 
 
 def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """All rows at once where every message is laid out as this project writes it, one by one otherwise."""
+    """All rows at once where every message is laid out as this project writes it, one by one
+    otherwise."""
     fields = decode(contents[0]).DESCRIPTOR.fields
     nested = all(one.message_type is not None for one in fields)
     parts = [list(one.message_type.fields) for one in fields] if nested else [list(fields)]
     prefixes: list[Names] = [(one.name,) for one in fields] if nested else [()]
-    names = [(*prefix, one.name) for prefix, part in zip(prefixes, parts, strict=True) for one in part]
+    names = [
+        (*prefix, one.name) for prefix, part in zip(prefixes, parts, strict=True) for one in part
+    ]
     message, at = _layout([len(part) for part in parts], nested)
     doubles = names and all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
     if doubles and {len(content) for content in contents} == {len(message)}:
         rows = np.frombuffer(b"".join(contents), np.uint8).reshape(len(contents), -1)
         if (np.delete(rows, at, axis=1) == np.delete(message, at)).all():
             return names, np.ascontiguousarray(rows[:, at]).view("<f8").astype(np.float64)
-    # A field that repeats, such as a list of points, has none of the fields of its messages: no number.
+    # A field that repeats, such as a list of points, has none of the fields of its messages: no
+    # number.
     value = partial(reduce, lambda whole, field: getattr(whole, field, None))
     return _columns([{name: value(name, one) for name in names} for one in map(decode, contents)])
 
 
 def _columns(messages: list[dict[Names, Any]]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
     """Fields that are a number in the first message, and must be in all others."""
-    names = [name for name, value in messages[0].items() if isinstance(value, Real) and not isinstance(value, bool)]
+    names = [
+        name
+        for name, value in messages[0].items()
+        if isinstance(value, Real) and not isinstance(value, bool)
+    ]
     for k, message in enumerate(messages):
         for name in names:
             value, problem = message.get(name), f"no number in message {k}"
             require(isinstance(value, Real), ".".join(name), value, problem, "log a number")
-    return names, np.array([[float(m[name]) for name in names] for m in messages]).reshape(len(messages), len(names))
+    return names, np.array([[float(m[name]) for name in names] for m in messages]).reshape(
+        len(messages), len(names)
+    )

@@ -1,4 +1,5 @@
-"""The numbers of a record that describe the data: where they come from, what they identify, how benchmarks score."""
+"""The numbers of a record that describe the data: where they come from, what they identify, how
+benchmarks score."""
 
 import warnings
 from typing import Any
@@ -14,7 +15,9 @@ from ssm_study.signals import DataSet, Trajectory, rmse
 SCORES = ("rmse", "rmse_mm", "rmse_milli", "position_mm")
 # Of the input's range: fewer hide a gap between levels, more are empty for a few dozen levels.
 BINS = 20
-RANK_TOLERANCE = 4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding
+RANK_TOLERANCE = (
+    4e-13  # samples x machine epsilon, of the largest singular value: below it all is rounding
+)
 SAMPLES_FOR_ORDER = 2000
 HIGHEST_ORDER = 50  # looked no further: a model of order 24 is identifiable by then
 
@@ -31,7 +34,8 @@ COLUMNS = (
 
 
 def data_facts(data: DataSet) -> dict[str, Any]:
-    """Where the records come from and how much of the input's range they visit; no output enters."""
+    """Where the records come from and how much of the input's range they visit; no output
+    enters."""
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
@@ -42,8 +46,15 @@ def data_facts(data: DataSet) -> dict[str, Any]:
 
 
 def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
-    """One RMSE per test record, after the start-up samples: in the unit of `data.metadata["score"]`."""
-    require(len(y_hat) == len(data.test), "y_hat", len(y_hat), f"there are {len(data.test)} test records", "score all")
+    """One RMSE per test record, after the start-up samples: in the unit of
+    `data.metadata["score"]`."""
+    require(
+        len(y_hat) == len(data.test),
+        "y_hat",
+        len(y_hat),
+        f"there are {len(data.test)} test records",
+        "score all",
+    )
     pairs, score = list(zip(data.test, y_hat, strict=True)), data.metadata.get("score", "rmse")
     if score == "position_mm":
         return tuple(position_rmse_mm(r, y, data.start_up_samples) for r, y in pairs)
@@ -51,10 +62,14 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
     return tuple(factor * rmse(r.y, y, data.start_up_samples) for r, y in pairs)
 
 
-def position_rmse_mm(record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int) -> float:
-    """`1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured position `q[s]`.
+def position_rmse_mm(
+    record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int
+) -> float:
+    """`1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured
+    position `q[s]`.
 
-    The recorded velocity is the position's backward difference, so its running sum is the measured position exactly;
+    The recorded velocity is the position's backward difference, so its running sum is the measured
+    position exactly;
     `s` is the last start-up sample. Velocities in m/s.
     """
     kept = slice(start_up_samples, None)
@@ -63,13 +78,16 @@ def position_rmse_mm(record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"],
 
 
 class SlopesNotIdentifiable(UserWarning):
-    """The training inputs visit so few amplitudes that the slopes of S_u between them come from initialisation."""
+    """The training inputs visit so few amplitudes that the slopes of S_u between them come from
+    initialisation."""
 
 
 def input_coverage(data: DataSet) -> float:
-    """The share of `BINS` equal bins of the amplitude range that the training inputs visit, worst input channel.
+    """The share of `BINS` equal bins of the amplitude range that the training inputs visit, worst
+    input channel.
 
-    The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In [0, 1].
+    The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In
+    [0, 1].
     """
     training = np.concatenate([r.u for r in data.training])
     everything = np.concatenate([r.u for r in (*data.training, *data.validation, *data.test)])
@@ -81,22 +99,27 @@ def input_coverage(data: DataSet) -> float:
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
-    """The warning's sentence if some input takes two levels at most over the training records, else None."""
+    """The warning's sentence if some input takes two levels at most over the training records, else
+    None."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         levels = len(np.unique(training[:, j]))
         if levels <= 2:
             sentence = f"excitation of {channel.name}: {levels} levels only, so the slopes of a nonlinear S_u between "
-            sentence += "them are not identifiable; train on a multilevel signal (excitation=aprbs)."
+            sentence += (
+                "them are not identifiable; train on a multilevel signal (excitation=aprbs)."
+            )
             warnings.warn(sentence, SlopesNotIdentifiable, stacklevel=2)
             return sentence
     return None
 
 
 def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
-    """The largest L <= `HIGHEST_ORDER` for which the block Hankel matrix of L rows of u has full row rank `m L`.
+    """The largest L <= `HIGHEST_ORDER` for which the block Hankel matrix of L rows of u has full
+    row rank `m L`.
 
-    A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et al. 2005). Judged on
+    A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et
+    al. 2005). Judged on
     the first 2000 samples.
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)

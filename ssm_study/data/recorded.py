@@ -11,7 +11,16 @@ from ssm_study.data.assembly import Channels, Parts, assemble
 from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
 from ssm_study.data.readers.reader import has_columns
 from ssm_study.data.recording import Columns, Names, listed
-from ssm_study.data.splits import BLOCKS, FEWEST, Pieces, by_fold, by_intervals, by_time, end_is_unlike, in_blocks
+from ssm_study.data.splits import (
+    BLOCKS,
+    FEWEST,
+    Pieces,
+    by_fold,
+    by_intervals,
+    by_time,
+    end_is_unlike,
+    in_blocks,
+)
 from ssm_study.refusal import at_least, one_of, require
 from ssm_study.signals import DataSet, Trajectory
 
@@ -30,9 +39,11 @@ class RecordedSource(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class AroundRest(RecordedSource):
-    """Records about an equilibrium: "zero" or "mean" (of the training samples), or one number per channel, as given.
+    """Records about an equilibrium: "zero" or "mean" (of the training samples), or one number per
+    channel, as given.
 
-    `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom starts at rest.
+    `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
+    starts at rest.
     `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces of every record.
     """
 
@@ -48,15 +59,25 @@ class AroundRest(RecordedSource):
         one_of(("zero", "mean"), "data.equilibrium", self.equilibrium)
         at_least(2, "data.folds", self.folds, "use 4 or so")
         inside = self.fold is None or 0 <= self.fold < self.folds
-        require(inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0")
+        require(
+            inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0"
+        )
 
     def assembled(self, parts: Parts, channels: tuple[Channels, Channels], **about: str) -> DataSet:
         """The data set of these parts; refuses what `assemble` refuses."""
-        require(len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less")
+        require(
+            len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
+        )
         rest = []
-        for name, side, given in (("input", "u", self.input_equilibrium), ("output", "y", self.output_equilibrium)):
+        for name, side, given in (
+            ("input", "u", self.input_equilibrium),
+            ("output", "y", self.output_equilibrium),
+        ):
             mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
-            fits, problem = given is None or len(given) == len(mean), f"there are {len(mean)} channels"
+            fits, problem = (
+                given is None or len(given) == len(mean),
+                f"there are {len(mean)} channels",
+            )
             require(fits, f"data.{name}_equilibrium", given, problem, "give one number per channel")
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
             rest.append(ruled if given is None else np.array(given, dtype=np.float64))
@@ -68,9 +89,12 @@ class AroundRest(RecordedSource):
 class RecordedData(Columns, AroundRest):
     """Logs of one system, each cut into training, validation and test (`data.splits`).
 
-    The rests of whole logs are `trials` (`splits.returns`), and so are repeated periods where every log is made of such
-    (`splits.repeats`), although they train, too. Of logs made in a closed loop, where `reference` or `controller` is
-    told, the input is what the set point makes of it (`closed_loop`). The settings: conf/data/recorded.yaml.
+    The rests of whole logs are `trials` (`splits.returns`), and so are repeated periods where every
+    log is made of such
+    (`splits.repeats`), although they train, too. Of logs made in a closed loop, where `reference`
+    or `controller` is
+    told, the input is what the set point makes of it (`closed_loop`). The settings:
+    conf/data/recorded.yaml.
     """
 
     path: Names
@@ -95,19 +119,43 @@ class RecordedData(Columns, AroundRest):
         both = "data.validation_fraction, data.test_fraction"
         require(total < 1, both, total, "nothing is left to train on", "cut less")
         one_of(("auto", "time", "blocks"), "data.split", self.split)
-        named, tested = (self.validation, self.test), self.test is not None or self.test_path is not None
-        whole = (self.validation is None and self.test is None) or (self.validation is not None and tested)
+        named, tested = (
+            (self.validation, self.test),
+            self.test is not None or self.test_path is not None,
+        )
+        whole = (self.validation is None and self.test is None) or (
+            self.validation is not None and tested
+        )
         remedy = "name intervals for data.validation and data.test"
         require(whole, "data.validation, data.test", named, "one is missing", remedy)
         free = self.fold is None or (self.split == "auto" and named == (None, None) and not tested)
-        problem, remedy = "the parts are named too", "leave out data.split, validation, test and test_path"
+        problem, remedy = (
+            "the parts are named too",
+            "leave out data.split, validation, test and test_path",
+        )
         require(free, "data.fold", self.fold, problem, remedy)
         problem, remedy = "one is enough", "name the set point alone"
         known = self.reference is not None and self.controller is not None
-        require(not known, "data.reference, data.controller", (self.reference, self.controller), problem, remedy)
-        gain, integral_s = self.controller if self.controller is not None and len(self.controller) == 2 else (0.0, 0.0)
+        require(
+            not known,
+            "data.reference, data.controller",
+            (self.reference, self.controller),
+            problem,
+            remedy,
+        )
+        gain, integral_s = (
+            self.controller
+            if self.controller is not None and len(self.controller) == 2
+            else (0.0, 0.0)
+        )
         pi = self.controller is None or (0 < abs(gain) < np.inf and integral_s > 0)
-        require(pi, "data.controller", self.controller, "is no PI", "give [gain, integral time in seconds]")
+        require(
+            pi,
+            "data.controller",
+            self.controller,
+            "is no PI",
+            "give [gain, integral time in seconds]",
+        )
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
         self.files_of("path", "output_path")
         self.files_of("test_path", "test_output_path")
@@ -117,15 +165,28 @@ class RecordedData(Columns, AroundRest):
         return self.output_path is not None
 
     def files_of(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Each file of `field` with that of its outputs, where these stand apart; refuses too few or too many."""
+        """Each file of `field` with that of its outputs, where these stand apart; refuses too few
+        or too many."""
         names, others = (listed(getattr(self, name) or ()) for name in (field, outputs))
         expected = len(names) if self.apart else 0
         problem = f"{len(others)} files of outputs, {expected} expected"
-        require(len(others) == expected, f"data.{outputs}", list(others), problem, "name one for each file of inputs")
-        return [tuple(map(Path, pair)) for pair in (zip(names, others, strict=True) if others else zip(names))]
+        require(
+            len(others) == expected,
+            f"data.{outputs}",
+            list(others),
+            problem,
+            "name one for each file of inputs",
+        )
+        return [
+            tuple(map(Path, pair))
+            for pair in (zip(names, others, strict=True) if others else zip(names))
+        ]
 
     def files(self) -> tuple[Path, ...]:
-        pairs = [*self.files_of("path", "output_path"), *self.files_of("test_path", "test_output_path")]
+        pairs = [
+            *self.files_of("path", "output_path"),
+            *self.files_of("test_path", "test_output_path"),
+        ]
         for path in (paths := tuple(path for pair in pairs for path in pair)):
             require(path.is_file(), "data.path", path, "no such file", "check the spelling")
         return paths
@@ -134,7 +195,9 @@ class RecordedData(Columns, AroundRest):
         logs, share = self._known_loop("path", "output_path")
         logs = [replace(log, log=k) for k, log in enumerate(logs, start=1)]
         cuts, split = self._split(logs)
-        training, validation, test = ([piece for pieces in cuts for piece in pieces[k]] for k in range(3))
+        training, validation, test = (
+            [piece for pieces in cuts for piece in pieces[k]] for k in range(3)
+        )
         if self.test_path is not None:
             test = self._known_loop("test_path", "test_output_path")[0]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
@@ -145,16 +208,22 @@ class RecordedData(Columns, AroundRest):
         return replace(found, trials=tuple(piece for pieces in kept for piece in pieces))
 
     def _logs(self, field: str, outputs: str) -> list[Trajectory]:
-        """Every log; two files of which one has the inputs and the other the outputs are one log."""
+        """Every log; two files of which one has the inputs and the other the outputs are one
+        log."""
         logs = self.files_of(field, outputs)
         if len(logs) == 2 and not self.apart:
             (first,), (second,) = logs
-            alone = has_columns(first, listed(self.output)) or not has_columns(first, listed(self.input))
-            logs = logs if alone or not has_columns(second, listed(self.output)) else [(first, second)]
+            alone = has_columns(first, listed(self.output)) or not has_columns(
+                first, listed(self.input)
+            )
+            logs = (
+                logs if alone or not has_columns(second, listed(self.output)) else [(first, second)]
+            )
         return [self.read_from(*log) for log in logs]
 
     def _known_loop(self, field: str, outputs: str) -> tuple[list[Trajectory], float | None]:
-        """The logs; with the input that the set point makes, and its share, where set point or PI are known."""
+        """The logs; with the input that the set point makes, and its share, where set point or PI
+        are known."""
         logs = self._logs(field, outputs)
         if self.controller is not None:
             gain, integral_s = self.controller
@@ -173,7 +242,10 @@ class RecordedData(Columns, AroundRest):
             said = f"into {self.folds} folds, of which number {self.fold} tests and the one before it validates"
             return [by_fold(log, self.fold, self.folds) for log in logs], said
         own_test = self.test_path is None
-        in_time = [by_time(log, self.validation_fraction, self.test_fraction if own_test else 0.0) for log in logs]
+        in_time = [
+            by_time(log, self.validation_fraction, self.test_fraction if own_test else 0.0)
+            for log in logs
+        ]
         if self.split == "time" or not own_test:
             return in_time, "in the order of time"
         able = all(len(log) // BLOCKS >= self.start_up_samples + FEWEST for log in logs)

@@ -12,7 +12,9 @@ from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
 
 Names = str | int | list[str] | list[int] | tuple[str, ...]
-AGREEMENT = 1e-3  # relative difference allowed between the claimed sampling time and the one the times show
+AGREEMENT = (
+    1e-3  # relative difference allowed between the claimed sampling time and the one the times show
+)
 
 
 def listed(names: Names) -> tuple[str, ...]:
@@ -22,10 +24,13 @@ def listed(names: Names) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Columns `input` and `output` of a file, or of a file each, and the clock of their rows (docs/data.md).
+    """Columns `input` and `output` of a file, or of a file each, and the clock of their rows
+    (docs/data.md).
 
-    `decimate` n keeps every n-th output and the mean input of the n samples from there on: what a hold would have
-    applied. `differentiate` turns a position into the velocity `y[k] = (q[k] - q[k-1]) / step_s`, whose running sum
+    `decimate` n keeps every n-th output and the mean input of the n samples from there on: what a
+    hold would have
+    applied. `differentiate` turns a position into the velocity `y[k] = (q[k] - q[k-1]) / step_s`,
+    whose running sum
     times `step_s` is the position again, exactly; the first sample is spent on it.
     """
 
@@ -46,7 +51,13 @@ class Columns:
         jitter = self.jitter_tolerance
         require(0 <= jitter < 1, "data.jitter_tolerance", jitter, "not in [0, 1)", "use 0.05")
         for field, names in (("data.input", self.input), ("data.output", self.output)):
-            require(len(listed(names)) > 0 and all(listed(names)), field, names, "names no column", "name at least one")
+            require(
+                len(listed(names)) > 0 and all(listed(names)),
+                field,
+                names,
+                "names no column",
+                "name at least one",
+            )
         both = set(listed(self.input)) & set(listed(self.output))
         remedy = "name other columns, or data.output_path"
         require(self.apart or not both, "data.output", sorted(both), "is an input too", remedy)
@@ -62,7 +73,8 @@ class Columns:
 
     @property
     def measured(self) -> tuple[Channel, ...]:
-        """What stands in the files; the `outputs` unless `differentiate` makes them rates, in the unit per second."""
+        """What stands in the files; the `outputs` unless `differentiate` makes them rates, in the
+        unit per second."""
         return _channels(self.output, self.output_unit, "output", self.apart)
 
     @property
@@ -71,16 +83,31 @@ class Columns:
         return rates if self.differentiate else self.measured
 
     def read_from(
-        self, path: Path, output_path: Path | None = None, *, first: int = 0, last: int | None = None
+        self,
+        path: Path,
+        output_path: Path | None = None,
+        *,
+        first: int = 0,
+        last: int | None = None,
     ) -> Trajectory:
-        """Samples `first` to before `last`, in physical units, outputs from `output_path` where it is given.
+        """Samples `first` to before `last`, in physical units, outputs from `output_path` where it
+        is given.
 
         Raises `BadRequest`, always in one sentence.
         """
         time_s, u, y = self._read(path, output_path or path)
         values, step_s = self._on_clock(time_s, np.hstack([u, y]), path.name)
-        end, problem = len(values) if last is None else last, f"no such samples, {path.name} has {len(values)}"
-        require(first < end <= len(values), "data.first, data.last", (first, end), problem, "count from 0")
+        end, problem = (
+            len(values) if last is None else last,
+            f"no such samples, {path.name} has {len(values)}",
+        )
+        require(
+            first < end <= len(values),
+            "data.first, data.last",
+            (first, end),
+            problem,
+            "count from 0",
+        )
         at_least(2 * self.decimate + 1, "samples", end - first, "use a longer record")
         u, y = np.split(values[first:end], [len(self.inputs)], axis=1)
         u, y = decimated(u, y, self.decimate)
@@ -92,20 +119,34 @@ class Columns:
     def _read(
         self, path: Path, output_path: Path
     ) -> tuple[Float[np.ndarray, "T"] | None, Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-        """Times, inputs and outputs; each file is read once, and the rows of two must go together."""
-        sides = [(path, listed(self.input), self.inputs), (output_path, listed(self.output), self.measured)]
+        """Times, inputs and outputs; each file is read once, and the rows of two must go
+        together."""
+        sides = [
+            (path, listed(self.input), self.inputs),
+            (output_path, listed(self.output), self.measured),
+        ]
         wanted: dict[Path, dict[str, str]] = {}
         for file, names, channels in sides:
             clock = {} if self.time is None else {str(self.time): "s"}
-            wanted.setdefault(file, clock).update(zip(names, (c.unit for c in channels), strict=True))
+            wanted.setdefault(file, clock).update(
+                zip(names, (c.unit for c in channels), strict=True)
+            )
         tables = {file: read_table(file, units) for file, units in wanted.items()}
-        u, y = (np.stack([tables[file].columns[name] for name in names], axis=1) for file, names, _ in sides)
-        found = [t.time_s if self.time is None else t.columns[str(self.time)] for t in tables.values()]
+        u, y = (
+            np.stack([tables[file].columns[name] for name in names], axis=1)
+            for file, names, _ in sides
+        )
+        found = [
+            t.time_s if self.time is None else t.columns[str(self.time)] for t in tables.values()
+        ]
         times = [time_s for time_s in found if time_s is not None]
         problem, remedy = f"has {len(y)} rows, {path.name} {len(u)}", "cut them alike"
         require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
         if len(tables) > 1 and times:
-            problem, remedy = "log times count from each recording's own start", "put both signals into one recording"
+            problem, remedy = (
+                "log times count from each recording's own start",
+                "put both signals into one recording",
+            )
             require(self.time is not None, "data.output_path", output_path, problem, remedy)
             late_s = float(np.abs(times[0] - times[1]).max())
             problem = f"its rows are up to {late_s:.3g} s away from those of the inputs"
@@ -119,17 +160,27 @@ class Columns:
         """The rows on a uniform clock, and its period."""
         if time_s is None:
             if self.step_s is None:
-                problem, remedy = "the sampling time is unknown", "give it, or name the column data.time"
+                problem, remedy = (
+                    "the sampling time is unknown",
+                    "give it, or name the column data.time",
+                )
                 raise BadRequest("data.step_s", None, problem, remedy)
             return values, self.step_s
         mean_s = mean_period_s(time_s, np.inf if self.resample else self.jitter_tolerance, where)
         if not self.resample:
             agrees = self.step_s is None or abs(self.step_s - mean_s) <= AGREEMENT * mean_s
             remedy = "correct one of them (units?), or leave step_s null"
-            require(agrees, "data.step_s", self.step_s, f"the times of {where} show {mean_s:.6g} s", remedy)
+            require(
+                agrees,
+                "data.step_s",
+                self.step_s,
+                f"the times of {where} show {mean_s:.6g} s",
+                remedy,
+            )
             return values, mean_s if self.step_s is None else self.step_s
         step_s = mean_s if self.step_s is None else self.step_s
-        # Half a rounding error more than the last period, so that a whole number of periods gives all its samples.
+        # Half a rounding error more than the last period, so that a whole number of periods gives
+        # all its samples.
         clock = time_s[0] + step_s * np.arange(int((time_s[-1] - time_s[0]) / step_s + 1e-9) + 1)
         return np.stack([np.interp(clock, time_s, column) for column in values.T], axis=1), step_s
 
@@ -152,7 +203,8 @@ class Recording(Columns):
 
 
 def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
-    """Of times that increase and lie within `tolerance` periods of where their mean clock puts them; refuses others."""
+    """Of times that increase and lie within `tolerance` periods of where their mean clock puts
+    them; refuses others."""
     at_least(2, f"{where} (time)", len(time_s), "use a longer record")
     k = int(np.argmax(np.diff(time_s) <= 0)) + 1
     problem = f"sample {k} is not later than the one before"
@@ -161,7 +213,9 @@ def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) 
     late = np.abs(time_s - time_s[0] - mean_s * np.arange(len(time_s))) / mean_s
     worst = int(np.argmax(late))
     problem = f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, and {tolerance:g} is tolerated"
-    remedy = "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance"
+    remedy = (
+        "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance"
+    )
     require(late[worst] <= tolerance, f"{where} (time)", time_s[worst], problem, remedy)
     return mean_s
 
@@ -169,15 +223,19 @@ def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) 
 def decimated(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-    """Every n-th output, and the mean input of the samples from there to the next: what a hold would have applied."""
+    """Every n-th output, and the mean input of the samples from there to the next: what a hold
+    would have applied."""
     periods = len(u) // every
-    return u[: periods * every].reshape(periods, every, -1).mean(axis=1), y[: periods * every : every]
+    return u[: periods * every].reshape(periods, every, -1).mean(axis=1), y[
+        : periods * every : every
+    ]
 
 
 def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
     """Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
 
-    A number says which side it is of, `input_0`; so does every name of files apart, where two may be equal.
+    A number says which side it is of, `input_0`; so does every name of files apart, where two may
+    be equal.
     """
     columns, stated = listed(names), listed(units)
     stated = ("",) * len(columns) if stated == ("",) else stated

@@ -1,7 +1,10 @@
-"""Data from a plant of this project: excite, simulate, add measurement noise, keep the three parts apart.
+"""Data from a plant of this project: excite, simulate, add measurement noise, keep the three parts
+apart.
 
-A few more records are for one purpose only: how far the plant is from its model where the loop will take it. No fit
-uses them. An excitation at full amplitude, held for some samples at a time, says little of what happens near rest,
+A few more records are for one purpose only: how far the plant is from its model where the loop will
+take it. No fit
+uses them. An excitation at full amplitude, held for some samples at a time, says little of what
+happens near rest,
 above its own band, or from where the loop starts. Source: docs/trust.md.
 """
 
@@ -20,10 +23,22 @@ from ssm_study.signals import DataSet, Trajectory
 FEWEST_SAMPLES = 20
 SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)  # amplitudes of the trials, as shares of the plant's own
 PERIOD = 1024  # samples; every trial holds two, so that what repeats is told from what does not
-LEAD_IN = PERIOD // 4  # the end of a period runs before the first, so that the transient from rest is over
+LEAD_IN = (
+    PERIOD // 4
+)  # the end of a period runs before the first, so that the transient from rest is over
 REST = PERIOD // 2  # samples at rest input behind the last period
-DECAYS = (-1.0, -0.5, 0.5, 1.0)  # where the free decays start, as shares of the plant's initial range
-RETURNS = (-0.5, -0.25, 0.35, 0.7)  # input levels, as SHARES, from which a straight line leads back to rest
+DECAYS = (
+    -1.0,
+    -0.5,
+    0.5,
+    1.0,
+)  # where the free decays start, as shares of the plant's initial range
+RETURNS = (
+    -0.5,
+    -0.25,
+    0.35,
+    0.7,
+)  # input levels, as SHARES, from which a straight line leads back to rest
 
 
 class TrainingAlone(UserWarning):
@@ -32,10 +47,13 @@ class TrainingAlone(UserWarning):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedData:
-    """`y = h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test record is noise-free.
+    """`y = h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test
+    record is noise-free.
 
-    Validation and test, one record each, are excited by `scoring_excitation` whatever the training excitation is, so
-    that runs compare. Every record of the three parts starts at the plant's equilibrium; `trials` are for the mismatch.
+    Validation and test, one record each, are excited by `scoring_excitation` whatever the training
+    excitation is, so
+    that runs compare. Every record of the three parts starts at the plant's equilibrium; `trials`
+    are for the mismatch.
     """
 
     trajectories: int
@@ -52,17 +70,28 @@ class SimulatedData:
         at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
         for name in ("samples", "validation_samples", "test_samples"):
             at_least(FEWEST_SAMPLES, f"data.{name}", getattr(self, name), "use 1000 or so")
-        at_least(0, "data.noise_variance", self.noise_variance, "use 0 for no noise, or null for the plant's own")
+        at_least(
+            0,
+            "data.noise_variance",
+            self.noise_variance,
+            "use 0 for no noise, or null for the plant's own",
+        )
         at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
         """The data set of this plant under this excitation; equal seeds give equal numbers."""
         rng, own = np.random.default_rng(seed), np.array(plant.noise_variance)
-        deviation = np.sqrt(own if self.noise_variance is None else np.full_like(own, self.noise_variance))
+        deviation = np.sqrt(
+            own if self.noise_variance is None else np.full_like(own, self.noise_variance)
+        )
         amplitude, clock_s, rest = plant.input_amplitude, plant.input_clock_s, plant.equilibrium()
 
-        def records(exciting: Excitation, count: int, samples: int, noisy: bool = True) -> list[Trajectory]:
-            request = SignalRequest(samples=samples, step_s=plant.step_s, amplitude=amplitude, clock_s=clock_s)
+        def records(
+            exciting: Excitation, count: int, samples: int, noisy: bool = True
+        ) -> list[Trajectory]:
+            request = SignalRequest(
+                samples=samples, step_s=plant.step_s, amplitude=amplitude, clock_s=clock_s
+            )
             u = rest.u + np.stack([exciting.signal(request, rng) for _ in range(count)])
             y = plant.simulate(u)[1]
             if noisy:
@@ -72,7 +101,11 @@ class SimulatedData:
         training = records(excitation, self.trajectories, self.samples)
         validation = records(self.scoring_excitation, 1, self.validation_samples)
         test = records(self.scoring_excitation, 1, self.test_samples, self.test_noise)
-        about = {"source": "simulated", "plant": type(plant).__name__, "excitation": excitation.kind}
+        about = {
+            "source": "simulated",
+            "plant": type(plant).__name__,
+            "excitation": excitation.kind,
+        }
         told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
         told |= {"trials": trials(plant, seed, deviation)} if self.trials else {}
         parts, channels = (training, validation, test), (plant.inputs, plant.outputs)
@@ -80,9 +113,11 @@ class SimulatedData:
 
 
 def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[Trajectory, ...]:
-    """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of that `deviation`.
+    """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of
+    that `deviation`.
 
-    Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a slow return.
+    Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
+    slow return.
     """
     rng, rest = np.random.default_rng([seed, 7]), plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
@@ -104,11 +139,15 @@ def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[
         y = plant.simulate(u, x0)[1]
         noisy = y + deviation * rng.standard_normal(y.shape)
         names = [f"{word}_{share:g}" for share in shares]
-        found += [Trajectory(u=u[i], y=noisy[i], step_s=plant.step_s, name=name) for i, name in enumerate(names)]
+        found += [
+            Trajectory(u=u[i], y=noisy[i], step_s=plant.step_s, name=name)
+            for i, name in enumerate(names)
+        ]
     return tuple(found)
 
 
 def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
-    """Levels uniform in [-1, 1], held from one sample to `longest`, short and long equally often on a log scale."""
+    """Levels uniform in [-1, 1], held from one sample to `longest`, short and long equally often on
+    a log scale."""
     holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
     return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]

@@ -1,4 +1,5 @@
-"""Which part of a log trains, validates and tests: by time, named intervals, interleaved blocks, or folds."""
+"""Which part of a log trains, validates and tests: by time, named intervals, interleaved blocks, or
+folds."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -26,12 +27,16 @@ def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
 
 def in_blocks(record: Trajectory) -> Pieces:
     """`BLOCKS` equal pieces: 1, 2, 3 train, 4 validates, 5 tests, and so on."""
-    blocks = [record[a:b] for a, b in pairwise(np.linspace(0, len(record), BLOCKS + 1).round().astype(int))]
+    blocks = [
+        record[a:b]
+        for a, b in pairwise(np.linspace(0, len(record), BLOCKS + 1).round().astype(int))
+    ]
     return [b for k, b in enumerate(blocks) if k % 5 < 3], blocks[3::5], blocks[4::5]
 
 
 def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
-    """`named` holds intervals in seconds for `validation` and `test`; the rest, piece by piece, trains.
+    """`named` holds intervals in seconds for `validation` and `test`; the rest, piece by piece,
+    trains.
 
     Raises `BadRequest` for an interval that is empty, outside the log, or shared by two parts.
     """
@@ -43,16 +48,25 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
             remedy = "give a list of pairs [from, to] in seconds, within it: [[0,20]]"
             length = f"the log lasts {len(record) * record.step_s:g} s"
             ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
-            require(0 <= ends[0] < ends[1] <= len(record), f"data.{name}", pair.tolist(), length, remedy)
+            require(
+                0 <= ends[0] < ends[1] <= len(record), f"data.{name}", pair.tolist(), length, remedy
+            )
             start, end = ends.astype(int)
             free = not part[start:end].any()
-            require(free, f"data.{name}", pair.tolist(), "overlaps another interval", "give each sample to one part")
+            require(
+                free,
+                f"data.{name}",
+                pair.tolist(),
+                "overlaps another interval",
+                "give each sample to one part",
+            )
             part[start:end] = number
     return _cut(record, part)
 
 
 def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
-    """Of `folds` equal pieces number `fold` tests, the one before it validates (before the first: the last)."""
+    """Of `folds` equal pieces number `fold` tests, the one before it validates (before the first:
+    the last)."""
     piece = folds * np.arange(len(record)) // len(record)
     return _cut(record, np.select([piece == fold, piece == (fold - 1) % folds], [2, 1], 0))
 
@@ -64,27 +78,36 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def returns(record: Trajectory) -> list[Trajectory]:
-    """Every stretch at the input at which the record ends, with the sample before it; none where it ends moving.
+    """Every stretch at the input at which the record ends, with the sample before it; none where it
+    ends moving.
 
-    A stretch counts that lasts half as long as the last one. What the plant does there is evidence; no fit uses it.
+    A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
+    no fit uses it.
     """
     return [record[a:b] for a, b in _rests(record)]
 
 
 def repeats(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """The stretches between such rests, half of the rest before and all behind, if the input of each repeats itself.
+    """The stretches between such rests, half of the rest before and all behind, if the input of
+    each repeats itself.
 
-    `ssm-study excite` writes one for each amplitude: what its second period does not repeat is noise. Nothing of a log
+    `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
+    noise. Nothing of a log
     that moves otherwise, too: a few equal pulses would stand for all that it shows.
     """
     rests = _rests(record, first=True)
     between = [record[(a + b) // 2 : end] for (a, b), (_, end) in pairwise(rests)]
-    whole = bool(rests) and rests[0][0] == 0 and all(repetition(piece.u[start_up_samples:]) for piece in between)
+    whole = (
+        bool(rests)
+        and rests[0][0] == 0
+        and all(repetition(piece.u[start_up_samples:]) for piece in between)
+    )
     return between if whole else []
 
 
 def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
-    """Where the input is that at which the record ends, from the sample before; `first`: at its beginning, too."""
+    """Where the input is that at which the record ends, from the sample before; `first`: at its
+    beginning, too."""
     moved = np.flatnonzero((record.u != record.u[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
         return []

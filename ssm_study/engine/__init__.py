@@ -1,1 +1,2 @@
-"""Many runs of one task: stages computed once, records that survive, processes, launchers; it knows no science."""
+"""Many runs of one task: stages computed once, records that survive, processes, launchers; it knows
+no science."""

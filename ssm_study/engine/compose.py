@@ -1,7 +1,10 @@
-"""What is done by Hydra's private names, all in this file: composing a request once, and a thousand jobs with it.
+"""What is done by Hydra's private names, all in this file: composing a request once, and a thousand
+jobs with it.
 
-Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter of a second each.
-Here the request is composed once, and so are all jobs that differ in plain values only (`model.order=8`): those are put
+Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter
+of a second each.
+Here the request is composed once, and so are all jobs that differ in plain values only
+(`model.order=8`): those are put
 into copies. A test compares both with Hydra's own.
 """
 
@@ -31,12 +34,16 @@ from omegaconf import AnyNode, DictConfig, OmegaConf, open_dict
 
 from ssm_study.engine.settings import Settings, plain, refuse_unbounded, run_name, settled
 
-GRIDS = ("hydra_plugins.ssm_study_launcher.GridSweeper", "hydra._internal.core_plugins.basic_sweeper.BasicSweeper")
+GRIDS = (
+    "hydra_plugins.ssm_study_launcher.GridSweeper",
+    "hydra._internal.core_plugins.basic_sweeper.BasicSweeper",
+)
 NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
 class Loader(ConfigLoaderImpl):
-    """Lists the choices of a group without copying all that it has read, a hundred times for one `--help`."""
+    """Lists the choices of a group without copying all that it has read, a hundred times for one
+    `--help`."""
 
     def get_group_options(
         self,
@@ -50,9 +57,11 @@ class Loader(ConfigLoaderImpl):
 
 
 class Command(Hydra):
-    """What `hydra.main` does with the arguments of a command, over the configuration `name` in `folder`.
+    """What `hydra.main` does with the arguments of a command, over the configuration `name` in
+    `folder`.
 
-    `config` is composed when first asked for, and is what `do` then runs: it can be checked before Hydra makes the
+    `config` is composed when first asked for, and is what `do` then runs: it can be checked before
+    Hydra makes the
     callbacks, the launcher and the sweeper that it names.
     """
 
@@ -63,7 +72,9 @@ class Command(Hydra):
         place = Path(self.asked.config_path).absolute() if self.asked.config_path else folder
         search_path = create_config_search_path(str(place))
         if self.asked.config_dir is not None:
-            search_path.prepend(provider="command-line", path=f"file://{Path(self.asked.config_dir).absolute()}")
+            search_path.prepend(
+                provider="command-line", path=f"file://{Path(self.asked.config_dir).absolute()}"
+            )
         super().__init__(task_name=name, config_loader=Loader(config_search_path=search_path))
         GlobalHydra.instance().clear()
         GlobalHydra.instance().initialize(self)
@@ -71,7 +82,10 @@ class Command(Hydra):
     @cached_property
     def config(self) -> DictConfig:
         """Raises whatever Hydra raises for a request it cannot compose."""
-        mode, words = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN, list(self.asked.overrides)
+        mode, words = (
+            RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN,
+            list(self.asked.overrides),
+        )
         if not any(word.startswith("hydra.mode=") for word in words):
             words.append(f"hydra.mode={mode.name}")
         config = self.config_loader.load_configuration(self.name, words, run_mode=mode)
@@ -99,18 +113,21 @@ class Command(Hydra):
 
 
 def adopt(config: DictConfig) -> None:
-    """`${hydra:...}` is read from this; Hydra's own `set_config` copies its whole section first (5 ms)."""
+    """`${hydra:...}` is read from this; Hydra's own `set_config` copies its whole section first (5
+    ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
 def forget() -> None:
-    """A program may compose again afterwards, and what it runs next was not asked for by these words."""
+    """A program may compose again afterwards, and what it runs next was not asked for by these
+    words."""
     GlobalHydra.instance().clear()
     HydraConfig.instance().cfg = None
 
 
 def combinations(config: DictConfig) -> list[list[str]]:
-    """`a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`, as Hydra's grid combines them; a search knows none beforehand."""
+    """`a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`, as Hydra's grid combines them; a search knows none
+    beforehand."""
     if config.hydra.sweeper._target_ not in GRIDS:
         return []
     words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
@@ -135,7 +152,8 @@ class Chosen:
 
     @cached_property
     def shown(self) -> tuple[str, ...] | None:
-        """What the name of the run shows, where nothing else is interpolated: OmegaConf is slow at that."""
+        """What the name of the run shows, where nothing else is interpolated: OmegaConf is slow at
+        that."""
         found = NAME.fullmatch(str(self.tree.get("run", "")))
         others = any("${" in str(value) for key, value in self.tree.items() if key != "run")
         return tuple(word.strip() for word in found[1].split(",")) if found and not others else None
@@ -145,16 +163,23 @@ class Chosen:
         if path not in self.held:
             node: Any = self.config
             for word in path.split("."):
-                node = node._get_node(word) if isinstance(node, DictConfig) and not node._is_none() else None
+                node = (
+                    node._get_node(word)
+                    if isinstance(node, DictConfig) and not node._is_none()
+                    else None
+                )
             self.held[path] = type(node) is AnyNode
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Those of the job with these values by their dotted path; unchanged sections are the same objects."""
+        """Those of the job with these values by their dotted path; unchanged sections are the same
+        objects."""
         assert self.shown is not None
         found = Settings(self.tree)
         for section in {path.partition(".")[0] for path in values}:
-            own = [(path, value) for path, value in values.items() if path.partition(".")[0] == section]
+            own = [
+                (path, value) for path, value in values.items() if path.partition(".")[0] == section
+            ]
             key = tuple((path, type(value), value) for path, value in own)
             if key not in self.sections:
                 made = self.tree[section]
@@ -171,20 +196,26 @@ def placed(tree: Any, path: list[str], value: Any) -> Any:
 
 
 class Composer:
-    """`compose(overrides)` is Hydra's `load_sweep_config(sweep, overrides)`; `settings` what a task sees of it.
+    """`compose(overrides)` is Hydra's `load_sweep_config(sweep, overrides)`; `settings` what a task
+    sees of it.
 
     `refuse` is asked about every composition.
     """
 
-    def __init__(self, loader: ConfigLoader, sweep: DictConfig, refuse: Callable[[DictConfig], None]) -> None:
+    def __init__(
+        self, loader: ConfigLoader, sweep: DictConfig, refuse: Callable[[DictConfig], None]
+    ) -> None:
         assert isinstance(loader, ConfigLoaderImpl)
         self.loader, self.sweep, self.refuse = loader, sweep, refuse
         self.parser = OverridesParser.create(config_loader=loader)
-        self.parsed: dict[str, tuple[Override, bool]] = {}  # every word, and whether it is a plain value
+        self.parsed: dict[
+            str, tuple[Override, bool]
+        ] = {}  # every word, and whether it is a plain value
         self.composed: dict[tuple[str, ...], Chosen] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
-        """The whole configuration, Hydra's section included; the next one may be the same object."""
+        """The whole configuration, Hydra's section included; the next one may be the same
+        object."""
         chosen, values = self._split(overrides)
         config, parsed = chosen.config, [self._parse(word)[0] for word in overrides]
         ConfigLoaderImpl._apply_overrides_to_config(values, config)
@@ -192,7 +223,10 @@ class Composer:
         with open_dict(config):
             config.hydra.overrides.task = list(overrides)
             config.hydra.job.override_dirname = get_overrides_dirname(
-                overrides=parsed, kv_sep=naming.kv_sep, item_sep=naming.item_sep, exclude_keys=naming.exclude_keys
+                overrides=parsed,
+                kv_sep=naming.kv_sep,
+                item_sep=naming.item_sep,
+                exclude_keys=naming.exclude_keys,
             )
             if number is not None:
                 config.hydra.job.id = config.hydra.job.num = number
@@ -203,7 +237,9 @@ class Composer:
         """The settings of a job; a value that OmegaConf has to resolve costs ten times as much."""
         chosen, values = self._split(overrides)
         if chosen.shown is not None:
-            return chosen.settings({str(override.key_or_group): override.value() for override in values})
+            return chosen.settings(
+                {str(override.key_or_group): override.value() for override in values}
+            )
         adopt(config := self.compose(overrides, number))
         return plain(config)
 
@@ -211,13 +247,23 @@ class Composer:
         """The composition that a job shares with others, and the values that are its own."""
         parsed = [self._parse(word) for word in overrides]
         chosen = self._chosen(parsed)
-        held = [(override, is_plain and chosen.holds(str(override.key_or_group))) for override, is_plain in parsed]
-        return (chosen if held == parsed else self._chosen(held)), [override for override, is_held in held if is_held]
+        held = [
+            (override, is_plain and chosen.holds(str(override.key_or_group)))
+            for override, is_plain in parsed
+        ]
+        return (chosen if held == parsed else self._chosen(held)), [
+            override for override, is_held in held if is_held
+        ]
 
     def _chosen(self, parsed: list[tuple[Override, bool]]) -> Chosen:
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
-        # The paths, too: values are put into the composition itself, so all its jobs must give the same.
-        key = (*choices, "", *(str(override.key_or_group) for override, is_plain in parsed if is_plain))
+        # The paths, too: values are put into the composition itself, so all its jobs must give the
+        # same.
+        key = (
+            *choices,
+            "",
+            *(str(override.key_or_group) for override, is_plain in parsed if is_plain),
+        )
         if key not in self.composed:
             config = self.loader.load_sweep_config(self.sweep, choices)
             self.refuse(config)
@@ -233,8 +279,15 @@ class Composer:
 
 
 def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
-    """`a.b=1`: no choice of a group, nothing added, deleted, interpolated or to be built, nothing of Hydra's own."""
+    """`a.b=1`: no choice of a group, nothing added, deleted, interpolated or to be built, nothing
+    of Hydra's own."""
     path, value = str(override.key_or_group), override.value()
-    single = value is None or (isinstance(value, bool | int | float | str) and "$" not in str(value))
-    ours = override.type is OverrideType.CHANGE and not override.is_hydra_override() and override.package is None
+    single = value is None or (
+        isinstance(value, bool | int | float | str) and "$" not in str(value)
+    )
+    ours = (
+        override.type is OverrideType.CHANGE
+        and not override.is_hydra_override()
+        and override.package is None
+    )
     return ours and single and not path.endswith("_target_") and not repository.group_exists(path)

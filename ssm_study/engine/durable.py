@@ -1,4 +1,5 @@
-"""Old version whole or new version whole: writes that survive kills and full disks, locks that die with us."""
+"""Old version whole or new version whole: writes that survive kills and full disks, locks that die
+with us."""
 
 import errno
 import fcntl
@@ -22,9 +23,11 @@ FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is
 
 
 def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
-    """Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of the folder.
+    """Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of
+    the folder.
 
-    Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`: survives every kill but
+    Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
+    survives every kill but
     not a power loss; for what is synchronised later, or counts as absent when it is damaged.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
@@ -33,14 +36,18 @@ def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
             stream.write(content)
             stream.flush()
             if durable:
-                os.fsync(stream.fileno())  # before the rename: a new name never leads to missing content
+                os.fsync(
+                    stream.fileno()
+                )  # before the rename: a new name never leads to missing content
         temporary.replace(path)
     except BaseException:
         with suppress(OSError):
             temporary.unlink()
         raise
     if durable:
-        sync(path.parent)  # the rename itself: without it the old name may come back after a power loss
+        sync(
+            path.parent
+        )  # the rename itself: without it the old name may come back after a power loss
 
 
 def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
@@ -49,9 +56,11 @@ def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """`target` has the content of `source`, sharing its bytes where the file system can: cloned, else linked.
+    """`target` has the content of `source`, sharing its bytes where the file system can: cloned,
+    else linked.
 
-    Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of both, and that is seen.
+    Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of
+    both, and that is seen.
     """
     target.unlink(missing_ok=True)
     try:
@@ -67,15 +76,23 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 def json_bytes(value: Any) -> bytes:
     """The one text of a sealed object: `unsealed` knows no other."""
-    if isinstance(value, dict) and value and not {dict, list, tuple} & set(map(type, value.values())):
-        # The same text five times as fast: with an indent Python's encoder works, without one that in C.
+    if (
+        isinstance(value, dict)
+        and value
+        and not {dict, list, tuple} & set(map(type, value.values()))
+    ):
+        # The same text five times as fast: with an indent Python's encoder works, without one that
+        # in C.
         flat = json.dumps(value, separators=(",\n ", ": "), allow_nan=False, ensure_ascii=False)
         return f"{{\n {flat[1:-1]}\n}}\n".encode("utf-8", "surrogatepass")
-    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode("utf-8", "surrogatepass")
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(
+        "utf-8", "surrogatepass"
+    )
 
 
 def sync(path: Path) -> None:
-    """`fsync` of a file; of a folder, renames in it become durable where its file system can do that."""
+    """`fsync` of a file; of a folder, renames in it become durable where its file system can do
+    that."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -96,7 +113,8 @@ def opened(path: Path) -> io.BufferedReader:
 
 
 def contents(path: Path, most: int = LARGEST) -> bytes:
-    """The whole file; raises `OSError` as `opened`, and for one of more than `most` bytes before any are read."""
+    """The whole file; raises `OSError` as `opened`, and for one of more than `most` bytes before
+    any are read."""
     with opened(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))
@@ -110,12 +128,14 @@ def sha256_of_file(path: Path) -> str:
 
 
 def sealed(body: dict[str, Any]) -> dict[str, Any]:
-    """`body` with its own `sha256`, so that a flipped bit in the JSON text itself is noticed by `unsealed`."""
+    """`body` with its own `sha256`, so that a flipped bit in the JSON text itself is noticed by
+    `unsealed`."""
     return {**body, "sha256": _body_digest(body)}
 
 
 def unsealed(content: bytes) -> dict[str, Any] | None:
-    """The sealed object that `write_json_atomically` wrote as `content`; None if a single byte differs from that."""
+    """The sealed object that `write_json_atomically` wrote as `content`; None if a single byte
+    differs from that."""
     try:
         value = json.loads(content)
         body = {key: item for key, item in value.items() if key != "sha256"}
@@ -126,7 +146,9 @@ def unsealed(content: bytes) -> dict[str, Any] | None:
 
 
 def _body_digest(body: dict[str, Any]) -> str:
-    text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    text = json.dumps(
+        body, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False
+    )
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
@@ -137,14 +159,17 @@ def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
     The system lets go of it when the process dies.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Every opening is a lock of its own, also within one process; a program that is executed does not inherit it.
+    # Every opening is a lock of its own, also within one process; a program that is executed does
+    # not inherit it.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
         if math.isinf(patience_s):
             _flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
         yield math.isinf(patience_s) or _try_lock(descriptor, time.monotonic() + patience_s)
     finally:
-        os.close(descriptor)  # lets go of it; the file stays: who removes it may remove a lock that another holds
+        os.close(
+            descriptor
+        )  # lets go of it; the file stays: who removes it may remove a lock that another holds
 
 
 def is_locked(path: Path) -> bool:
@@ -154,7 +179,9 @@ def is_locked(path: Path) -> bool:
     except FileNotFoundError:
         return False
     try:
-        _flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: readers do not exclude each other
+        _flock(
+            descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB
+        )  # shared: readers do not exclude each other
     except BlockingIOError:
         return True
     finally:

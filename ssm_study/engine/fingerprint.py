@@ -1,12 +1,17 @@
 """What a result depends on, read from the sources: never from a list that somebody keeps.
 
-A symbol (function, class, constant) depends on the statements that bind it and on every name these use, followed
-through imports anywhere in a file. Sources are compared as syntax trees, without comments, docstrings and layout;
-libraries by the version of their distribution; a package used as a whole (`from room import readers`) file by file.
-What is named by strings at run time (`getattr(module, name)`, entry points) is not seen: a class that a configuration
+A symbol (function, class, constant) depends on the statements that bind it and on every name these
+use, followed
+through imports anywhere in a file. Sources are compared as syntax trees, without comments,
+docstrings and layout;
+libraries by the version of their distribution; a package used as a whole (`from room import
+readers`) file by file.
+What is named by strings at run time (`getattr(module, name)`, entry points) is not seen: a class
+that a configuration
 names by `_target_` is therefore a root of its own.
 
-What a file says is kept in the user's cache by its content: reading 300 syntax trees takes four seconds.
+What a file says is kept in the user's cache by its content: reading 300 syntax trees takes four
+seconds.
 """
 
 import ast
@@ -28,7 +33,9 @@ from typing import Any, NamedTuple
 from ssm_study.engine.durable import sealed, unsealed, write_json_atomically
 from ssm_study.refusal import require
 
-Symbol = tuple[str, str]  # a dotted module and a name in it; `*` is all of it, and a library has no name in it
+Symbol = tuple[
+    str, str
+]  # a dotted module and a name in it; `*` is all of it, and a library has no name in it
 WHOLE, LIBRARY, LOOSE = "*", "", ""
 OURS = __name__.split(".")[0]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ssm-study" / "code"
@@ -36,7 +43,8 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements: a digest of them, the names they read, and what imports inside their functions bring in."""
+    """Statements: a digest of them, the names they read, and what imports inside their functions
+    bring in."""
 
     digest: str
     names: list[str]
@@ -48,7 +56,8 @@ NOTHING = Part("", [], [])
 
 @dataclass
 class Module:
-    """The statements that bind each name; those that bind none (`LOOSE`, they run at import); what imports bring in."""
+    """The statements that bind each name; those that bind none (`LOOSE`, they run at import); what
+    imports bring in."""
 
     parts: dict[str, Part] = field(default_factory=dict)
     imported: dict[str, list[Symbol]] = field(default_factory=dict)
@@ -60,7 +69,8 @@ class Module:
 
 @dataclass(frozen=True)
 class Code:
-    """The sources of packages: where they are imported from, or in the `folders` given (name: folder)."""
+    """The sources of packages: where they are imported from, or in the `folders` given (name:
+    folder)."""
 
     folders: Mapping[str, Path] = field(default_factory=dict)
     modules: dict[str, Module | None] = field(default_factory=dict)
@@ -71,9 +81,19 @@ class Code:
         """SHA-256 over all that `roots` depend on; equal versions compute equal results."""
         for module, name in roots:
             read = self._read(module) if self._is_followed(module.split(".")[0]) else Module()
-            known = read is not None and (name == WHOLE or name in read.bound or name in read.imported)
-            require(known or read == Module(), "code", f"{module}.{name}", "is defined nowhere", "correct the name")
-        lines = sorted(f"{module}:{name} {self._digest(module, name)}" for module, name in self.closure(roots))
+            known = read is not None and (
+                name == WHOLE or name in read.bound or name in read.imported
+            )
+            require(
+                known or read == Module(),
+                "code",
+                f"{module}.{name}",
+                "is defined nowhere",
+                "correct the name",
+            )
+        lines = sorted(
+            f"{module}:{name} {self._digest(module, name)}" for module, name in self.closure(roots)
+        )
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
@@ -88,7 +108,8 @@ class Code:
         return seen
 
     def remember(self) -> None:
-        """Read every module of this package that the process has loaded: later edits do not count."""
+        """Read every module of this package that the process has loaded: later edits do not
+        count."""
         for module in sorted(sys.modules):
             if module.split(".")[0] == OURS:
                 self._read(module)
@@ -98,7 +119,8 @@ class Code:
         return symbol if self._is_followed(top) else (top, LIBRARY)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether a package is read: this one, and whatever is not installed as a library (a clone, a script)."""
+        """Whether a package is read: this one, and whatever is not installed as a library (a clone,
+        a script)."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._path(top)
             installed = path is None or bool({"site-packages", "dist-packages"} & set(path.parts))
@@ -123,8 +145,14 @@ class Code:
             yield from ((module, bound) for bound in read.bound)
             yield from (symbol for symbols in read.imported.values() for symbol in symbols)
             path = self._path(module)
-            if path is not None and path.name == "__init__.py":  # a family's room: members are found by their names
-                yield from ((f"{module}.{file.stem}", WHOLE) for file in path.parent.glob("*.py") if file != path)
+            if (
+                path is not None and path.name == "__init__.py"
+            ):  # a family's room: members are found by their names
+                yield from (
+                    (f"{module}.{file.stem}", WHOLE)
+                    for file in path.parent.glob("*.py")
+                    if file != path
+                )
 
     def _digest(self, module: str, name: str) -> str:
         if name == LIBRARY:
@@ -136,11 +164,14 @@ class Code:
         if module not in self.modules:
             path = self._path(module)
             keep = module.split(".")[0] == OURS and not self.folders
-            self.modules[module] = None if path is None else _kept(path, module) if keep else _scanned(path, module)
+            self.modules[module] = (
+                None if path is None else _kept(path, module) if keep else _scanned(path, module)
+            )
         return self.modules[module]
 
     def _path(self, module: str) -> Path | None:
-        """The source of a module, found without importing anything; None if there is none in Python."""
+        """The source of a module, found without importing anything; None if there is none in
+        Python."""
         top, *inner = module.split(".")
         if top == "__main__":
             return None if inner else Path(sys.modules[top].__file__ or "")
@@ -149,10 +180,15 @@ class Code:
             return None
         if folder.suffix == ".py":
             return folder
-        for path in (folder.joinpath(*inner).with_suffix(".py"), folder.joinpath(*inner, "__init__.py")):
+        for path in (
+            folder.joinpath(*inner).with_suffix(".py"),
+            folder.joinpath(*inner, "__init__.py"),
+        ):
             if path.is_file() and path.name != ".py":
                 return path
-        loaded = None if top in self.folders else sys.modules.get(module)  # a package whose path was made longer
+        loaded = (
+            None if top in self.folders else sys.modules.get(module)
+        )  # a package whose path was made longer
         return None if loaded is None or not loaded.__file__ else Path(loaded.__file__)
 
 
@@ -175,7 +211,8 @@ def code_version(*roots: Callable[..., Any] | type | str) -> str:
 
 
 def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:
-    """Where a function or class is defined; a lambda or an inner function stands for its whole module."""
+    """Where a function or class is defined; a lambda or an inner function stands for its whole
+    module."""
     if isinstance(root, str):
         module, _, name = root.rpartition(".")
         return module, name
@@ -186,18 +223,26 @@ def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """The version of the distribution that `library` is imported from; empty for the standard library."""
+    """The version of the distribution that `library` is imported from; empty for the standard
+    library."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(library)
-    owners = [one for one, files in _files() if re.search(rf"^{re.escape(library)}[/.]", files, re.MULTILINE)]
+    owners = [
+        one
+        for one, files in _files()
+        if re.search(rf"^{re.escape(library)}[/.]", files, re.MULTILINE)
+    ]
     return " ".join(sorted(f"{owner.metadata['Name']} {owner.version}" for owner in owners))
 
 
 @cache
 def _files() -> list[tuple[metadata.Distribution, str]]:
-    return [(one, one.read_text("RECORD") or one.read_text("top_level.txt") or "") for one in metadata.distributions()]
+    return [
+        (one, one.read_text("RECORD") or one.read_text("top_level.txt") or "")
+        for one in metadata.distributions()
+    ]
 
 
 def _kept(path: Path, module: str) -> Module:
@@ -209,13 +254,18 @@ def _kept(path: Path, module: str) -> Module:
         known = unsealed(file.read_bytes())
         if known is not None and known["content"] == digest:
             return Module(
-                {name: Part(one, names, _symbols(more)) for name, (one, names, more) in known["parts"].items()},
+                {
+                    name: Part(one, names, _symbols(more))
+                    for name, (one, names, more) in known["parts"].items()
+                },
                 {name: _symbols(symbols) for name, symbols in known["imported"].items()},
             )
     read = _scanned(path, module)
     with suppress(OSError):  # a home that cannot be written to
         CACHE.mkdir(parents=True, exist_ok=True)
-        kept = json.loads(json.dumps({"content": digest, "parts": read.parts, "imported": read.imported}))
+        kept = json.loads(
+            json.dumps({"content": digest, "parts": read.parts, "imported": read.imported})
+        )
         write_json_atomically(file, sealed(kept), durable=False)
     return read
 
@@ -225,7 +275,10 @@ def _symbols(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
 
 
 def _scanned(path: Path, module: str) -> Module:
-    tree, package = ast.parse(path.read_bytes()), module if path.name == "__init__.py" else module.rpartition(".")[0]
+    tree, package = (
+        ast.parse(path.read_bytes()),
+        module if path.name == "__init__.py" else module.rpartition(".")[0],
+    )
     bound, imported = defaultdict[str, list[ast.stmt]](list), defaultdict[str, list[Symbol]](list)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
@@ -237,21 +290,32 @@ def _scanned(path: Path, module: str) -> Module:
             continue
         for name in _bound_names(statement) or {LOOSE}:
             bound[name].append(statement)
-    return Module({name: _part(statements, package) for name, statements in bound.items()}, dict(imported))
+    return Module(
+        {name: _part(statements, package) for name, statements in bound.items()}, dict(imported)
+    )
 
 
 def _part(statements: list[ast.stmt], package: str) -> Part:
     text = "\n".join(map(ast.dump, statements))
     names = {name for statement in statements for name in _names(statement)}
-    inner = [node for one in statements for node in ast.walk(one) if isinstance(node, ast.Import | ast.ImportFrom)]
+    inner = [
+        node
+        for one in statements
+        for node in ast.walk(one)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
     imports = {symbol for node in inner for _, symbol in _bindings(node, package)}
     return Part(hashlib.sha256(text.encode()).hexdigest(), sorted(names), sorted(imports))
 
 
 def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
-    """Top-level statements, those of `if`, `try` and `with` blocks among them; what only type checkers see is left."""
+    """Top-level statements, those of `if`, `try` and `with` blocks among them; what only type
+    checkers see is left."""
     for statement in body:
-        if isinstance(statement, ast.If) and ast.unparse(statement.test) in ("TYPE_CHECKING", "__name__ == '__main__'"):
+        if isinstance(statement, ast.If) and ast.unparse(statement.test) in (
+            "TYPE_CHECKING",
+            "__name__ == '__main__'",
+        ):
             continue
         if not isinstance(statement, ast.If | ast.Try | ast.With):
             yield statement
@@ -264,7 +328,11 @@ def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
 def _bound_names(statement: ast.stmt) -> set[str]:
     if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {statement.name}
-    return {node.id for node in ast.walk(statement) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return {
+        node.id
+        for node in ast.walk(statement)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    }
 
 
 def _names(node: ast.AST) -> Iterator[str]:
@@ -279,8 +347,14 @@ def _names(node: ast.AST) -> Iterator[str]:
 
 def _bindings(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[tuple[str, Symbol]]:
     if isinstance(node, ast.Import):
-        yield from ((alias.asname or alias.name.split(".")[0], (alias.name, WHOLE)) for alias in node.names)
+        yield from (
+            (alias.asname or alias.name.split(".")[0], (alias.name, WHOLE)) for alias in node.names
+        )
         return
-    base = ".".join(package.split(".")[: len(package.split(".")) - node.level + 1]) if node.level else ""
+    base = (
+        ".".join(package.split(".")[: len(package.split(".")) - node.level + 1])
+        if node.level
+        else ""
+    )
     source = ".".join(part for part in (base, node.module) if part)
     yield from ((alias.asname or alias.name, (source, alias.name)) for alias in node.names)

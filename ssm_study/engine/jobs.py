@@ -1,4 +1,5 @@
-"""The jobs of a sweep: each in a process of its own, with its own log, and a record however that process ends."""
+"""The jobs of a sweep: each in a process of its own, with its own log, and a record however that
+process ends."""
 
 import contextlib
 import faulthandler
@@ -28,8 +29,16 @@ from ssm_study.refusal import BadRequest
 LOG, LOG_TAIL = "run.log", 8000  # characters of it that a traceback shows
 OUT_OF_MEMORY_SCORE = 500  # when memory runs out the system stops a job, not the sweep
 GRACE_S = 2.0  # between asking a hanging job for its traceback and killing it
-HINTS = {"SIGKILL": " (the system does this when memory runs out)", "SIGSEGV": " (a crash in native code)"}
-FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")  # only these are worth a second try of itself
+HINTS = {
+    "SIGKILL": " (the system does this when memory runs out)",
+    "SIGSEGV": " (a crash in native code)",
+}
+FROM_OUTSIDE = (
+    "SIGKILL",
+    "SIGTERM",
+    "SIGINT",
+    "SIGHUP",
+)  # only these are worth a second try of itself
 
 
 @dataclass(kw_only=True)
@@ -64,17 +73,25 @@ def jobs_of(composer: Composer, overrides: Sequence[list[str]], first_number: in
 
     Raises `BadRequest` for a name that leaves the results folder.
     """
-    found = [(words, composer.settings(words, number)) for number, words in enumerate(overrides, first_number)]
+    found = [
+        (words, composer.settings(words, number))
+        for number, words in enumerate(overrides, first_number)
+    ]
     return [
-        Job(overrides=words, settings=settings, folder=folder_of(settings).absolute(), number=number)
+        Job(
+            overrides=words, settings=settings, folder=folder_of(settings).absolute(), number=number
+        )
         for number, (words, settings) in enumerate(found, first_number)
     ]
 
 
-def run_in_this_process(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext) -> None:
+def run_in_this_process(
+    job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext
+) -> None:
     """The main function of a job's process, with all output in `folder/run.log`.
 
-    What Hydra's `run_job` does in a process that goes on to other jobs, without the copies it needs to undo it.
+    What Hydra's `run_job` does in a process that goes on to other jobs, without the copies it needs
+    to undo it.
     """
     os.setsid()  # a group of its own, so that whatever it starts can be stopped with it
     with contextlib.suppress(OSError):
@@ -89,7 +106,9 @@ def run_in_this_process(job: Job, composer: Composer, task: Task[Any], hydra_con
     configure_log(config.hydra.job_logging, config.hydra.verbose)
     os.environ.update(config.hydra.job.env_set)
     hydra_context.callbacks.on_job_start(config=config, task_function=task.job)
-    ended = JobReturn(overrides=config.hydra.overrides.task, cfg=config)  # a copy without Hydra's section takes 10 ms
+    ended = JobReturn(
+        overrides=config.hydra.overrides.task, cfg=config
+    )  # a copy without Hydra's section takes 10 ms
     try:
         ended.return_value, ended.status = task.job(job.settings), JobStatus.COMPLETED
     except Exception as error:  # whatever the task raises
@@ -107,12 +126,15 @@ def _speak_into(folder: Path) -> None:
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     nothing = os.open(os.devnull, os.O_RDONLY)
     for source, target in ((nothing, 0), (log, 1), (log, 2)):
-        os.dup2(source, target)  # the descriptors themselves: native code and what the job starts write there, too
+        os.dup2(
+            source, target
+        )  # the descriptors themselves: native code and what the job starts write there, too
     faulthandler.enable()  # a crash in native code leaves its Python traceback in the log
 
 
 def conclude(job: Job) -> Outcome:
-    """What became of a job whose process has ended: its record says, or else how the process died."""
+    """What became of a job whose process has ended: its record says, or else how the process
+    died."""
     assert job.process is not None
     job.process.join()
     kill_group(job)  # what the job started and left behind
@@ -123,13 +145,19 @@ def conclude(job: Job) -> Outcome:
     return note_death(job.folder, death, text, job.process.pid)
 
 
-def note_death(folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None) -> Outcome:
-    """What the run's record says; if it says nothing final and nobody is at it, a failure with `text` as traceback.
+def note_death(
+    folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
+) -> Outcome:
+    """What the run's record says; if it says nothing final and nobody is at it, a failure with
+    `text` as traceback.
 
-    Not where another process than `pid` began the run: a sweep that was killed meanwhile left it, and it is only lost.
+    Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
+    and it is only lost.
     """
     with locked(folder / LOCK, PATIENCE_S) as mine:
-        record = read_record(folder)  # under the lock: another sweep may have finished the run in the meantime
+        record = read_record(
+            folder
+        )  # under the lock: another sweep may have finished the run in the meantime
         if record is not None and record["status"] in FINAL:
             said = str(record.get("error_message") or "")
             return Outcome(folder=folder, status=record["status"], did="ran", message=said)
@@ -145,13 +173,21 @@ def _cause_of_death(job: Job) -> dict[str, Any]:
     """A signal or an exit without a record."""
     code = job.process.exitcode if job.process and job.process.exitcode is not None else SERVER_DIED
     if code == SERVER_DIED:
-        return _death("ServerKilled", "the process that jobs are forked from was killed", transient=True)
+        return _death(
+            "ServerKilled", "the process that jobs are forked from was killed", transient=True
+        )
     if code >= 0:  # it chose to end; a signal has a negative code
-        return _death("ProcessExit", f"the process ended with status {code} before the run was recorded", False)
+        return _death(
+            "ProcessExit",
+            f"the process ended with status {code} before the run was recorded",
+            False,
+        )
     if job.outcome is not None:
         return _death("Timeout", job.outcome.message, transient=False)
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-    return _death(name, f"the process was stopped by {name}{HINTS.get(name, '')}", name in FROM_OUTSIDE)
+    return _death(
+        name, f"the process was stopped by {name}{HINTS.get(name, '')}", name in FROM_OUTSIDE
+    )
 
 
 def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
@@ -159,7 +195,8 @@ def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
 
 
 def stop_hanging(job: Job) -> None:
-    """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole group."""
+    """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole
+    group."""
     assert job.process is not None
     message = f"no result after {time.monotonic() - job.started:.0f} s, the limit of hydra.launcher.timeout_s"
     job.outcome = Outcome(folder=job.folder, status=FAILED, did="ran", message=message)
@@ -170,7 +207,8 @@ def stop_hanging(job: Job) -> None:
 
 
 def kill_group(job: Job) -> None:
-    """SIGKILL to the job and to whatever it started; a job that was never born has no group (0 would be our own)."""
+    """SIGKILL to the job and to whatever it started; a job that was never born has no group (0
+    would be our own)."""
     if job.process is None or job.process.pid == UNBORN:
         return
     if job.process.exitcode is None:

@@ -1,4 +1,5 @@
-"""A sweep: composed, checked or planned here, whoever runs its jobs; and the launcher that forks a process for each."""
+"""A sweep: composed, checked or planned here, whoever runs its jobs; and the launcher that forks a
+process for each."""
 
 import contextlib
 import os
@@ -17,7 +18,14 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from ssm_study.engine.compose import Composer
-from ssm_study.engine.jobs import Job, conclude, jobs_of, kill_group, run_in_this_process, stop_hanging
+from ssm_study.engine.jobs import (
+    Job,
+    conclude,
+    jobs_of,
+    kill_group,
+    run_in_this_process,
+    stop_hanging,
+)
 from ssm_study.engine.plan import KeyedStages, plan
 from ssm_study.engine.progress import Progress
 from ssm_study.engine.records import FAILED
@@ -45,8 +53,11 @@ class Launcher(ABC):
         """Run `jobs`; afterwards each has its `outcome`, whatever became of it."""
 
 
-def launch(launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int) -> list[JobReturn]:
-    """Compose every configuration, check those that are not finished, then run or plan them; one `JobReturn` each."""
+def launch(
+    launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
+) -> list[JobReturn]:
+    """Compose every configuration, check those that are not finished, then run or plan them; one
+    `JobReturn` each."""
     setup_globals()
     task = task_of(sweep.task_function)
     task.refuse(sweep.config)
@@ -61,7 +72,9 @@ def launch(launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], fir
     if sweep.config.get("dry_run"):
         walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
-        print("\n".join(plan(store_of(sweep.config), walks, len(unique), finished, launcher.at_once)))
+        print(
+            "\n".join(plan(store_of(sweep.config), walks, len(unique), finished, launcher.at_once))
+        )
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}
@@ -70,9 +83,11 @@ def launch(launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], fir
 
 @dataclass(frozen=True, kw_only=True)
 class Processes(Launcher):
-    """One fresh process per job: a job may raise, exit, crash, hang or be killed, and the others do not notice.
+    """One fresh process per job: a job may raise, exit, crash, hang or be killed, and the others do
+    not notice.
 
-    `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the cores. With
+    `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the
+    cores. With
     `fail_fast` none is begun after the first failure.
     """
 
@@ -83,8 +98,20 @@ class Processes(Launcher):
 
     def __post_init__(self) -> None:
         cores = len(os.sched_getaffinity(0))
-        require(self.threads >= 1, "hydra.launcher.threads", self.threads, "a job needs a thread", "give 1 or more")
-        require(self.at_once >= 1, "hydra.launcher.n_jobs", self.n_jobs, "no job could run", "give 1 or more")
+        require(
+            self.threads >= 1,
+            "hydra.launcher.threads",
+            self.threads,
+            "a job needs a thread",
+            "give 1 or more",
+        )
+        require(
+            self.at_once >= 1,
+            "hydra.launcher.n_jobs",
+            self.n_jobs,
+            "no job could run",
+            "give 1 or more",
+        )
         require(
             self.at_once * self.threads <= max(cores, self.threads if self.n_jobs is None else 0),
             "hydra.launcher.n_jobs * threads",
@@ -95,14 +122,22 @@ class Processes(Launcher):
 
     @property
     def at_once(self) -> int:  # type: ignore[override]
-        return max(1, len(os.sched_getaffinity(0)) // self.threads) if self.n_jobs is None else self.n_jobs
+        return (
+            max(1, len(os.sched_getaffinity(0)) // self.threads)
+            if self.n_jobs is None
+            else self.n_jobs
+        )
 
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
         """Fork the jobs that are to do, a few at a time, and wait for the end of each."""
         to_do, running = [job for job in jobs if job.outcome is None], list[Job]()
         task, waiting = task_of(sweep.task_function), deque(enumerate(to_do))
-        works = [partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do]
-        server = Server(works, warm=partial(warm, task, to_do), threads=self.threads)  # starts with the first job
+        works = [
+            partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do
+        ]
+        server = Server(
+            works, warm=partial(warm, task, to_do), threads=self.threads
+        )  # starts with the first job
         with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
@@ -126,7 +161,9 @@ class Processes(Launcher):
         ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.tick(running=len(running))
         for job in running:
-            too_long = self.timeout_s is not None and time.monotonic() - job.started > self.timeout_s
+            too_long = (
+                self.timeout_s is not None and time.monotonic() - job.started > self.timeout_s
+            )
             if job not in ended and too_long:
                 stop_hanging(job)
                 ended.append(job)
@@ -134,7 +171,8 @@ class Processes(Launcher):
 
 
 def warm(task: Task[Any], jobs: list[Job]) -> None:
-    """What every job would import and read for itself: also the code that their keys depend on (0.2 s)."""
+    """What every job would import and read for itself: also the code that their keys depend on (0.2
+    s)."""
     planned = KeyedStages(store_of(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
@@ -146,19 +184,25 @@ def warm(task: Task[Any], jobs: list[Job]) -> None:
 
 @contextlib.contextmanager
 def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the sweep at once and take its jobs along; their runs are then `lost`, to be run again."""
+    """Ctrl-C and SIGTERM end the sweep at once and take its jobs along; their runs are then `lost`,
+    to be run again."""
 
     def stop(number: int, _: FrameType | None) -> None:
         for name in previous:
             signal.signal(name, signal.SIG_IGN)  # a second Ctrl-C shall not stop the cleaning up
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    previous = {
+        number: signal.signal(number, stop)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
     try:
         yield
     finally:
         try:
-            for job in running:  # the groups first: what a job has started is no child of the server
+            for (
+                job
+            ) in running:  # the groups first: what a job has started is no child of the server
                 kill_group(job)
             server.close()
         finally:

@@ -1,4 +1,5 @@
-"""Plan before work: how many runs and stages a sweep needs, how many are there, and how long the rest will take."""
+"""Plan before work: how many runs and stages a sweep needs, how many are there, and how long the
+rest will take."""
 
 import json
 from collections import Counter
@@ -8,13 +9,14 @@ from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
-from ssm_study.engine.stages import Compute, Facts, Kept, StageResult, Stages, measure_key
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
 from ssm_study.engine.store import MANIFEST, Store
 
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Walks down the line without computing: every stage is noted with its key and whether the store has it."""
+    """Walks down the line without computing: every stage is noted with its key and whether the
+    store has it."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
@@ -22,23 +24,32 @@ class PlannedStages(Stages):
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
         if key not in self.noted:  # many runs share a stage: its folder is looked for once
             folder = self.store.folder(name, key)
-            there = (folder / MANIFEST).is_file()  # sums are compared when it is used: a plan reads no gigabytes
-            self.noted[key] = StageResult(path=folder, key=key, seconds=0.0, reused=there, name=name)
+            there = (
+                folder / MANIFEST
+            ).is_file()  # sums are compared when it is used: a plan reads no gigabytes
+            self.noted[key] = StageResult(
+                path=folder, key=key, seconds=0.0, reused=there, name=name
+            )
         return self.noted[key]
 
 
 class KeyedStages(PlannedStages):
     """A plan that finds the keys of the columns, too: so it reads all code that they depend on."""
 
-    def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:
+    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         measure_key(kept, before)
         return {}
 
 
 def plan(
-    store: Store, walks: Sequence[Callable[[Stages], object]], runs: int, finished: int, jobs_at_once: int = 1
+    store: Store,
+    walks: Sequence[Callable[[Stages], object]],
+    runs: int,
+    finished: int,
+    jobs_at_once: int = 1,
 ) -> list[str]:
-    """The plan of `runs` runs as text; its time is `at least` that where a missing stage was never timed.
+    """The plan of `runs` runs as text; its time is `at least` that where a missing stage was never
+    timed.
 
     `walks` take the stages of each unfinished run down the line.
     """

@@ -8,7 +8,12 @@ from hydra.core.config_store import ConfigStore
 
 from ssm_study.engine.task import Task
 
-COMMON = {"study": "study", "results_dir": "results", "run": "${run_name:seed:seed}", "retry_failed": False}
+COMMON = {
+    "study": "study",
+    "results_dir": "results",
+    "run": "${run_name:seed:seed}",
+    "retry_failed": False,
+}
 FOLDERS = {
     "output_subdir": None,
     "run": {"dir": "${results_dir}/${study}/${run}"},
@@ -17,9 +22,18 @@ FOLDERS = {
 
 
 def main(task: Task[Any], settings: Mapping[str, Any]) -> None:
-    """Run `task` with `settings`, changed by the overrides of the command line; Hydra's options all work."""
-    choices = {"launcher": "processes", "sweeper": "grid", "job_logging": "none", "hydra_logging": "none"}
-    defaults = ["_self_", *({f"override hydra/{group}": choice} for group, choice in choices.items())]
+    """Run `task` with `settings`, changed by the overrides of the command line; Hydra's options all
+    work."""
+    choices = {
+        "launcher": "processes",
+        "sweeper": "grid",
+        "job_logging": "none",
+        "hydra_logging": "none",
+    }
+    defaults = [
+        "_self_",
+        *({f"override hydra/{group}": choice} for group, choice in choices.items()),
+    ]
     node = {"defaults": defaults, **COMMON, "dry_run": False, **settings, "hydra": FOLDERS}
     ConfigStore.instance().store(name="task", node=node)
     hydra.main(version_base="1.3", config_path=None, config_name="task")(task.job)()

@@ -17,13 +17,18 @@ QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the 
 
 
 class Progress:
-    """Counts outcomes and says so on stderr: a living line on a terminal, now and then a line elsewhere."""
+    """Counts outcomes and says so on stderr: a living line on a terminal, now and then a line
+    elsewhere."""
 
     def __init__(self, total: int) -> None:
         self.total, self.counts, self.reused, self.running = total, Counter[str](), 0, 0
         self.started = self.spoken = time.monotonic()
         console = Console(stderr=True)
-        self.live = Live(console=console, transient=True, auto_refresh=False) if sys.stderr.isatty() else None
+        self.live = (
+            Live(console=console, transient=True, auto_refresh=False)
+            if sys.stderr.isatty()
+            else None
+        )
 
     def __enter__(self) -> "Progress":
         if self.live:
@@ -46,7 +51,10 @@ class Progress:
 
     def line(self) -> str:
         """`12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2 running; 3:20 left`"""
-        counts = [f"{self.counts[status]} {status}" for status in (*FINAL, *sorted(set(self.counts) - set(FINAL)))]
+        counts = [
+            f"{self.counts[status]} {status}"
+            for status in (*FINAL, *sorted(set(self.counts) - set(FINAL)))
+        ]
         parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
         parts += [f"{self.reused} there before"] if self.reused else []
         parts += [f"{self.running} running"] if self.running else []
@@ -57,7 +65,9 @@ class Progress:
         """By the mean pace of the runs done in this sweep; None before the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()
-        return (time.monotonic() - self.started) / fresh * remaining if fresh and remaining else None
+        return (
+            (time.monotonic() - self.started) / fresh * remaining if fresh and remaining else None
+        )
 
     def _say(self) -> None:
         if self.live:
@@ -68,7 +78,8 @@ class Progress:
 
 
 class Watch(Thread):
-    """The same line for launchers that know nothing of it (basic, Slurm, Ray), read from the run folders."""
+    """The same line for launchers that know nothing of it (basic, Slurm, Ray), read from the run
+    folders."""
 
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
@@ -87,7 +98,9 @@ class Watch(Thread):
     def run(self) -> None:
         with Progress(total=len(self.folders)) as progress:
             progress.reused = self.there_before
-            while not self.over.wait(self.every_s):  # sleeps, yet wakes at once when the sweep is over
+            while not self.over.wait(
+                self.every_s
+            ):  # sleeps, yet wakes at once when the sweep is over
                 self._look(progress)
             self._look(progress)  # the last line is of how it ended
 

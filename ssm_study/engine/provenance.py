@@ -12,11 +12,15 @@ from typing import Any
 
 @cache
 def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
-    """Flat facts for a record; `git_commit` and `git_dirty` are None where no repository tracks the file `source`."""
+    """Flat facts for a record; `git_commit` and `git_dirty` are None where no repository tracks the
+    file `source`."""
     source = source.resolve()
     commit = _ask_git(source, "rev-parse", "HEAD")
     changes = _ask_git(source, "status", "--porcelain", "--untracked-files=no")
-    facts = {"git_commit": commit or None, "git_dirty": None if commit is None or changes is None else bool(changes)}
+    facts = {
+        "git_commit": commit or None,
+        "git_dirty": None if commit is None or changes is None else bool(changes),
+    }
     facts["version_python"] = platform.python_version()
     for library in libraries:
         with suppress(metadata.PackageNotFoundError):
@@ -43,5 +47,7 @@ def _ask_git(here: Path, *question: str) -> str | None:
 def _processor() -> str:
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        return next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
     return platform.processor() or platform.machine()

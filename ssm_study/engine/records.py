@@ -1,4 +1,5 @@
-"""`record.json`: one flat object per run, sealed by its own SHA-256; what every table and figure is made from."""
+"""`record.json`: one flat object per run, sealed by its own SHA-256; what every table and figure is
+made from."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +14,8 @@ from ssm_study.refusal import BadRequest
 RECORD = "record.json"
 LOCK = ".lock"
 LARGEST = 2**22  # bytes of a record: a real one has 5,000
-# What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the lock) and
+# What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the
+# lock) and
 # `corrupt` (the file is not what was written).
 RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
 LOST, CORRUPT = "lost", "corrupt"
@@ -21,13 +23,15 @@ FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one sto
 
 
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
-    """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts `inf` and `-inf`."""
+    """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts
+    `inf` and `-inf`."""
     flat = {str(key): storable(str(key), value) for key, value in record.items() if key != "sha256"}
     write_json_atomically(folder / RECORD, sealed({"record_version": 1} | flat), durable)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there is none."""
+    """The record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there
+    is none."""
     try:
         content = contents(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
@@ -35,14 +39,16 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     except OSError:  # no plain file, or one that no run wrote
         content = b""
     record = parse_record(content)
-    # The lock decides, never a process number: after a restart, or on another machine, that may be somebody else's.
+    # The lock decides, never a process number: after a restart, or on another machine, that may be
+    # somebody else's.
     if record.get("status") == RUNNING and not is_locked(folder / LOCK):
         record["status"] = LOST
     return record
 
 
 def parse_record(content: bytes) -> dict[str, Any]:
-    """The record written as `content`; anything that is not exactly a sealed record has only `status = corrupt`."""
+    """The record written as `content`; anything that is not exactly a sealed record has only
+    `status = corrupt`."""
     record = unsealed(content)
     if record is None or not isinstance(record.get("status"), str) or not _fits(*record.values()):
         return {"status": CORRUPT}
@@ -50,12 +56,14 @@ def parse_record(content: bytes) -> dict[str, Any]:
 
 
 def _fits(*values: Any) -> bool:
-    """A table holds whole numbers of 64 bits: one beyond them would spoil the table of its whole study."""
+    """A table holds whole numbers of 64 bits: one beyond them would spoil the table of its whole
+    study."""
     return all(-(1 << 63) < value < 1 << 63 for value in values if type(value) is int)
 
 
 def storable(key: str, value: Any) -> bool | int | float | str | None:
-    """A value as a record holds it; raises `BadRequest` for one that is no single number, text or truth value."""
+    """A value as a record holds it; raises `BadRequest` for one that is no single number, text or
+    truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -64,4 +72,9 @@ def storable(key: str, value: Any) -> bool | int | float | str | None:
         return value
     if isinstance(value, Path):
         return str(value)
-    raise BadRequest(key, value, f"a {type(value).__name__} does not fit a flat record", "store a number or a text")
+    raise BadRequest(
+        key,
+        value,
+        f"a {type(value).__name__} does not fit a flat record",
+        "store a number or a text",
+    )

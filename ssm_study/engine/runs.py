@@ -1,4 +1,5 @@
-"""One run: claim its folder, do the work, leave one record, of a failure too. A finished run is never touched again."""
+"""One run: claim its folder, do the work, leave one record, of a failure too. A finished run is
+never touched again."""
 
 import errno
 import os
@@ -28,7 +29,8 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a run stands after `execute`: `did` is one of `ran`, `found` (finished before), `left` (failed before and not
+    """How a run stands after `execute`: `did` is one of `ran`, `found` (finished before), `left`
+    (failed before and not
     asked to retry), `elsewhere` (another process is at it)."""
 
     folder: Path
@@ -39,7 +41,8 @@ class Outcome:
 
 @dataclass
 class Run:
-    """A claimed run folder. The work writes its artefacts into `path` and its numbers through `note`."""
+    """A claimed run folder. The work writes its artefacts into `path` and its numbers through
+    `note`."""
 
     path: Path
     facts: dict[str, Any] = field(default_factory=dict)
@@ -49,7 +52,8 @@ class Run:
         self.facts.update(facts)
 
     def settle(self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]) -> None:
-        """Note a stage's columns, its key, its seconds and whether it was reused; bring its files."""
+        """Note a stage's columns, its key, its seconds and whether it was reused; bring its
+        files."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
         self.note(**facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()})
         for name in files:
@@ -66,18 +70,29 @@ def execute(
     provenance: Mapping[str, Any] | None = None,
     retry_failed: bool = False,
 ) -> Outcome:
-    """Do `work(run)` in `folder` unless it is done already; record what it returns, or how it failed.
+    """Do `work(run)` in `folder` unless it is done already; record what it returns, or how it
+    failed.
 
-    `work` returns further facts; `status` among them may be `infeasible` (default `ok`). `parameters` are in the record
-    from the start. `configuration` maps file names to text, written below `.hydra/`; `provenance` is who computes. An
-    exception becomes a `failed` record with `traceback.txt`; only being stopped (KeyboardInterrupt, SIGTERM, a
+    `work` returns further facts; `status` among them may be `infeasible` (default `ok`).
+    `parameters` are in the record
+    from the start. `configuration` maps file names to text, written below `.hydra/`; `provenance`
+    is who computes. An
+    exception becomes a `failed` record with `traceback.txt`; only being stopped (KeyboardInterrupt,
+    SIGTERM, a
     scheduler's time limit) is raised on, leaving a run that the same command takes up again.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / LOCK, PATIENCE_S) as mine:
         if not mine:  # two sweeps may share runs: who comes second leaves them to the first
-            return Outcome(folder=folder, status=RUNNING, did="elsewhere", message="another process is at this run")
-        before = standing(folder, mine=True)  # under the lock: another process may have done the run in the meantime
+            return Outcome(
+                folder=folder,
+                status=RUNNING,
+                did="elsewhere",
+                message="another process is at this run",
+            )
+        before = standing(
+            folder, mine=True
+        )  # under the lock: another process may have done the run in the meantime
         if not is_to_run(before, retry_failed):
             return outcome_of(folder, before)
         _set_aside(folder, before)
@@ -88,11 +103,14 @@ def execute(
         attempt = {"attempt": int((before or {}).get("attempt") or 0) + 1, "started_utc": _now()}
         place = {"study": folder.parent.name, "run": folder.name, "status": RUNNING}
         process = {"pid": os.getpid(), "host": socket.gethostname()}
-        return _run(folder, {**parameters, **place, **attempt, **process, **(provenance or {})}, work)
+        return _run(
+            folder, {**parameters, **place, **attempt, **process, **(provenance or {})}, work
+        )
 
 
 def standing(folder: Path, mine: bool = False) -> dict[str, Any] | None:
-    """The record, with `status = corrupt` also for a finished run one of whose artefacts is not as it was written.
+    """The record, with `status = corrupt` also for a finished run one of whose artefacts is not as
+    it was written.
 
     `mine` is for the holder of the lock: a run that says `running` is then nobody's.
     """
@@ -105,30 +123,55 @@ def standing(folder: Path, mine: bool = False) -> dict[str, Any] | None:
 
 
 def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Finished runs stay; failed ones wait for `retry_failed`, unless the machine was at fault (disk, signal)."""
+    """Finished runs stay; failed ones wait for `retry_failed`, unless the machine was at fault
+    (disk, signal)."""
     status = before["status"] if before else None
     if retry_failed:
         return status in (FAILED, LOST, CORRUPT)
-    return status in (None, LOST, CORRUPT) or (status == FAILED and bool(before and before.get("failure_transient")))
+    return status in (None, LOST, CORRUPT) or (
+        status == FAILED and bool(before and before.get("failure_transient"))
+    )
 
 
 def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
     """Of a run that is not executed now: what its folder says."""
     if before is None:
-        return Outcome(folder=folder, status="absent", did="left", message="never ran; only failed runs are retried")
+        return Outcome(
+            folder=folder,
+            status="absent",
+            did="left",
+            message="never ran; only failed runs are retried",
+        )
     did = "found" if before["status"] in FINISHED else "left"
-    return Outcome(folder=folder, status=before["status"], did=did, message=str(before.get("error_message") or ""))
+    return Outcome(
+        folder=folder,
+        status=before["status"],
+        did=did,
+        message=str(before.get("error_message") or ""),
+    )
 
 
-def _run(folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]) -> Outcome:
+def _run(
+    folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
+) -> Outcome:
     run, started = Run(path=folder), time.perf_counter()
-    records.write_record(folder, opening, durable=False)  # until the end only the lock says that the run is under way
+    records.write_record(
+        folder, opening, durable=False
+    )  # until the end only the lock says that the run is under way
     try:
         run.note(**(work(run) or {}))
         status = run.facts.get("status", OK)
-        require(status in FINISHED, "status", status, "not the status of finished work", "return ok or infeasible")
+        require(
+            status in FINISHED,
+            "status",
+            status,
+            "not the status of finished work",
+            "return ok or infeasible",
+        )
         closing = {"status": status, "ended_utc": _now(), "seconds": time.perf_counter() - started}
-        seal_run(folder)  # before the record: that one makes the run count, so its files must already be durable
+        seal_run(
+            folder
+        )  # before the record: that one makes the run count, so its files must already be durable
         records.write_record(folder, opening | run.facts | closing)
     except (Exception, SystemExit) as error:
         if _stopped_by_scheduler(error):
@@ -140,21 +183,32 @@ def _run(folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[st
 
 
 def _stopped_by_scheduler(error: BaseException) -> bool:
-    """Whether it was raised by what submitit does on the signal before a time limit: the job is queued again, or the
-    last of its attempts is over; the run is then `lost`, which the next attempt or the same command takes up."""
+    """Whether it was raised by what submitit does on the signal before a time limit: the job is
+    queued again, or the
+    last of its attempts is over; the run is then `lost`, which the next attempt or the same command
+    takes up."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
 def seal_run(folder: Path) -> None:
     """`manifest.json` over the artefacts of the run, its configuration among them."""
-    seal_folder(folder, {"run": folder.name}, leave_out=frozenset({LOCK, ATTEMPTS, RECORD, "run.log"}))
+    seal_folder(
+        folder, {"run": folder.name}, leave_out=frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
+    )
 
 
 def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
-    """The failure as data. Transient: the machine was at fault (disk, memory), so the same command tries again."""
-    text = f"exited with status {error.code}" if isinstance(error, SystemExit) else (str(error) or type(error).__name__)
-    chain: list[BaseException] = [error]  # an exception may have been raised from, or while handling, another
+    """The failure as data. Transient: the machine was at fault (disk, memory), so the same command
+    tries again."""
+    text = (
+        f"exited with status {error.code}"
+        if isinstance(error, SystemExit)
+        else (str(error) or type(error).__name__)
+    )
+    chain: list[BaseException] = [
+        error
+    ]  # an exception may have been raised from, or while handling, another
     while (cause := chain[-1].__cause__ or chain[-1].__context__) is not None:
         chain.append(cause)
     if isinstance(error, OSError) and error.filename is None:
@@ -166,10 +220,19 @@ def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
     }
 
 
-# OSErrors that a second attempt meets again, unless they are about files of our own that somebody has removed.
-_PROGRAM_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+# OSErrors that a second attempt meets again, unless they are about files of our own that somebody
+# has removed.
+_PROGRAM_ERRORS = (
+    FileNotFoundError,
+    FileExistsError,
+    NotADirectoryError,
+    IsADirectoryError,
+    PermissionError,
+)
 # What writers of other libraries quote of a failing disk, in exceptions of their own.
-_OF_THE_DISK = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE))
+_OF_THE_DISK = tuple(
+    os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE)
+)
 
 
 def _is_the_machines(error: BaseException, folder: Path) -> bool:
@@ -178,11 +241,16 @@ def _is_the_machines(error: BaseException, folder: Path) -> bool:
         return missing is not None and folder.absolute().parents[1] in missing.parents
     if isinstance(error, _PROGRAM_ERRORS):
         return False
-    return isinstance(error, (OSError, MemoryError)) or any(said in str(error) for said in _OF_THE_DISK)
+    return isinstance(error, (OSError, MemoryError)) or any(
+        said in str(error) for said in _OF_THE_DISK
+    )
 
 
-def write_failure(folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str) -> None:
-    """Traceback first, then the record that names it; on a full disk the run stays `running` without lock: lost."""
+def write_failure(
+    folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str
+) -> None:
+    """Traceback first, then the record that names it; on a full disk the run stays `running`
+    without lock: lost."""
     with suppress(OSError):
         write_atomically(folder / TRACEBACK, text.encode(errors="replace"))
         kept = {}
@@ -193,16 +261,21 @@ def write_failure(folder: Path, facts: Mapping[str, Any], error: Mapping[str, An
 
 
 def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
-    """Move what an earlier attempt left into `attempts/<n>/`, so that two attempts never mix in one file."""
+    """Move what an earlier attempt left into `attempts/<n>/`, so that two attempts never mix in one
+    file."""
     if before is None and not (folder / RECORD).exists():
         for path in folder.glob(".*.tmp"):  # of writes that were killed
             path.unlink()
         return
     attempts = folder / ATTEMPTS
     attempts.mkdir(exist_ok=True)
-    number = 1 + max((int(path.name) for path in attempts.iterdir() if path.name.isdigit()), default=0)
+    number = 1 + max(
+        (int(path.name) for path in attempts.iterdir() if path.name.isdigit()), default=0
+    )
     (attempts / f"{number}").mkdir()
-    for path in sorted(folder.iterdir(), key=lambda path: path.name == RECORD):  # the record last: a kill repeats this
+    for path in sorted(
+        folder.iterdir(), key=lambda path: path.name == RECORD
+    ):  # the record last: a kill repeats this
         if path.name not in KEPT_IN_PLACE and path.suffix != ".log":
             shutil.move(path, attempts / f"{number}" / path.name)
 

@@ -1,6 +1,8 @@
-"""The server that jobs are forked from: it was itself forked off the sweep, so it has all libraries and configurations.
+"""The server that jobs are forked from: it was itself forked off the sweep, so it has all libraries
+and configurations.
 
-So a job starts at once, and nothing is sent to it. The server also ends every job that would outlive the sweep.
+So a job starts at once, and nothing is sent to it. The server also ends every job that would
+outlive the sweep.
 """
 
 import contextlib
@@ -19,17 +21,22 @@ from typing import NoReturn
 
 from ssm_study.refusal import BadRequest
 
-# For mallopt: thresholds of mmap and trim, padding. Large tensors then stay in the process instead of going back to the
+# For mallopt: thresholds of mmap and trim, padding. Large tensors then stay in the process instead
+# of going back to the
 # system at every step: 1.6-2.2 times faster.
 ALLOCATOR = ((-3, 2**31 - 1), (-1, 2**31 - 1), (-2, 64 << 20))
 PR_SET_PDEATHSIG, MADV_COLLAPSE = 1, 25
 LARGE_PAGE, MANY = 2 << 20, 40  # bytes; jobs from which on large pages pay
-SERVER_DIED, UNBORN = 1000, 0  # no exit status of a process is 1000, and no process has the number 0
+SERVER_DIED, UNBORN = (
+    1000,
+    0,
+)  # no exit status of a process is 1000, and no process has the number 0
 
 
 @dataclass
 class Child:
-    """A job's process; `exitcode` is None while it lives, and minus the signal's number if one killed it."""
+    """A job's process; `exitcode` is None while it lives, and minus the signal's number if one
+    killed it."""
 
     pid: int
     listen: Callable[[float | None], object]
@@ -43,7 +50,8 @@ class Child:
 
 @dataclass
 class Server:
-    """Forks processes at work on `tasks[number]()`; `warm` imports for all of them, `threads` is what each may use."""
+    """Forks processes at work on `tasks[number]()`; `warm` imports for all of them, `threads` is
+    what each may use."""
 
     tasks: Sequence[Callable[[], object]]
     warm: Callable[[], object]
@@ -106,8 +114,12 @@ class Server:
             except Exception as error:  # whatever a module raises
                 source = traceback.extract_tb(error.__traceback__)[-1]
                 where = f"{source.filename}:{source.lineno}"
-                problem = f"{where}: importing it for the jobs failed ({type(error).__name__}: {error})"
-                raise BadRequest("program", Path(source.filename).name, problem, "mend it") from error
+                problem = (
+                    f"{where}: importing it for the jobs failed ({type(error).__name__}: {error})"
+                )
+                raise BadRequest(
+                    "program", Path(source.filename).name, problem, "mend it"
+                ) from error
             gc.freeze()  # what has been imported is not looked at again: a job would copy all of it
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # what waits in a buffer would be written again by every job
@@ -120,7 +132,8 @@ class Server:
 
 
 def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
-    """Fork when asked to, tell of every end; when the sweep is gone, however it went, so is all it has started."""
+    """Fork when asked to, tell of every end; when the sweep is gone, however it went, so is all it
+    has started."""
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
@@ -133,7 +146,9 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
             for ready in wait([sweep, *living]):
                 if ready is sweep:
                     pid = _fork(sweep, tasks[sweep.recv()])
-                    living[os.pidfd_open(pid)] = pid  # readable when the process ends: no polling, no SIGCHLD
+                    living[os.pidfd_open(pid)] = (
+                        pid  # readable when the process ends: no polling, no SIGCHLD
+                    )
                     sweep.send((pid, None))
                 elif isinstance(ready, int):
                     pid, status = os.waitpid(living.pop(ready), 0)
@@ -153,7 +168,9 @@ def _fork(sweep: Connection, task: Callable[[], object]) -> int:
     try:
         sweep.close()  # a job that lives on must not keep the line open
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != server:  # it died before the line above: nobody would ever send the signal
+        if (
+            os.getppid() != server
+        ):  # it died before the line above: nobody would ever send the signal
             os._exit(status)
         task()
         status = 0
@@ -170,19 +187,25 @@ def _fork(sweep: Connection, task: Callable[[], object]) -> int:
 
 def kill_all_of(pid: int) -> None:
     """A job's process and whatever it has started."""
-    for kill in (os.killpg, os.kill):  # a group of its own is the first thing it makes, not the birth of it
+    for kill in (
+        os.killpg,
+        os.kill,
+    ):  # a group of its own is the first thing it makes, not the birth of it
         with contextlib.suppress(ProcessLookupError, PermissionError):
             kill(pid, signal.SIGKILL)
 
 
 def thread_limits(threads: int) -> dict[str, str]:
     """The variables that torch, MKL and OpenBLAS read when they are first imported."""
-    counts = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads))
+    counts = dict.fromkeys(
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads)
+    )
     return counts | {"OMP_WAIT_POLICY": "passive"}
 
 
 def _settle_memory_and_threads(threads: int) -> None:
-    """What the variables would do, for libraries that the sweep's own process has loaded already."""
+    """What the variables would do, for libraries that the sweep's own process has loaded
+    already."""
     with contextlib.suppress(AttributeError):  # another C library
         for parameter, value in ALLOCATOR:
             ctypes.CDLL(None).mallopt(parameter, value)
@@ -191,7 +214,8 @@ def _settle_memory_and_threads(threads: int) -> None:
 
 
 def _into_large_pages() -> None:
-    """What the server has in memory, so that a fork copies a short page table: 35 -> 13 ms per job, for 0.8 s once.
+    """What the server has in memory, so that a fork copies a short page table: 35 -> 13 ms per job,
+    for 0.8 s once.
 
     Linux 6.1 and later; elsewhere nothing happens.
     """

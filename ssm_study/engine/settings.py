@@ -1,6 +1,7 @@
 """The settings of a run as plain containers, their one text, and the names that follow from it.
 
-A stage is called by the SHA-256 of all that its result depends on, a run by that of its configuration: so every
+A stage is called by the SHA-256 of all that its result depends on, a run by that of its
+configuration: so every
 launcher, today and tomorrow, finds it in the same folder.
 """
 
@@ -17,11 +18,14 @@ from omegaconf import DictConfig, OmegaConf
 from ssm_study.refusal import BadRequest, require
 
 # Where a run is kept and how it is watched is no part of what it is.
-NOT_IDENTITY = frozenset({"hydra", "results_dir", "study", "run", "progress", "dry_run", "retry_failed", "strict"})
+NOT_IDENTITY = frozenset(
+    {"hydra", "results_dir", "study", "run", "progress", "dry_run", "retry_failed", "strict"}
+)
 
 
 class Settings(dict[str, Any]):
-    """Plain containers that nobody changes any more; `settings.seed` is `settings["seed"]`, at any depth."""
+    """Plain containers that nobody changes any more; `settings.seed` is `settings["seed"]`, at any
+    depth."""
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -46,7 +50,11 @@ def settled(value: Any) -> Any:
 def plain(config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})) -> Settings:
     """The configuration with its interpolations resolved, some keys left out."""
     if isinstance(config, Settings):
-        return config if without.isdisjoint(config) else Settings({k: v for k, v in config.items() if k not in without})
+        return (
+            config
+            if without.isdisjoint(config)
+            else Settings({k: v for k, v in config.items() if k not in without})
+        )
     names = [str(key) for key in config if str(key) not in without]
     return Settings({name: settled(resolved(config[name])) for name in names})
 
@@ -58,15 +66,25 @@ def resolved(node: Any) -> Any:
 
 def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
     """Dotted path, last key and value of everything in plain containers, from the outside in."""
-    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
+    for key, value in (
+        tree.items()
+        if isinstance(tree, dict)
+        else enumerate(tree)
+        if isinstance(tree, list)
+        else ()
+    ):
         yield f"{prefix}{key}", str(key), value
         yield from nodes(value, f"{prefix}{key}.")
 
 
 def refuse_unbounded(tree: Any) -> None:
-    """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by them."""
+    """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by
+    them."""
     for path, _, value in nodes(tree):
-        finite, remedy = not isinstance(value, float) or math.isfinite(value), "leave it out, or give a finite value"
+        finite, remedy = (
+            not isinstance(value, float) or math.isfinite(value),
+            "leave it out, or give a finite value",
+        )
         require(finite, path, value, "is not a finite number", remedy)
 
 
@@ -78,7 +96,9 @@ def canonical_json(value: Any) -> str:
     try:
         return json.dumps(_alike(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise BadRequest("config", value, str(error), "use finite numbers, text or lists") from error
+        raise BadRequest(
+            "config", value, str(error), "use finite numbers, text or lists"
+        ) from error
 
 
 def _alike(value: Any) -> Any:
@@ -95,14 +115,20 @@ def digest(value: Any) -> str:
 
 
 def run_name(config: DictConfig | Settings, *shown: str) -> str:
-    """`order8-width32-seed0-1a2b3c4d5e`: what a reader looks for first, then ten digits of a hash of the settings.
+    """`order8-width32-seed0-1a2b3c4d5e`: what a reader looks for first, then ten digits of a hash
+    of the settings.
 
-    `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left out,
+    `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left
+    out,
     and so is a part of the settings that is null: it adds nothing to what a run is.
     Ten hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
     """
-    identity = {key: value for key, value in plain(config, NOT_IDENTITY).items() if value is not None}
-    pairs = [(word, entry(identity, path)) for word, _, path in (pair.partition(":") for pair in shown)]
+    identity = {
+        key: value for key, value in plain(config, NOT_IDENTITY).items() if value is not None
+    }
+    pairs = [
+        (word, entry(identity, path)) for word, _, path in (pair.partition(":") for pair in shown)
+    ]
     known = [(word, value) for word, value in pairs if isinstance(value, int | float | str)]
     said = [re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:24] for word, value in known]
     return "-".join([*said, digest(identity)[:10]])
@@ -116,7 +142,8 @@ def entry(settings: Any, path: str) -> Any:
 
 
 class _Dumper(yaml.CSafeDumper):
-    """PyYAML's fast one; quotes what OmegaConf, unlike YAML, would read as a number (`1e5`, `nan`)."""
+    """PyYAML's fast one; quotes what OmegaConf, unlike YAML, would read as a number (`1e5`,
+    `nan`)."""
 
 
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
@@ -132,7 +159,8 @@ _Dumper.add_representer(Settings, yaml.CSafeDumper.represent_dict)
 
 
 def yaml_text(value: Any) -> str:
-    """Plain containers as YAML that `OmegaConf.load` reads back to the same; five times as fast as its own."""
+    """Plain containers as YAML that `OmegaConf.load` reads back to the same; five times as fast as
+    its own."""
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 
 

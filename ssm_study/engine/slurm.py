@@ -1,4 +1,5 @@
-"""A sweep by Slurm: a job that is cancelled or loses its node is a row of the table, and the others are waited for."""
+"""A sweep by Slurm: a job that is cancelled or loses its node is a row of the table, and the others
+are waited for."""
 
 import time
 from dataclasses import dataclass
@@ -16,8 +17,13 @@ from ssm_study.engine.launcher import Launcher, Sweep
 from ssm_study.engine.runs import Outcome, error_facts
 
 # What submitit's executor knows for every scheduler; all else is Slurm's own.
-AUTO = frozenset({"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"})
-FORGOTTEN, FORGOTTEN_S = "FORGOTTEN", 30.0  # seconds between two questions whether Slurm still knows of a job
+AUTO = frozenset(
+    {"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"}
+)
+FORGOTTEN, FORGOTTEN_S = (
+    "FORGOTTEN",
+    30.0,
+)  # seconds between two questions whether Slurm still knows of a job
 
 
 @dataclass(frozen=True)
@@ -35,8 +41,12 @@ class Slurm(Launcher):
         to_do = [job for job in jobs if job.outcome is None]
         Path(str(sweep.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         state = Singleton.get_state()  # what Hydra on the node needs of this process
-        arguments = [(job.overrides, "hydra.sweep.dir", job.number, f"{job.number}", state) for job in to_do]
-        submitted = executor(self.launcher.params).map_array(self.launcher, *zip(*arguments, strict=True))
+        arguments = [
+            (job.overrides, "hydra.sweep.dir", job.number, f"{job.number}", state) for job in to_do
+        ]
+        submitted = executor(self.launcher.params).map_array(
+            self.launcher, *zip(*arguments, strict=True)
+        )
         for job, one in zip(to_do, submitted, strict=True):
             job.outcome = settled(job, one)
 
@@ -44,16 +54,26 @@ class Slurm(Launcher):
 def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
     """submitit's executor with the settings of `hydra.launcher`."""
     slurm = submitit.AutoExecutor(
-        cluster="slurm", folder=params["submitit_folder"], slurm_max_num_timeout=params["max_num_timeout"]
+        cluster="slurm",
+        folder=params["submitit_folder"],
+        slurm_max_num_timeout=params["max_num_timeout"],
     )
-    settings = {name: value for name, value in params.items() if name not in ("submitit_folder", "max_num_timeout")}
-    named = {name if name in AUTO | {"stderr_to_stdout"} else f"slurm_{name}": v for name, v in settings.items()}
+    settings = {
+        name: value
+        for name, value in params.items()
+        if name not in ("submitit_folder", "max_num_timeout")
+    }
+    named = {
+        name if name in AUTO | {"stderr_to_stdout"} else f"slurm_{name}": v
+        for name, v in settings.items()
+    }
     slurm.update_parameters(**named)
     return slurm
 
 
 def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """What the job returned; or a failed run: where Slurm ended it, one that the same command does again."""
+    """What the job returned; or a failed run: where Slurm ended it, one that the same command does
+    again."""
     state = ended(submitted, patience_s)
     try:
         if state != FORGOTTEN:
@@ -63,14 +83,21 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
     except UncompletedJobError as error:
         problem = str(error)
     except Exception as error:  # the job's own, from its node: the others are waited for
-        return note_death(job.folder, error_facts(error, job.folder), "".join(format_exception(error)))
+        return note_death(
+            job.folder, error_facts(error, job.folder), "".join(format_exception(error))
+        )
     message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
-    death = {"error_type": state.title().replace("_", ""), "error_message": message, "failure_transient": True}
+    death = {
+        "error_type": state.title().replace("_", ""),
+        "error_message": message,
+        "failure_transient": True,
+    }
     return note_death(job.folder, death, problem)
 
 
 def ended(submitted: submitit.Job, patience_s: float) -> str:
-    """Wait for the end; Slurm's word for it. Without accounting a job cancelled in the queue is `FORGOTTEN`."""
+    """Wait for the end; Slurm's word for it. Without accounting a job cancelled in the queue is
+    `FORGOTTEN`."""
     asked, unheard = time.monotonic(), 0
     while not submitted.done():
         time.sleep(0.5)  # of files that the job leaves; Slurm itself is asked far less often

@@ -1,6 +1,8 @@
-"""Stages: what a run computes on its way, each a pure function of what it is given, computed once and kept.
+"""Stages: what a run computes on its way, each a pure function of what it is given, computed once
+and kept.
 
-The key of a result is written by nobody: it follows from the settings of its parts, the stages before it and the code
+The key of a result is written by nobody: it follows from the settings of its parts, the stages
+before it and the code
 of its functions.
 """
 
@@ -26,11 +28,15 @@ def nothing(*_: Any) -> Any:
 
 @dataclass(frozen=True)
 class Stage(Generic[T]):
-    """`compute(folder, *before, **parts)` writes files; `read(folder)` gives the value that they hold.
+    """`compute(folder, *before, **parts)` writes files; `read(folder)` gives the value that they
+    hold.
 
-    `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column computes nothing
-    again. `before` are the values of earlier stages. `compute` may return the value, to save reading it back at once:
-    it must be what `read` gives, to the last bit. `files` are those that belong into the run folder as well.
+    `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column
+    computes nothing
+    again. `before` are the values of earlier stages. `compute` may return the value, to save
+    reading it back at once:
+    it must be what `read` gives, to the last bit. `files` are those that belong into the run folder
+    as well.
     """
 
     name: str
@@ -42,7 +48,8 @@ class Stage(Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """The folder of a finished stage. `seconds` is what computing it took; `reused` if not in this call."""
+    """The folder of a finished stage. `seconds` is what computing it took; `reused` if not in this
+    call."""
 
     path: Path
     key: str
@@ -52,7 +59,7 @@ class StageResult:
 
 
 @dataclass(frozen=True)
-class Kept(Generic[T]):
+class StageOutput(Generic[T]):
     """A stage that stands: its value is read from its folder when first asked for."""
 
     stage: Stage[T]
@@ -71,37 +78,49 @@ class Kept(Generic[T]):
 
 
 class Stages(ABC):
-    """Takes stages: `Store` computes and keeps, `PlannedStages` only notes what would be computed."""
+    """Takes stages: `Store` computes and keeps, `PlannedStages` only notes what would be
+    computed."""
 
     def take(
         self,
         stage: Stage[T],
         settings: Mapping[str, Any],
         parts: Mapping[str, Any] | None = None,
-        *before: Kept[Any],
-    ) -> Kept[T]:
-        """The stage of these `settings`, which `compute` is given as `parts` (as they are where that is None).
+        *before: StageOutput[Any],
+    ) -> StageOutput[T]:
+        """The stage of these `settings`, which `compute` is given as `parts` (as they are where
+        that is None).
 
-        Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A plan has no files,
+        Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
+        plan has no files,
         so values may be asked for only inside the functions of a stage.
         """
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
-            value = stage.compute(folder, *(one.value for one in before), **(settings if parts is None else parts))
+            value = stage.compute(
+                folder, *(one.value for one in before), **(settings if parts is None else parts)
+            )
             computed.extend([] if value is None else [value])
 
         code = code_version(stage.compute, *sorted(targets(settings)))
         known = [one.value_key for one in before]
-        note = {"stage": stage.name, "settings": settings, "before": known, "code": code}  # equal notes, equal results
-        kept = Kept(stage, self.keyed(stage.name, digest(note), note, compute), tuple(computed))
+        note = {
+            "stage": stage.name,
+            "settings": settings,
+            "before": known,
+            "code": code,
+        }  # equal notes, equal results
+        kept = StageOutput(
+            stage, self.keyed(stage.name, digest(note), note, compute), tuple(computed)
+        )
         return replace(kept, facts=self.measured(kept, before))
 
     @abstractmethod
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
         """The stage of this key; `note` says what the key was made of."""
 
-    def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:  # noqa: ARG002
+    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
         """Its columns; a plan has none."""
         return {}
 
@@ -110,6 +129,8 @@ class Stages(ABC):
         return self
 
 
-def measure_key(kept: Kept[Any], before: Sequence[Kept[Any]]) -> str:
+def measure_key(kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
     """The key of a stage's columns."""
-    return digest([kept.value_key, [one.value_key for one in before], code_version(kept.stage.measure)])
+    return digest(
+        [kept.value_key, [one.value_key for one in before], code_version(kept.stage.measure)]
+    )

@@ -1,4 +1,5 @@
-"""A stage is a pure function of its key: computed once, kept under that key, checked to the last bit on reading."""
+"""A stage is a pure function of its key: computed once, kept under that key, checked to the last
+bit on reading."""
 
 import os
 import secrets
@@ -17,7 +18,7 @@ from ssm_study.engine import durable
 from ssm_study.engine.durable import contents, locked, sealed, sha256_of_file, sync, unsealed
 from ssm_study.engine.records import storable
 from ssm_study.engine.settings import digest
-from ssm_study.engine.stages import Compute, Facts, Kept, StageResult, Stages, measure_key
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
 from ssm_study.refusal import require
 
 MANIFEST = "manifest.json"
@@ -27,16 +28,19 @@ CHECKPOINT = "last.ckpt"  # what a computation may save to go on from; checked b
 
 @dataclass(frozen=True)
 class Store(Stages):
-    """`root/<stage>/<key>/` holds the files of one stage and `manifest.json` with the SHA-256 of each.
+    """`root/<stage>/<key>/` holds the files of one stage and `manifest.json` with the SHA-256 of
+    each.
 
-    A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and renamed. Only one
-    process computes a key at a time (flock). Where the lock does not reach from node to node, two may compute the same
+    A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and
+    renamed. Only one
+    process computes a key at a time (flock). Where the lock does not reach from node to node, two
+    may compute the same
     content: the first rename wins.
     """
 
     root: Path
 
-    def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:
+    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         """From their sealed file beside its folder, or measured into it."""
         key = measure_key(kept, before)
         path = kept.result.path.with_name(f"{kept.result.path.name}.{key[:16]}.json")
@@ -44,9 +48,14 @@ class Store(Stages):
         if found is None or found["key"] != key:
             worked = time.process_time()
             measured = kept.stage.measure(kept.value, *(one.value for one in before))
-            found = {"key": key, "facts": {name: storable(name, value) for name, value in measured.items()}}
+            found = {
+                "key": key,
+                "facts": {name: storable(name, value) for name, value in measured.items()},
+            }
             found["processor_seconds"] = time.process_time() - worked
-            durable.write_json_atomically(path, sealed(found), durable=False)  # a damaged one is measured again
+            durable.write_json_atomically(
+                path, sealed(found), durable=False
+            )  # a damaged one is measured again
         facts: Facts = found["facts"]
         return facts
 
@@ -73,9 +82,13 @@ class Store(Stages):
         """The intact stage of this key, or None; a damaged one counts as absent."""
         folder = self.folder(name, key)
         manifest = intact_manifest(folder)
-        if manifest is None or manifest.get("key") != key:  # the name holds 32 of its 64 digits only
+        if (
+            manifest is None or manifest.get("key") != key
+        ):  # the name holds 32 of its 64 digits only
             return None
-        return StageResult(path=folder, key=key, seconds=manifest["seconds"], reused=True, name=name)
+        return StageResult(
+            path=folder, key=key, seconds=manifest["seconds"], reused=True, name=name
+        )
 
     def folder(self, name: str, key: str) -> Path:
         is_plain = name.replace("_", "").replace("-", "").isalnum()
@@ -85,7 +98,9 @@ class Store(Stages):
     def _compute(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{node()}-{secrets.token_hex(4)}")
-        temporary.mkdir(parents=True)  # beside its final name: a rename cannot leave the file system
+        temporary.mkdir(
+            parents=True
+        )  # beside its final name: a rename cannot leave the file system
         _take_over(temporary, final)
         try:
             started, worked = time.perf_counter(), time.process_time()
@@ -94,11 +109,15 @@ class Store(Stages):
             times = {"seconds": seconds, "processor_seconds": time.process_time() - worked}
             seal_folder(temporary, note | {"key": key} | times)
             try:
-                temporary.rename(final)  # atomic: under its final name a stage is whole or not there
+                temporary.rename(
+                    final
+                )  # atomic: under its final name a stage is whole or not there
             except OSError:
                 if intact_manifest(final) is None:
                     raise
-                shutil.rmtree(temporary)  # someone placed the same result without our lock: theirs is as good
+                shutil.rmtree(
+                    temporary
+                )  # someone placed the same result without our lock: theirs is as good
             sync(final.parent)  # only now does the stage survive a power loss
         except (Exception, SystemExit):
             shutil.rmtree(temporary, ignore_errors=True)
@@ -112,9 +131,11 @@ def node() -> str:
 
 
 def _take_over(temporary: Path, final: Path) -> None:
-    """Clear up after the killed; what they had saved to go on from (`CHECKPOINT`) moves to their successor.
+    """Clear up after the killed; what they had saved to go on from (`CHECKPOINT`) moves to their
+    successor.
 
-    Another node may be at work beyond our lock: its folder stays for `ABANDONED_S`, and what it saved is copied.
+    Another node may be at work beyond our lock: its folder stays for `ABANDONED_S`, and what it
+    saved is copied.
     """
     for leftover in final.parent.glob(f".tmp-{final.name}-*"):
         if leftover == temporary:
@@ -126,19 +147,29 @@ def _take_over(temporary: Path, final: Path) -> None:
             with suppress(FileNotFoundError):  # its owner has finished
                 shutil.copyfile(saved, heir) if foreign else saved.replace(heir)
         if not foreign or time.time() - leftover.stat().st_mtime > ABANDONED_S:
-            shutil.rmtree(leftover, ignore_errors=True)  # under the lock, so nobody is at work there
+            shutil.rmtree(
+                leftover, ignore_errors=True
+            )  # under the lock, so nobody is at work there
 
 
-def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()) -> None:
-    """Write `manifest.json` (the note, sizes and SHA-256 sums, and its own), then make the whole folder durable.
+def seal_folder(
+    folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()
+) -> None:
+    """Write `manifest.json` (the note, sizes and SHA-256 sums, and its own), then make the whole
+    folder durable.
 
-    `leave_out` names entries directly in `folder` that may change later; they are synchronised, not sealed. A manifest
-    that was cut short seals nothing, so it needs no replacing; what makes the folder count comes after it (the rename
+    `leave_out` names entries directly in `folder` that may change later; they are synchronised, not
+    sealed. A manifest
+    that was cut short seals nothing, so it needs no replacing; what makes the folder count comes
+    after it (the rename
     of a stage, the record of a run).
     """
     paths = sorted(path for path in folder.rglob("*") if path.relative_to(folder) != Path(MANIFEST))
     files = {
-        path.relative_to(folder).as_posix(): {"sha256": sha256_of_file(path), "bytes": path.stat().st_size}
+        path.relative_to(folder).as_posix(): {
+            "sha256": sha256_of_file(path),
+            "bytes": path.stat().st_size,
+        }
         for path in paths
         if path.is_file() and path.relative_to(folder).parts[0] not in leave_out
     }
@@ -146,12 +177,15 @@ def seal_folder(folder: Path, note: dict[str, Any], leave_out: frozenset[str] = 
     made = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
     (folder / MANIFEST).write_bytes(durable.json_bytes(sealed(note | made | {"files": files})))
     there = [path for path in paths if path.is_dir() or path.is_file()]
-    with ThreadPoolExecutor(8) as pool:  # the file system commits them together; more than 8 gain nothing
+    with ThreadPoolExecutor(
+        8
+    ) as pool:  # the file system commits them together; more than 8 gain nothing
         list(pool.map(sync, [*there, folder / MANIFEST, folder]))
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of `folder` if it and every file it lists are as they were written, else None."""
+    """The manifest of `folder` if it and every file it lists are as they were written, else
+    None."""
     try:
         manifest = unsealed(contents(folder / MANIFEST))
     except OSError:
@@ -164,7 +198,9 @@ def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
 
     def is_same(path: Path, facts: dict[str, Any]) -> bool:
         with suppress(OSError):
-            return path.stat().st_size == facts["bytes"] and sha256_of_file(path) == facts["sha256"]  # cheap one first
+            return (
+                path.stat().st_size == facts["bytes"] and sha256_of_file(path) == facts["sha256"]
+            )  # cheap one first
         return False
 
     return [name for name, facts in manifest["files"].items() if not is_same(folder / name, facts)]

@@ -16,35 +16,42 @@ from ssm_study.engine.plan import plan
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, standing
 from ssm_study.engine.settings import Settings, digest, plain, yaml_text
-from ssm_study.engine.stages import Facts, Kept, Stages
+from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.store import Store
 from ssm_study.refusal import require
 
 R = TypeVar("R")
 
 INPUTS = "inputs_sha256"
-_CHECKED: dict[Path, Any] = {}  # requests by their folder; jobs that are forked off a sweep find theirs here
+_CHECKED: dict[
+    Path, Any
+] = {}  # requests by their folder; jobs that are forked off a sweep find theirs here
 
 
 class Task(ABC, Generic[R]):
-    """`check` a configuration, take its `stages` down the line, say at the end of the `run` how it went.
+    """`check` a configuration, take its `stages` down the line, say at the end of the `run` how it
+    went.
 
-    Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`), `retry_failed`
-    and `dry_run`; all others are the task's own. `libraries` are the distributions whose versions a record notes.
+    Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
+    `retry_failed`
+    and `dry_run`; all others are the task's own. `libraries` are the distributions whose versions a
+    record notes.
     """
 
     libraries: tuple[str, ...] = ()
 
     @abstractmethod
     def check(self, settings: Settings) -> R:
-        """The request that the settings make; raises `BadRequest` for whatever can be known before any long work."""
+        """The request that the settings make; raises `BadRequest` for whatever can be known before
+        any long work."""
 
     @abstractmethod
     def stages(self, request: R, stages: Stages) -> None:
         """Take every stage of the request. Values are read only inside stages: a plan has none."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """What is known once all stages stand; `run.facts` are their columns, `status` may be `infeasible`."""
+        """What is known once all stages stand; `run.facts` are their columns, `status` may be
+        `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002
@@ -52,20 +59,25 @@ class Task(ABC, Generic[R]):
         return {}
 
     def asked(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
-        """Further columns of the record, of what the command alone says: a run made without it lacks them."""
+        """Further columns of the record, of what the command alone says: a run made without it
+        lacks them."""
         return {}
 
     def refuse(self, config: DictConfig) -> None:
-        """Raise `BadRequest` for what no configuration may contain; asked before anything is made or resolved of it."""
+        """Raise `BadRequest` for what no configuration may contain; asked before anything is made
+        or resolved of it."""
 
     def inputs(self, settings: Settings) -> list[Path]:  # noqa: ARG002
-        """Files that the request reads: a finished run knows by their content whether it is still its result."""
+        """Files that the request reads: a finished run knows by their content whether it is still
+        its result."""
         return []
 
     def warm(self, again: Set[str]) -> None:
-        """Import what every job of a sweep would import for itself; asked once, before the first is forked.
+        """Import what every job of a sweep would import for itself; asked once, before the first is
+        forked.
 
-        `again` names the stages that several jobs will compute; what only other stages take is left to the job.
+        `again` names the stages that several jobs will compute; what only other stages take is left
+        to the job.
         """
 
     def provenance(self) -> Facts:
@@ -90,7 +102,9 @@ class Task(ABC, Generic[R]):
     def job(self, config: DictConfig | Settings) -> Outcome:
         """Do the run of this configuration unless it is done, and leave its record."""
         settings = self.settings(config)
-        found = self.finished(settings)  # before anything is built: a finished run costs next to nothing
+        found = self.finished(
+            settings
+        )  # before anything is built: a finished run costs next to nothing
         if settings.get("dry_run"):
             walks = [] if found else [lambda stages: self.stages(self.request(settings), stages)]
             print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks))))
@@ -104,12 +118,18 @@ class Task(ABC, Generic[R]):
             return self.run(request, run)
 
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
-        parameters, inputs = self.parameters(request) | self.asked(request, overrides), self.inputs(settings)
+        parameters, inputs = (
+            self.parameters(request) | self.asked(request, overrides),
+            self.inputs(settings),
+        )
         return execute(
             folder_of(settings),
             parameters | ({INPUTS: content_of(inputs)} if inputs else {}),
             work,
-            configuration={"config.yaml": yaml_text(settings), "overrides.yaml": yaml_text(overrides)},
+            configuration={
+                "config.yaml": yaml_text(settings),
+                "overrides.yaml": yaml_text(overrides),
+            },
             provenance=self.provenance(),
             retry_failed=bool(settings.retry_failed),
         )
@@ -128,18 +148,22 @@ class Task(ABC, Generic[R]):
         if before is not None and found.did == "found" and (files := self.inputs(settings)):
             known = before.get(INPUTS)  # none where the run read no files
             names = ", ".join(str(path) for path in files)
-            problem, remedy = f"{names} changed since this run was done", "give study a new name, or remove the folder"
+            problem, remedy = (
+                f"{names} changed since this run was done",
+                "give study a new name, or remove the folder",
+            )
             require(known in (None, content_of(files)), "run", folder, problem, remedy)
         return found
 
 
 @dataclass(frozen=True)
 class RunStages(Store):
-    """The stages of a run: noted in its record, their files copied: a run stays whole when the store is removed."""
+    """The stages of a run: noted in its record, their files copied: a run stays whole when the
+    store is removed."""
 
     run: Run
 
-    def measured(self, kept: Kept[Any], before: Sequence[Kept[Any]]) -> Facts:
+    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         facts = super().measured(kept, before)
         self.run.settle(kept.result, kept.stage.files, facts)  # at once: a later stage may fail
         return facts
@@ -149,12 +173,18 @@ class RunStages(Store):
 
 
 def folder_of(settings: Mapping[str, Any]) -> Path:
-    """`results_dir/study/run`; raises `BadRequest` for names that would leave the results folder."""
+    """`results_dir/study/run`; raises `BadRequest` for names that would leave the results
+    folder."""
     names = {key: settings[key] for key in ("results_dir", "study", "run")}
     for key, name in names.items():
         require(isinstance(name, str) and name != "", key, name, "is no name", "give a text")
-        is_plain = key == "results_dir" or re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", name) is not None
-        require(is_plain, key, name, "not a plain folder name", "use letters, digits, '.', '_' and '-'")
+        is_plain = (
+            key == "results_dir"
+            or re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", name) is not None
+        )
+        require(
+            is_plain, key, name, "not a plain folder name", "use letters, digits, '.', '_' and '-'"
+        )
     return Path(*names.values())
 
 

@@ -1,6 +1,7 @@
 """Does the output follow from the input, or from where it is? A limit cycle's phase is in no input.
 
-Where the input decides, a piece of a log is predicted as well from the log's beginning as from the piece's own
+Where the input decides, a piece of a log is predicted as well from the log's beginning as from the
+piece's own
 estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
 """
 
@@ -20,15 +21,25 @@ def findings(case: Case) -> list[Finding]:
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
     own, carried = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
-    told = f"Of the output's power {own} follow from where each piece begins, {carried} from the input"
-    return [Finding(level="cannot judge", sentence=f"{told}: it moves by itself. Excite it more, if it can rest.")]
+    told = (
+        f"Of the output's power {own} follow from where each piece begins, {carried} from the input"
+    )
+    return [
+        Finding(
+            level="cannot judge",
+            sentence=f"{told}: it moves by itself. Excite it more, if it can rest.",
+        )
+    ]
 
 
 def shares_predicted(case: Case) -> tuple[float, float] | None:
-    """`1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those that validate or test behind others.
+    """`1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those that validate or test
+    behind others.
 
-    The first is of free runs from the piece's own estimated state, the second of runs from the beginning of the log.
-    Means are taken off, for an integrator keeps an offset. None where no piece lies behind another of its log.
+    The first is of free runs from the piece's own estimated state, the second of runs from the
+    beginning of the log.
+    Means are taken off, for an integrator keeps an offset. None where no piece lies behind another
+    of its log.
     """
     powers, skip, scale = [], case.data.start_up_samples, case.data.scale.output_scale
     for part, scored in ((case.data.validation, case.validation), (case.data.test, case.test)):
@@ -36,14 +47,24 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
             if len(log := _up_to(case, piece)) > len(piece):
                 carried = free_run(case.model, log, skip)[-len(piece) :]
                 sides = piece.y, piece.y - own, piece.y - carried
-                powers.append([float((((y - y[skip:].mean(axis=0)) / scale)[skip:] ** 2).sum()) for y in sides])
+                powers.append(
+                    [
+                        float((((y - y[skip:].mean(axis=0)) / scale)[skip:] ** 2).sum())
+                        for y in sides
+                    ]
+                )
     moved, *missed = np.sum(powers, axis=0) if powers else (0.0,)
     return (1 - missed[0] / moved, 1 - missed[1] / moved) if moved else None
 
 
 def _up_to(case: Case, piece: Trajectory) -> Trajectory:
     """The log from its beginning to the end of the piece, as far back as it is known."""
-    known = [one for part in (case.data.training, case.data.validation, case.data.test) for one in part if one.log]
+    known = [
+        one
+        for part in (case.data.training, case.data.validation, case.data.test)
+        for one in part
+        if one.log
+    ]
     joined, by_end = [piece], {(one.log, one.first + len(one)): one for one in known}
     while (before := by_end.get((piece.log, joined[0].first))) is not None:
         joined.insert(0, before)

@@ -1,8 +1,11 @@
 """Was the log made in a closed loop? There, what is new in the output is found again in the input.
 
-`v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with feedback `v` predicts a
-share of `w`, fitted to one half of each record and scored on the other. A reference's steps are new in the input too,
-and large: `w` is clipped. What hides a loop: docs/trust.md. Source: Caines & Chan, IEEE Trans. Automatic
+`v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with
+feedback `v` predicts a
+share of `w`, fitted to one half of each record and scored on the other. A reference's steps are new
+in the input too,
+and large: `w` is clipped. What hides a loop: docs/trust.md. Source: Caines & Chan, IEEE Trans.
+Automatic
 Control 20 (1975) 498-508.
 """
 
@@ -20,16 +23,24 @@ from ssm_study.signals import DataSet
 
 PAST, OUTPUTS = 20, 4  # samples of the input's own past, and of the output's
 CLIPPED = 4.4  # median sizes of w: three standard deviations of a normal one
-# Shares of w: from earlier outputs, and with the present one, which an input may reach before it is read. Of records at
-# hand 0.01 and 0.07 at most in open loop, 0.08 and 0.11 in EMPS; of drawn PI loops 95 % above 0.05 and 0.23.
+# Shares of w: from earlier outputs, and with the present one, which an input may reach before it is
+# read. Of records at
+# hand 0.01 and 0.07 at most in open loop, 0.08 and 0.11 in EMPS; of drawn PI loops 95 % above 0.05
+# and 0.23.
 EARLIER, PRESENT = 0.05, 0.12
-FORESEEN = 1e-4  # share of an input's power that its past must leave: what a multisine leaves is rounding
-FEWEST, SHORTEST = 300, 6  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
+FORESEEN = (
+    1e-4  # share of an input's power that its past must leave: what a multisine leaves is rounding
+)
+FEWEST, SHORTEST = (
+    300,
+    6,
+)  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
 SCATTER = 20  # over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
 ROUNDING = 1e-9
 LEAST_SHARE = 0.2  # of the input's power, below which the set point hardly moves a known loop
 LAGS, UNSTABLE, ALIKE = (3, 5, 8), 1.01, 0.02  # models that must agree on a mode outside the circle
-# By what a mode must grow over all samples, as a logarithm: `T (rho - 1)` of an integrator of noise alone is more once
+# By what a mode must grow over all samples, as a logarithm: `T (rho - 1)` of an integrator of noise
+# alone is more once
 # in a hundred. Source: Fuller, Introduction to Statistical Time Series (1976), table 8.5.1.
 GROWTH = 2.03
 Rows = Float[np.ndarray, "_ _"]
@@ -40,18 +51,29 @@ def findings(case: Case) -> Iterator[Finding]:
     share = case.data.metadata.get("by_set_point")
     if share is not None:
         told = f"The input is what the set point of the log's loop makes of it, {100 * float(share):.0f} % of its power"
-        yield note(f"{told}.") if float(share) >= LEAST_SHARE else doubt(f"{told}: move the set point more.")
+        yield (
+            note(f"{told}.")
+            if float(share) >= LEAST_SHARE
+            else doubt(f"{told}: move the set point more.")
+        )
     earlier, present = fed_back(case.data, 1), fed_back(case.data, 0)
     closed = is_closed(case.data, earlier, present)
     if closed:
-        told = f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
-        remedy = "check data.reference or data.controller" if share else "name its set point, data.reference, or PI"
+        told = (
+            f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
+        )
+        remedy = (
+            "check data.reference or data.controller"
+            if share
+            else "name its set point, data.reference, or PI"
+        )
         yield doubt(f"{told}, as in a closed-loop log: {remedy}, or record with the loop open.")
     yield from runs_away(case.data, closed=closed or share is not None)
 
 
 def is_closed(data: DataSet, earlier: float, present: float) -> bool:
-    """Whether a share, without or with the present output, is more than an open-loop log and chance give."""
+    """Whether a share, without or with the present output, is more than an open-loop log and chance
+    give."""
     samples = sum(len(record) for record in data.training)
     return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
 
@@ -59,7 +81,8 @@ def is_closed(data: DataSet, earlier: float, present: float) -> bool:
 def runs_away(data: DataSet, *, closed: bool) -> Iterator[Finding]:
     """Whether models of three lengths agree on a mode that grows.
 
-    In open loop sensor noise makes a mode look slower, and integrators of noise stay below `GROWTH`. A loop's noise
+    In open loop sensor noise makes a mode look slower, and integrators of noise stay below
+    `GROWTH`. A loop's noise
     moves it either way, so that only `UNSTABLE` is clear.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
@@ -67,7 +90,9 @@ def runs_away(data: DataSet, *, closed: bool) -> Iterator[Finding]:
     least = UNSTABLE if closed else math.exp(GROWTH / sum(map(len, whole.training)))
     if min(modes) > least and np.ptp(modes) < ALIKE:
         told = f"The output runs away by itself (a mode at {np.median(modes):.5g} a sample), and models here are stable"
-        yield Finding(level="cannot judge", sentence=f"{told}: log its loop with the set point as the input.")
+        yield Finding(
+            level="cannot judge", sentence=f"{told}: log its loop with the set point as the input."
+        )
 
 
 def own_mode(data: DataSet, lags: int) -> float:
@@ -79,32 +104,48 @@ def own_mode(data: DataSet, lags: int) -> float:
 
 
 def fed_back(data: DataSet, first: int) -> float:
-    """The largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other half."""
+    """The largest share of any input's `w` that `v`, from `first` samples ago on, explains in the
+    other half."""
     halves = [half for u, y in scaled(data) for half in _halves(u, y, first)]
     if not halves:
         return 0.0
-    one, other = ([np.concatenate(part) for part in zip(*halves[k::2], strict=True)] for k in (0, 1))
+    one, other = (
+        [np.concatenate(part) for part in zip(*halves[k::2], strict=True)] for k in (0, 1)
+    )
     power, new, clipped, missed = _missed(one, other) + _missed(other, one)
     tested = (new > FORESEEN * power) & (clipped > 0)
     return float(np.max(1 - missed[tested] / clipped[tested], initial=0.0))
 
 
 def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Of the scored half: powers of the input, of `w`, of `w` clipped, and of what `v` leaves of that."""
+    """Of the scored half: powers of the input, of `w`, of `w` clipped, and of what `v` leaves of
+    that."""
     (past, y, u), (own_past, own_y, own_u) = fitted, scored
     on_u, on_y = (np.linalg.lstsq(past, side, rcond=ROUNDING)[0] for side in (u, y))
-    v, w, own_v, own_w = y - past @ on_y, u - past @ on_u, own_y - own_past @ on_y, own_u - own_past @ on_u
+    v, w, own_v, own_w = (
+        y - past @ on_y,
+        u - past @ on_u,
+        own_y - own_past @ on_y,
+        own_u - own_past @ on_u,
+    )
     most = CLIPPED * np.median(np.abs(w), axis=0)
     w, own = np.clip(w, -most, most), np.clip(own_w, -most, most)
     left = own - own_v @ np.linalg.lstsq(v, w, rcond=ROUNDING)[0]
-    return np.array([(side**2).sum(axis=0) for side in (own_u - own_u.mean(axis=0), own_w, own, left)])
+    return np.array(
+        [(side**2).sum(axis=0) for side in (own_u - own_u.mean(axis=0), own_w, own, left)]
+    )
 
 
 def _halves(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
-    """Past inputs (and one), outputs of `first` to `OUTPUTS` samples ago, the input: of each half of a record."""
+    """Past inputs (and one), outputs of `first` to `OUTPUTS` samples ago, the input: of each half
+    of a record."""
     rows = len(u) - PAST
     if len(u) >= SHORTEST * PAST:
         past = sliding_window_view(u[:-1], PAST, axis=0).reshape(rows, -1)
-        before = sliding_window_view(y[PAST - OUTPUTS : len(y) - first], OUTPUTS + 1 - first, axis=0).reshape(rows, -1)
+        before = sliding_window_view(
+            y[PAST - OUTPUTS : len(y) - first], OUTPUTS + 1 - first, axis=0
+        ).reshape(rows, -1)
         sides = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0), before, u[PAST:]
-        yield from ([side[part] for side in sides] for part in (slice(rows // 2), slice(rows // 2, None)))
+        yield from (
+            [side[part] for side in sides] for part in (slice(rows // 2), slice(rows // 2, None))
+        )

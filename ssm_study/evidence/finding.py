@@ -1,4 +1,5 @@
-"""What speaks against a judgement: one sentence with its number and what to do, at one of three levels."""
+"""What speaks against a judgement: one sentence with its number and what to do, at one of three
+levels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,9 +18,11 @@ SOUND, DOUBT, CANNOT_JUDGE = "sound", "doubt", "cannot judge"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A `note` leaves the evidence sound, a `doubt` qualifies a prediction, `cannot judge` forbids one.
+    """A `note` leaves the evidence sound, a `doubt` qualifies a prediction, `cannot judge` forbids
+    one.
 
-    Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness test.
+    Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness
+    test.
     """
 
     level: Level
@@ -35,18 +38,33 @@ class Case:
     validation: Simulation
     test: Simulation
 
-    def scaled(self, record: Trajectory) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
+    def scaled(
+        self, record: Trajectory
+    ) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
         """Input and output about the equilibrium, in scales."""
         return self.data.scale.scaled_input(record.u), self.data.scale.scaled_output(record.y)
 
-    def regression(self, records: Trajectories, lags: int) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
-        """Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than twice the lags."""
-        none = np.empty((lags, self.data.scale.inputs)), np.empty((lags, self.data.scale.outputs))  # has no such row
+    def regression(
+        self, records: Trajectories, lags: int
+    ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
+        """Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than
+        twice the lags."""
+        none = (
+            np.empty((lags, self.data.scale.inputs)),
+            np.empty((lags, self.data.scale.outputs)),
+        )  # has no such row
         used = [none, *(self.scaled(record) for record in records if len(record) > 2 * lags)]
-        return np.concatenate([lagged(u, lags) for u, _ in used]), np.concatenate([y[lags:] for _, y in used])
+        return np.concatenate([lagged(u, lags) for u, _ in used]), np.concatenate(
+            [y[lags:] for _, y in used]
+        )
 
-    def scored(self) -> Iterator[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]]:
-        """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test; start-up samples left out."""
+    def scored(
+        self,
+    ) -> Iterator[
+        tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]
+    ]:
+        """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test; start-up
+        samples left out."""
         for part in (self.validation, self.test):
             for record, simulated in zip(part.records, part.simulated, strict=True):
                 sides = *self.scaled(record), (record.y - simulated) / self.data.scale.output_scale

@@ -1,17 +1,19 @@
-"""All findings together: one level, and why; the columns they fill, and what they do to a prediction."""
+"""All findings together: one level, and why; the columns they fill, and what they do to a
+prediction."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from ssm_study.columns import Column
-from ssm_study.evidence import feedback, fit, autonomous_motion as own_motion, records, response
+from ssm_study.evidence import autonomous_motion as own_motion
+from ssm_study.evidence import feedback, fit, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, note
 from ssm_study.models.metrics import NOT_KEPT, Simulation
 from ssm_study.models.structured import Model
 from ssm_study.refusal import one_of, require
-from ssm_study.signals import DataSet
 from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import DataSet
 
 COLUMNS = (
     Column("evidence", "string", word="Evidence", unchecked=NOT_KEPT),
@@ -32,8 +34,11 @@ class Judgement:
 
     @property
     def reasons(self) -> str | None:
-        """What speaks against the plant's judgement, the gravest first; notes follow where there is nothing else."""
-        told = sorted(self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level))
+        """What speaks against the plant's judgement, the gravest first; notes follow where there is
+        nothing else."""
+        told = sorted(
+            self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
+        )
         return " ".join(f"{finding.level}: {finding.sentence}" for finding in told) or None
 
     def to_json(self) -> list[dict[str, str]]:
@@ -49,10 +54,17 @@ class Judgement:
         return cls(findings=tuple(Finding(**entry) for entry in content))
 
 
-def judge(data: DataSet, model: Model, validation: Simulation, test: Simulation, shown: Mismatch) -> Judgement:
+def judge(
+    data: DataSet, model: Model, validation: Simulation, test: Simulation, shown: Mismatch
+) -> Judgement:
     """Every finding about these records, this model and the mismatch that they show."""
     case = Case(data=data, model=model, validation=validation, test=test)
-    found = [*fit.findings(case), *records.findings(case, shown), *response.findings(case), *feedback.findings(case)]
+    found = [
+        *fit.findings(case),
+        *records.findings(case, shown),
+        *response.findings(case),
+        *feedback.findings(case),
+    ]
     found += own_motion.findings(case) + fit.whiteness(case)
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
@@ -66,4 +78,8 @@ def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:
 
 def withheld(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
     """The facts of a design with no prediction where the evidence allows none."""
-    return facts | {"predicted_stable": None} if level == CANNOT_JUDGE and "predicted_stable" in facts else facts
+    return (
+        facts | {"predicted_stable": None}
+        if level == CANNOT_JUDGE and "predicted_stable" in facts
+        else facts
+    )

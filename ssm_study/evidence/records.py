@@ -1,4 +1,5 @@
-"""What the records have visited: ranges, levels, spectra, length, drift, and records that are one another."""
+"""What the records have visited: ranges, levels, spectra, length, drift, and records that are one
+another."""
 
 from collections.abc import Iterator
 
@@ -9,11 +10,22 @@ from jaxtyping import Float
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.signals import Trajectory
 from ssm_study.robustness.mismatch import ANGLES, Mismatch
-from ssm_study.robustness.return_to_rest import AT_REST, FAINT, RESPONSES, after_motion, ends_apart, is_return, left
+from ssm_study.robustness.return_to_rest import (
+    AT_REST,
+    FAINT,
+    RESPONSES,
+    after_motion,
+    ends_apart,
+    is_return,
+    left,
+)
+from ssm_study.signals import Trajectory
 
-BEYOND, ROOM = 0.05, 0.05  # share of samples that may lie beyond the range of training, by more than this share of it
+BEYOND, ROOM = (
+    0.05,
+    0.05,
+)  # share of samples that may lie beyond the range of training, by more than this share of it
 PART = 0.05  # share of the test record that may be part of the training records
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
@@ -25,12 +37,15 @@ UNTRAINED = 0.2  # share of the test input's power in bands that training did no
 
 
 def findings(case: Case, shown: Mismatch) -> list[Finding]:
-    """All of them, each with its own sentence; those on rest and on what is unknown of the mismatch come last."""
+    """All of them, each with its own sentence; those on rest and on what is unknown of the mismatch
+    come last."""
     looks = (_range, _levels, _limits, _length, _drift, _same, _spectrum)
     return [*(doubt(sentence) for look in looks for sentence in look(case)), *_rest(case, shown)]
 
 
-def _joined(case: Case, records: tuple[Trajectory, ...]) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
+def _joined(
+    case: Case, records: tuple[Trajectory, ...]
+) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
     parts = [case.scaled(record) for record in records]
     return np.concatenate([u for u, _ in parts]), np.concatenate([y for _, y in parts])
 
@@ -43,15 +58,24 @@ def _range(case: Case) -> Iterator[str]:
         share = float(((tested < low - room) | (tested > high + room)).any(axis=1).mean())
         if share > BEYOND:
             yield f"{100 * share:.0f} % of the test record's {name} is beyond the training records: train there too."
-    starts = [abs(case.scaled(record)[1][0]) for record in case.data.trials if not np.any(case.scaled(record)[0])]
-    reached, farthest = np.abs(trained[1]).max(), max((float(start.max()) for start in starts), default=0.0)
+    starts = [
+        abs(case.scaled(record)[1][0])
+        for record in case.data.trials
+        if not np.any(case.scaled(record)[0])
+    ]
+    reached, farthest = (
+        np.abs(trained[1]).max(),
+        max((float(start.max()) for start in starts), default=0.0),
+    )
     if farthest > REACHED * reached:
         yield f"The loop starts {farthest / reached:.1f} times as far out as the training records go: excite more."
 
 
 def _levels(case: Case) -> Iterator[str]:
     u = _joined(case, case.data.training)[0]
-    changes = sum(int(np.any(np.diff(record.u, axis=0) != 0, axis=1).sum()) for record in case.data.training)
+    changes = sum(
+        int(np.any(np.diff(record.u, axis=0) != 0, axis=1).sum()) for record in case.data.training
+    )
     if changes < FEWEST_CHANGES:
         yield f"The input changes {changes} times in all training records: move it more often."
     if any(len(np.unique(column)) <= 2 for column in u.T):
@@ -62,7 +86,9 @@ def _levels(case: Case) -> Iterator[str]:
 
 
 def _limits(case: Case) -> Iterator[str]:
-    for channel, column in zip(case.data.outputs, _joined(case, case.data.training)[1].T, strict=True):
+    for channel, column in zip(
+        case.data.outputs, _joined(case, case.data.training)[1].T, strict=True
+    ):
         for name, limit in (("largest", column.max()), ("smallest", column.min())):
             share = float((column == limit).mean())
             if share > AT_LIMIT and len(np.unique(column)) > 50:
@@ -70,7 +96,10 @@ def _limits(case: Case) -> Iterator[str]:
 
 
 def _length(case: Case) -> Iterator[str]:
-    samples, response = [len(record) for record in case.data.training], case.model.linear.response_samples()
+    samples, response = (
+        [len(record) for record in case.data.training],
+        case.model.linear.response_samples(),
+    )
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif (kept := kept_over(case)) > INTEGRATES:
@@ -78,7 +107,9 @@ def _length(case: Case) -> Iterator[str]:
         yield f"{told}, so no log shows where it rests: try the loop, and refine with that log."
     elif max(samples) < RESPONSES * response:
         remedy = "lengthen it"
-        if isinstance(case.model, StructuredSSM):  # it contracts, so an integrator looks like a slow mode
+        if isinstance(
+            case.model, StructuredSSM
+        ):  # it contracts, so an integrator looks like a slow mode
             remedy += "; if the output integrates its input, use model.integrated=true"
         yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: {remedy}."
 
@@ -114,7 +145,9 @@ def _spectrum(case: Case) -> Iterator[str]:
     trained, tested = power(case.data.training), power(case.data.test)
     if len(trained) != len(tested):
         return
-    share = float(tested[trained < 0.01 * trained.mean()].sum() / max(tested.sum(), np.finfo(float).tiny))
+    share = float(
+        tested[trained < 0.01 * trained.mean()].sum() / max(tested.sum(), np.finfo(float).tiny)
+    )
     if share > UNTRAINED:
         yield f"{100 * share:.0f} % of the test input's power lies where training has none: train with that spectrum."
 
@@ -125,8 +158,12 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     still = (after_motion(*case.scaled(record), response) for record in case.data.test)
     off = max((*shown.stuck, *(left(y) for y in still if len(y))), default=0.0)
     if not shown.rests:
-        told = f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
-        yield doubt(f"The output does not come to rest by itself ({told}): no loop is predicted to settle it.")
+        told = (
+            f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
+        )
+        yield doubt(
+            f"The output does not come to rest by itself ({told}): no loop is predicted to settle it."
+        )
     elif off > AT_REST:
         told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
         yield doubt(
@@ -136,17 +173,25 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     elif shown.left_at_rest is None:
         apart = ends_apart(case.model.scale, [one for one in case.data.trials if is_return(one)])
         problem = "No two returns to rest input outlast the model's response"
-        if apart > AT_REST:  # what the short ones show is no proof of friction, and no reason for silence
+        if (
+            apart > AT_REST
+        ):  # what the short ones show is no proof of friction, and no reason for silence
             told = f"{problem}, and they end {apart:.2g} scales apart, where none seems to move"
             yield doubt(f"{told}: friction, play or a slow mode. Record longer ones.")
         else:
-            yield note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
+            yield note(
+                f"{problem}: whether the output rests by itself is unknown; add such returns."
+            )
     elif shown.left_at_rest > FAINT:
         told = f"{shown.left_at_rest:.2g} output scales are left at rest input: a small limit cycle, or a slow decay"
-        yield doubt(f"{told}. A loop may swing farther, and settles in no narrower band. Record longer rests.")
+        yield doubt(
+            f"{told}. A loop may swing farther, and settles in no narrower band. Record longer rests."
+        )
     if len(shown.views) == 1:
         amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
-        yield note(f"All records have one amplitude ({amplitude}): below it the mismatch is unknown.")
+        yield note(
+            f"All records have one amplitude ({amplitude}): below it the mismatch is unknown."
+        )
     if shown.unexcited:
         hertz = min(shown.unexcited) / (2 * np.pi * case.data.step_s)
         bands = f"{len(shown.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"

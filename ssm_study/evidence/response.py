@@ -1,7 +1,10 @@
-"""What the records say of the answer to the input: how long it lasts, how late it comes, at which frequencies it shows.
+"""What the records say of the answer to the input: how long it lasts, how late it comes, at which
+frequencies it shows.
 
-Coherence `gamma^2(w) = S_yu S_uu^-1 S_uy / S_yy`: the share of the output's power that a linear filter of the inputs
-explains. Dead time: the first lag of the impulse response that is clearly not zero, where those before it clearly are.
+Coherence `gamma^2(w) = S_yu S_uu^-1 S_uy / S_yy`: the share of the output's power that a linear
+filter of the inputs
+explains. Dead time: the first lag of the impulse response that is clearly not zero, where those
+before it clearly are.
 Source: Ljung, System Identification, 2nd ed. (1999) sections 6.4 and 14.3.
 """
 
@@ -16,15 +19,30 @@ from ssm_study.evidence.fit import LAGS
 from ssm_study.robustness.return_to_rest import RESPONSES
 from ssm_study.robustness.sensitivity import gains
 
-AVERAGES, SEGMENTS = 16, (64, 1024)  # pieces that a coherence is averaged over, and their samples at least and at most
+AVERAGES, SEGMENTS = (
+    16,
+    (64, 1024),
+)  # pieces that a coherence is averaged over, and their samples at least and at most
 USED = 0.1  # the controller's band: where the model answers with this share of its largest gain
-COHERENT, INCOHERENT = 0.3, 0.5  # coherence below which a frequency counts, and the share of the band that is a doubt
-CLEAR, SMALL = 4.0, 0.1  # standard errors of a lag, and the share of the largest lag below which it counts as none
-SMOOTH = 1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
+COHERENT, INCOHERENT = (
+    0.3,
+    0.5,
+)  # coherence below which a frequency counts, and the share of the band that is a doubt
+CLEAR, SMALL = (
+    4.0,
+    0.1,
+)  # standard errors of a lag, and the share of the largest lag below which it counts as none
+SMOOTH = (
+    1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
+)
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
 INTEGRATES = 0.9  # share of the slowest mode left over the longest record, above which it is taken for an integrator
-COARSE, FINE, ENOUGH = 3, 1000, 200  # samples of a response: too few, more than a design gains from, what to keep
+COARSE, FINE, ENOUGH = (
+    3,
+    1000,
+    200,
+)  # samples of a response: too few, more than a design gains from, what to keep
 
 
 def findings(case: Case) -> list[Finding]:
@@ -33,7 +51,8 @@ def findings(case: Case) -> list[Finding]:
 
 
 def kept_over(case: Case) -> float:
-    """What the model's slowest mode leaves of itself over the longest training record: all of it for an integrator."""
+    """What the model's slowest mode leaves of itself over the longest training record: all of it
+    for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
@@ -42,27 +61,38 @@ def _coherence(case: Case) -> Iterator[Finding]:
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear
-    if not parts or segment < RESPONSES * linear.response_samples():  # what outlasts a piece counts as noise
+    if (
+        not parts or segment < RESPONSES * linear.response_samples()
+    ):  # what outlasts a piece counts as noise
         return
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = gains(linear, angles)
     used = sizes >= USED * sizes.max()
     shown = coherence(parts, segment)[1:][used]
-    share, hertz = float((shown < COHERENT).mean()), angles[used].max() / (2 * np.pi * case.data.step_s)
+    share, hertz = (
+        float((shown < COHERENT).mean()),
+        angles[used].max() / (2 * np.pi * case.data.step_s),
+    )
     if share > INCOHERENT:
         told = f"Input and output go together (coherence above {COHERENT:g}) in {100 * (1 - share):.0f} % of the band"
-        yield doubt(f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or measure with less noise.")
+        yield doubt(
+            f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or measure with less noise."
+        )
 
 
 def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
-    """The multiple coherence of the output that has the least, at equal steps from 0 to half the sampling rate.
+    """The multiple coherence of the output that has the least, at equal steps from 0 to half the
+    sampling rate.
 
-    Spectra are averaged over all records: where the input rests in one of them, the others tell. Zero without power.
+    Spectra are averaged over all records: where the input rests in one of them, the others tell.
+    Zero without power.
     """
 
     def cross(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
         pairs = ((part[i][:, :, None], part[j][:, None, :]) for part in parts)
-        return np.sum([len(a) * scipy.signal.csd(a, b, nperseg=segment, axis=0)[1] for a, b in pairs], axis=0)
+        return np.sum(
+            [len(a) * scipy.signal.csd(a, b, nperseg=segment, axis=0)[1] for a, b in pairs], axis=0
+        )
 
     power, through, whole = cross(0, 0), cross(0, 1), np.einsum("fpp->fp", cross(1, 1)).real
     ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
@@ -77,9 +107,15 @@ def _sampling(case: Case) -> Iterator[Finding]:
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
     if case.data.metadata.get("source") == "recorded" and response <= COARSE:
         yield note(f"{told}: sample more often, or the controller cannot act within it.")
-    elif case.data.metadata.get("source") == "recorded" and response >= FINE and kept_over(case) <= INTEGRATES:
+    elif (
+        case.data.metadata.get("source") == "recorded"
+        and response >= FINE
+        and kept_over(case) <= INTEGRATES
+    ):
         keep = response // ENOUGH
-        yield note(f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}.")
+        yield note(
+            f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}."
+        )
 
 
 def _dead_time(case: Case) -> Iterator[Finding]:
@@ -95,7 +131,8 @@ def _dead_time(case: Case) -> Iterator[Finding]:
 
 
 def dead_time(case: Case) -> int:
-    """Samples beyond the first by which every input is clearly not seen in any output; 0 where that is not clear."""
+    """Samples beyond the first by which every input is clearly not seen in any output; 0 where that
+    is not clear."""
     x, y = case.regression(case.data.training, LAGS)
     if len(x) < 2 * x.shape[1]:
         return 0
@@ -104,7 +141,10 @@ def dead_time(case: Case) -> int:
         return 0
     spread = np.sqrt(np.diag(np.linalg.inv(x.T @ x))[:-1, None] * (y - x @ weights).var(axis=0))
     m = case.model.scale.inputs
-    size, doubtful = (part.reshape(LAGS + 1, m * y.shape[1]).max(axis=1) for part in (np.abs(weights[:-1]), spread))
+    size, doubtful = (
+        part.reshape(LAGS + 1, m * y.shape[1]).max(axis=1)
+        for part in (np.abs(weights[:-1]), spread)
+    )
     nothing = size + CLEAR * doubtful < SMALL * size.max()
     first = int(np.argmin(nothing))  # the first lag that may be something
     return max(first - 1, 0) if size[first] > CLEAR * doubtful[first] else 0

@@ -1,4 +1,5 @@
-"""The controller as dependency-free C99: no allocation, no library, constants that read back exactly."""
+"""The controller as dependency-free C99: no allocation, no library, constants that read back
+exactly."""
 
 import re
 from collections.abc import Sequence
@@ -34,7 +35,10 @@ KEYWORDS = (
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
 )
 REPLAYED = 200  # samples of the replay: some hundred times the states of a usual controller
-AGREEMENT = {"double": 1e-9, "float": 1e-3}  # of the largest input: what compilers that reorder or fuse may change
+AGREEMENT = {
+    "double": 1e-9,
+    "float": 1e-3,
+}  # of the largest input: what compilers that reorder or fuse may change
 REPLAY_SEED = 0
 
 
@@ -49,34 +53,51 @@ def c_files(
 ) -> dict[str, str]:
     """File name and text: header, source, and a replay with its own `main`.
 
-    `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per signal, the digest of
-    the certificate and the rates of the rounded numbers. Raises `BadRequest` for a name that C does not allow.
+    `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per
+    signal, the digest of
+    the certificate and the rates of the rounded numbers. Raises `BadRequest` for a name that C does
+    not allow.
     """
-    allowed = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and name not in KEYWORDS.split()
+    allowed = (
+        re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and name not in KEYWORDS.split()
+    )
     require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
     guard = name.upper()
-    source = f"#ifndef {guard}_EXTERN\n#define {guard}_EXTERN\n#endif\n#define {guard}_IMPLEMENTATION\n"
+    source = (
+        f"#ifndef {guard}_EXTERN\n#define {guard}_EXTERN\n#endif\n#define {guard}_IMPLEMENTATION\n"
+    )
     told = {"about": harmless(about), "digest": harmless(digest) or "none"}
     for label, lines in (("signals", signals), ("rates", rates)):
         told[label] = "\n".join(f" * {harmless(line)}" for line in lines) or " *"
-    files = {f"{name}.h": _header(device, told, name), f"{name}.c": f'{source}#include "{name}.h"\n'}
+    files = {
+        f"{name}.h": _header(device, told, name),
+        f"{name}.c": f'{source}#include "{name}.h"\n',
+    }
     return files | {f"{name}_replay.c": _replay(device, name)}
 
 
 def _header(device: Device, told: dict[str, str], name: str) -> str:
     real, c, points = device.real, device.controller, device.set_points
-    tables = "".join(_array(f"{name}_{label}", values, real) for label, values in device.tables().items())
+    tables = "".join(
+        _array(f"{name}_{label}", values, real) for label, values in device.tables().items()
+    )
     maps = _map(f"{name}_s_in", c.s_in, name, real) + _map(f"{name}_s_out", c.s_out, name, real)
     sizes, declared, defined = _sizes(device, name), "", ""
     if points is not None:
         maps += _inverse(f"{name}_s_in_inverse", points.inward, name, real)
         maps += _inverse(f"{name}_s_out_inverse", points.outward, name, real)
-        maps += "".join(_reached(f"{name}_{label}", part, name, real) for label, part in points.maps.items())
+        maps += "".join(
+            _reached(f"{name}_{label}", part, name, real) for label, part in points.maps.items()
+        )
         defined = _SET_POINTS.substitute(sizes)
-        declared = "".join(f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line)
+        declared = "".join(
+            f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line
+        )
     # A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on.
     rests = f"    else for (int i = {c.resting.start}; i < {c.resting.stop}; ++i) next[i] = state->x[i];\n"
-    constants = sum(int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps))
+    constants = sum(
+        int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps)
+    )
     return _HEADER.substitute(
         sizes | told | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
         within=WITHIN[points is not None].replace("#", name), resting=rests if c.resting.stop > c.resting.start else "",
@@ -87,27 +108,40 @@ def _header(device: Device, told: dict[str, str], name: str) -> str:
 
 
 def harmless(text: str) -> str:
-    """Text that can neither end a C comment nor go on beyond its line, whatever somebody named a study."""
+    """Text that can neither end a C comment nor go on beyond its line, whatever somebody named a
+    study."""
     alone = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"  # between letters, as in rad/s, a slash is no part of a comment's end
     return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{alone}", "_", text)
 
 
 def _sizes(device: Device, name: str) -> dict[str, object]:
-    (n, k), (q, _), scale = device.controller.b.shape, device.controller.c.shape, device.controller.scale
+    (n, k), (q, _), scale = (
+        device.controller.b.shape,
+        device.controller.c.shape,
+        device.controller.scale,
+    )
     sizes = {"n": n, "k": k, "q": q, "m": scale.inputs, "p": scale.outputs}
     return {"name": name, "guard": name.upper(), "real": device.real, **sizes}
 
 
 def _inner(device: Device, name: str) -> dict[str, str]:
-    """What neurons add to the header: math.h, their function, and its calls where the error is and is not known."""
+    """What neurons add to the header: math.h, their function, and its calls where the error is and
+    is not known."""
     if (neurons := device.controller.neurons) is None:
         return dict.fromkeys(("include", "neurons", "read", "driven"), "")
     (n, r), real, (q, _) = neurons.into.shape, device.real, neurons.h.shape
-    arguments = {"f": ("x", n), "g": ("lifted", neurons.g.shape[1]), "l_z": ("error", neurons.l_z.shape[1])}
+    arguments = {
+        "f": ("x", n),
+        "g": ("lifted", neurons.g.shape[1]),
+        "l_z": ("error", neurons.l_z.shape[1]),
+    }
     given = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
     lines = [f"static inline void {name}_neurons({given}, {real} *w) {{", f"    {real} z;"]
     lines += [f"    for (int i = 0; i < {r}; ++i) w[i] = {name}_bias[i];"]
-    lines += [f"    {name}_matvec({r}, {size}, {name}_{m}, {vector}, w);" for m, (vector, size) in arguments.items()]
+    lines += [
+        f"    {name}_matvec({r}, {size}, {name}_{m}, {vector}, w);"
+        for m, (vector, size) in arguments.items()
+    ]
     for i, kind in enumerate(neurons.kinds):
         c = NEURONS[kind].c
         if real == "float":  # tanhf and 1.0f
@@ -120,11 +154,15 @@ def _inner(device: Device, name: str) -> dict[str, str]:
     driven += [f"    {name}_matvec({n}, {r}, {name}_into, w, next);"]
     parts = {"neurons": [*lines, "}"], "read": read if neurons.h.any() else [], "driven": driven}
     text = {label: "".join(f"{line}\n" for line in part) for label, part in parts.items()}
-    return text | {"neurons": f"\n{text['neurons']}", "include": "#include <math.h> /* link with -lm */\n\n"}
+    return text | {
+        "neurons": f"\n{text['neurons']}",
+        "include": "#include <math.h> /* link with -lm */\n\n",
+    }
 
 
 def _replay(device: Device, name: str) -> str:
-    """Levels within two scales of rest, also beyond the limits, noise on top; set points change in between."""
+    """Levels within two scales of rest, also beyond the limits, noise on top; set points change in
+    between."""
     scale, rng = device.controller.scale, np.random.default_rng(REPLAY_SEED)
     levels = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs)).repeat(20, axis=1)
     noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
@@ -142,11 +180,17 @@ def _replay(device: Device, name: str) -> str:
         width = values.shape[1]
         tables[label] = f"static const {device.real} {label}[{REPLAYED}][{width}] = {{{listed}}};"
     tolerance = repr(AGREEMENT[device.real] * max(1.0, float(np.abs(u).max())))
-    return _REPLAY.substitute({"wanted": ""} | _sizes(device, name) | tables, samples=REPLAYED, tolerance=tolerance)
+    return _REPLAY.substitute(
+        {"wanted": ""} | _sizes(device, name) | tables, samples=REPLAYED, tolerance=tolerance
+    )
 
 
-def _number(value: float | np.floating[Any], real: str) -> str:  # The shortest text that reads back to the same float
-    return np.format_float_scientific(REALS[real](value), trim="0") + ("f" if real == "float" else "")
+def _number(
+    value: float | np.floating[Any], real: str
+) -> str:  # The shortest text that reads back to the same float
+    return np.format_float_scientific(REALS[real](value), trim="0") + (
+        "f" if real == "float" else ""
+    )
 
 
 def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
@@ -154,14 +198,19 @@ def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
     return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"
 
 
-def _function(name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str) -> str:
-    """`void name(argument, out)` behind its constants, called `name_<label>` there and `#label` in `body`."""
+def _function(
+    name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str
+) -> str:
+    """`void name(argument, out)` behind its constants, called `name_<label>` there and `#label` in
+    `body`."""
     constants = "".join(_array(f"{name}_{label}", values, real) for label, values in tables.items())
     code = body.replace("#", f"{name}_")
     return f"\n{constants}static inline void {name}(const {real} *{argument}, {real} *out) {{\n{code}}}\n"
 
 
-def _product(prefix: str, label: str, matrix: Float[np.ndarray, "r c"], source: str, target: str) -> str:
+def _product(
+    prefix: str, label: str, matrix: Float[np.ndarray, "r c"], source: str, target: str
+) -> str:
     rows, columns = matrix.shape
     return f"    {prefix}_matvec({rows}, {columns}, #{label}, {source}, {target});\n"
 
@@ -174,7 +223,10 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
         at_zero = np.where(b >= 0, high, low) * b
         tables |= {f"w{i}": w, f"b{i}": b, f"low{i}": low, f"high{i}": high, f"at_zero{i}": at_zero}
         body += f"    {real} d{i}[{len(b)}];\n    for (int i = 0; i < {len(b)}; ++i) d{i}[i] = #b{i}[i];\n"
-        body += _product(prefix, f"w{i}", w, source, f"d{i}") + f"    for (int i = 0; i < {len(b)}; ++i)\n"
+        body += (
+            _product(prefix, f"w{i}", w, source, f"d{i}")
+            + f"    for (int i = 0; i < {len(b)}; ++i)\n"
+        )
         body += f"        d{i}[i] = {prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i]) - #at_zero{i}[i];\n"
         source = f"d{i}"  # what the next layer takes
     if portable.network:
@@ -186,11 +238,15 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
 def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, real: str) -> str:
     """`out += part w`, or `out` between stored points."""
     if not isinstance(part, Joined):
-        return _function(name, "w", {"linear": part}, _product(prefix, "linear", part, "w", "out"), real)
+        return _function(
+            name, "w", {"linear": part}, _product(prefix, "linear", part, "w", "out"), real
+        )
     h, r = len(part.points), part.slopes.shape[1]
     body = f"    int j;\n    for (j = 0; j < {h} && #at[j] <= w[0]; ++j) {{}}\n"
     body += f"    for (int i = 0; i < {r}; ++i) out[i] = #slope[j * {r} + i] * w[0] + #offset[j * {r} + i];\n"
-    return _function(name, "w", {"at": part.points, "slope": part.slopes, "offset": part.offsets}, body, real)
+    return _function(
+        name, "w", {"at": part.points, "slope": part.slopes, "offset": part.offsets}, body, real
+    )
 
 
 def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
@@ -203,6 +259,10 @@ def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
     for c, (points, slopes, offsets) in enumerate(inverse.channels):
         tables |= {f"at{c}": points} if len(points) else {}  # C has no array of size zero
         tables |= {f"slope{c}": slopes, f"offset{c}": offsets}
-        search = f"for (j = 0; j < {len(points)} && #at{c}[j] <= w[{c}]; ++j) {{}}" if len(points) else "j = 0;"
+        search = (
+            f"for (j = 0; j < {len(points)} && #at{c}[j] <= w[{c}]; ++j) {{}}"
+            if len(points)
+            else "j = 0;"
+        )
         body += f"    {search}\n    out[{c}] = #slope{c}[j] * w[{c}] + #offset{c}[j];\n"
     return _function(name, "w", tables, body, real)

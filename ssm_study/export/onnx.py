@@ -1,4 +1,5 @@
-"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`, in doubles, any batch size."""
+"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`, in doubles, any
+batch size."""
 
 from typing import Any
 
@@ -12,13 +13,16 @@ OPSET, IR_VERSION = 17, 8  # old enough for runtimes in the field
 
 
 class _Graph:
-    """Nodes in order; an array among the inputs of one becomes a constant. Rows of a signal are samples."""
+    """Nodes in order; an array among the inputs of one becomes a constant. Rows of a signal are
+    samples."""
 
     def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
-    def apply(self, operator: str, *inputs: str | Float[np.ndarray, "..."], output: str = "") -> str:
+    def apply(
+        self, operator: str, *inputs: str | Float[np.ndarray, "..."], output: str = ""
+    ) -> str:
         from onnx import helper, numpy_helper
 
         names = []
@@ -45,7 +49,8 @@ class _Graph:
         return self.apply("Sum", *terms)
 
     def neurons(self, inner: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
-        """`phi(F x + G v + L_z e + b) - phi(b)`, the kinds side by side, each masked to its own neurons."""
+        """`phi(F x + G v + L_z e + b) - phi(b)`, the kinds side by side, each masked to its own
+        neurons."""
         seen = [self.times(x, inner.f), self.times(lifted, inner.g)]
         seen += [self.times(error, inner.l_z)] if error else []
         z, parts = self.apply("Sum", *seen, inner.bias), []
@@ -63,12 +68,18 @@ class _Graph:
             return above
         if kind == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
             fading = self.apply("Exp", self.apply("Neg", self.apply("Abs", z)))
-            return self.apply("Add", above, self.apply("Log", self.apply("Add", fading, np.ones(1))))
+            return self.apply(
+                "Add", above, self.apply("Log", self.apply("Add", fading, np.ones(1)))
+            )
         clipped = self.apply("Min", self.apply("Max", z, -np.ones(1)), np.ones(1))
         if kind == "saturation":
             return clipped
-        cubed = self.apply("Mul", self.apply("Mul", clipped, clipped), self.apply("Div", clipped, np.full(1, 3.0)))
-        return self.apply("Add", cubed, self.apply("Sub", z, clipped))  # clipped cubic: slope one beyond
+        cubed = self.apply(
+            "Mul", self.apply("Mul", clipped, clipped), self.apply("Div", clipped, np.full(1, 3.0))
+        )
+        return self.apply(
+            "Add", cubed, self.apply("Sub", z, clipped)
+        )  # clipped cubic: slope one beyond
 
 
 def onnx_model(controller: PortableController, about: str) -> Any:
@@ -77,16 +88,28 @@ def onnx_model(controller: PortableController, about: str) -> Any:
     from onnx import TensorProto, checker, helper
 
     graph, scale = _cell(controller), controller.scale
-    widths = {"y": scale.outputs, "state": len(controller.a), "u": scale.inputs, "next_state": len(controller.a)}
-    signals = [helper.make_tensor_value_info(n, TensorProto.DOUBLE, ["batch", width]) for n, width in widths.items()]
-    made = helper.make_graph(graph.nodes, "controller", signals[:2], signals[2:], graph.constants, about)
+    widths = {
+        "y": scale.outputs,
+        "state": len(controller.a),
+        "u": scale.inputs,
+        "next_state": len(controller.a),
+    }
+    signals = [
+        helper.make_tensor_value_info(n, TensorProto.DOUBLE, ["batch", width])
+        for n, width in widths.items()
+    ]
+    made = helper.make_graph(
+        graph.nodes, "controller", signals[:2], signals[2:], graph.constants, about
+    )
     model: onnx.ModelProto = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)])
     model.ir_version, model.producer_name = IR_VERSION, "ssm-study"
     checker.check_model(model, full_check=True)
     return model
 
 
-def _cell(c: PortableController) -> _Graph:  # v = K xh is the scaled input; the rest as in PortableController
+def _cell(
+    c: PortableController,
+) -> _Graph:  # v = K xh is the scaled input; the rest as in PortableController
     g, scale = _Graph(), c.scale
     v = g.times("state", c.k)
     g.apply("Add", g.apply("Mul", v, scale.input_scale), scale.input_equilibrium, output="u")
@@ -99,5 +122,7 @@ def _cell(c: PortableController) -> _Graph:  # v = K xh is the scaled input; the
     error = g.apply("Sub", predicted, measured)
     factors = {"state": c.a, lifted: c.b, error: c.l, measured: c.e}
     factors |= {g.neurons(inner, "state", lifted, error): inner.into} if inner else {}
-    g.apply("Sum", *(g.times(signal, matrix) for signal, matrix in factors.items()), output="next_state")
+    g.apply(
+        "Sum", *(g.times(signal, matrix) for signal, matrix in factors.items()), output="next_state"
+    )
     return g

@@ -1,4 +1,5 @@
-"""Model and controller as plain arrays and maps of leaky-relu layers: what every target of the export starts from."""
+"""Model and controller as plain arrays and maps of leaky-relu layers: what every target of the
+export starts from."""
 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
@@ -8,20 +9,22 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.bounds.network import PortableMap
+from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Scale
-from ssm_study.certificates.certificate import Design, Infeasible
-from ssm_study.systems import StateSpace, StructuredSystem, System, feed, held
+from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix, held
 
 Vector = Float[np.ndarray, "_"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """`phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output: `into` x+, and `h` the output.
+    """`phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output: `into` x+,
+    and `h` the output.
 
-    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for the internal model.
+    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for
+    the internal model.
     """
 
     into: Float[np.ndarray, "n r"]
@@ -41,10 +44,13 @@ class PortableNeurons:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u - u_eq)/s_u`.
+    """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u -
+    u_eq)/s_u`.
 
-    `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the equilibrium: the estimate
-    of the model's scaled state and, below it, that of an internal model, `z+ = A_z z + E_z w` (`E` is zero without).
+    `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the
+    equilibrium: the estimate
+    of the model's scaled state and, below it, that of an internal model, `z+ = A_z z + E_z w` (`E`
+    is zero without).
     `neurons` are those of a structured model, added to `x+` and to what `S_y` reads.
     """
 
@@ -64,16 +70,29 @@ class PortableController:
     def to_json(self) -> dict[str, Any]:
         maps: dict[str, Any] = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
         maps |= {"kinds": self.neurons.kinds} if self.neurons else {}
-        return {name: values.tolist() for name, values in self.arrays().items()} | maps | {"step_s": self.step_s}
+        return (
+            {name: values.tolist() for name, values in self.arrays().items()}
+            | maps
+            | {"step_s": self.step_s}
+        )
 
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Every constant but the maps' own, by name."""
-        inner = {name: part for name, part in vars(self.neurons).items() if name != "kinds"} if self.neurons else {}
-        return {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")} | vars(self.scale) | inner
+        inner = (
+            {name: part for name, part in vars(self.neurons).items() if name != "kinds"}
+            if self.neurons
+            else {}
+        )
+        return (
+            {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")}
+            | vars(self.scale)
+            | inner
+        )
 
     @property
     def resting(self) -> slice:
-        """States that rest while a limit acts and would not by themselves: a ramp's; they come first in its model."""
+        """States that rest while a limit acts and would not by themselves: a ramp's; they come
+        first in its model."""
         rows = np.flatnonzero(self.e.any(axis=1))
         modes = self.a[rows][:, rows]
         kept = 0 if np.array_equal(held(modes), modes) else int((np.diagonal(modes) == 1).sum())
@@ -86,16 +105,22 @@ class PortableController:
         linear = {name: np.asarray(part, dtype=float) for name, part in parts.items()}
         if not self.neurons:
             return StateSpace(**linear)
-        inner = in_floats(self.neurons, np.float64)
+        inner = as_floats(self.neurons, np.float64)
         return StructuredSystem(**linear, e=inner.into[:n], f=inner.f[:, :n], g=inner.g, h=inner.h)
 
 
 def portable(model: Model, design: Design) -> PortableController:
-    """Raises `BadRequest` when the design has no controller or observer, or was made for another model."""
+    """Raises `BadRequest` when the design has no controller or observer, or was made for another
+    model."""
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
-            raise BadRequest(f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run")
-    problem, remedy = "the law undoes the input map, which no target computes", "export a run without it"
+            raise BadRequest(
+                f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run"
+            )
+    problem, remedy = (
+        "the law undoes the input map, which no target computes",
+        "export a run without it",
+    )
     require(not design.inverts, "synthesis.invert_input", True, problem, remedy)
     pair = design.pair
     k, l, modes = pair.k, pair.l, pair.modes  # noqa: E741 - the paper's letter
@@ -111,7 +136,7 @@ def portable(model: Model, design: Design) -> PortableController:
         d=linear.d,
         k=k,
         l=np.pad(l, below),
-        e=np.vstack([np.zeros((n, p)), feed(modes, p)]),
+        e=np.vstack([np.zeros((n, p)), error_input_matrix(modes, p)]),
         s_in=model.scaffold_in.portable(),
         s_out=model.scaffold_out.portable(),
         scale=model.scale,
@@ -120,7 +145,9 @@ def portable(model: Model, design: Design) -> PortableController:
     )
 
 
-def _neurons(model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int) -> PortableNeurons | None:
+def _neurons(
+    model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int
+) -> PortableNeurons | None:
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
     none = np.zeros((len(model.neurons), model.scale.outputs))
@@ -131,19 +158,23 @@ def _neurons(model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int) -> 
 
 
 def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -> Vector:
-    """`start + a x`, summed from the first column on: the order of the C code, which `@` does not promise."""
+    """`start + a x`, summed from the first column on: the order of the C code, which `@` does not
+    promise."""
     y = np.zeros(len(a), dtype=a.dtype) if start is None else start
     for j, value in enumerate(x):
         y = y + a[:, j] * value  # two roundings, as in C without contraction
     return y
 
 
-def in_floats(value: Any, kind: Any) -> Any:
+def as_floats(value: Any, kind: Any) -> Any:
     """The same with every array in it, at any depth, rounded to `kind`, or widened to it."""
     if isinstance(value, np.ndarray):
         return value.astype(kind)
     if isinstance(value, tuple):
-        return tuple(in_floats(part, kind) for part in value)
+        return tuple(as_floats(part, kind) for part in value)
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{part.name: in_floats(getattr(value, part.name), kind) for part in fields(value)})
+        return replace(
+            value,
+            **{part.name: as_floats(getattr(value, part.name), kind) for part in fields(value)},
+        )
     return value

@@ -1,7 +1,10 @@
-"""Where the controller's model rests, as the device finds it: by matrices, and with neurons between stored points.
+"""Where the controller's model rests, as the device finds it: by matrices, and with neurons between
+stored points.
 
-With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since the model contracts;
-of one input and one output they are a curve, of which the device holds some points, joined by straight lines.
+With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
+the model contracts;
+of one input and one output they are a curve, of which the device holds some points, joined by
+straight lines.
 """
 
 from dataclasses import dataclass
@@ -21,7 +24,8 @@ Rows = Float[np.ndarray, "h r"]
 
 @dataclass(frozen=True, kw_only=True)
 class Joined:
-    """`out = slopes[j] w + offsets[j]`, j the count of `points <= w`; beyond the ends the last line goes on."""
+    """`out = slopes[j] w + offsets[j]`, j the count of `points <= w`; beyond the ends the last line
+    goes on."""
 
     points: Vector
     slopes: Rows
@@ -47,7 +51,8 @@ def reached(by: "Joined | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Rest points for `lifted (h,)`, rising: states `x (h, n)` and what S_y reads, `read (h,)`, rising or falling."""
+    """Rest points for `lifted (h,)`, rising: states `x (h, n)` and what S_y reads, `read (h,)`,
+    rising or falling."""
 
     lifted: Vector
     x: Rows
@@ -55,11 +60,18 @@ class Curve:
 
 
 def curve(controller: PortableController, low: float, high: float) -> Curve | None:
-    """Those from `low` to `high`, and half way between; None where two of them share an output, or none is found."""
+    """Those from `low` to `high`, and half way between; None where two of them share an output, or
+    none is found."""
     model, inner = controller.recurrence(), controller.neurons
-    if not isinstance(model, StructuredSystem) or inner is None or (len(model.d), len(model.d.T)) != (1, 1):
+    if (
+        not isinstance(model, StructuredSystem)
+        or inner is None
+        or (len(model.d), len(model.d.T)) != (1, 1)
+    ):
         return None
-    sides = [np.linspace(0.0, end, 2 * PIECES + 1) for end in (low, high) if end != 0.0]  # each begins at rest
+    sides = [
+        np.linspace(0.0, end, 2 * PIECES + 1) for end in (low, high) if end != 0.0
+    ]  # each begins at rest
     found: dict[float, Vector] = {}
     for side in sides:
         near = np.zeros(model.order)

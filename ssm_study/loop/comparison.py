@@ -1,4 +1,5 @@
-"""One table: controllers down, situations across, on the same plant, initial conditions and noise."""
+"""One table: controllers down, situations across, on the same plant, initial conditions and
+noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,8 @@ Case = tuple[Plant, Loop]
 class Comparison(ComparisonTable):
     """Every controller in every situation; one row each: docs/closed_loop.md, "Robustness".
 
-    `load`, in the unit of the plant's first disturbance, begins at a third of the horizon; `load_pulse` ends at half of
+    `load`, in the unit of the plant's first disturbance, begins at a third of the horizon;
+    `load_pulse` ends at half of
     it. What a plant cannot show (no disturbance, no fields) is left out.
     """
 
@@ -41,18 +43,49 @@ class Comparison(ComparisonTable):
     spread_fields: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        for name, known in (("controllers", tuple(Peer.members(peers))), ("situations", SITUATIONS)):
+        for name, known in (
+            ("controllers", tuple(Peer.members(peers))),
+            ("situations", SITUATIONS),
+        ):
             unknown = [value for value in getattr(self, name) if value not in known]
-            require(not unknown, f"loop.comparison.{name}", unknown, "not known", f"use some of {', '.join(known)}")
-        require(0 < self.rate < 1, "loop.comparison.rate", self.rate, "a rate lies in (0, 1)", "try 0.05")
+            require(
+                not unknown,
+                f"loop.comparison.{name}",
+                unknown,
+                "not known",
+                f"use some of {', '.join(known)}",
+            )
+        require(
+            0 < self.rate < 1,
+            "loop.comparison.rate",
+            self.rate,
+            "a rate lies in (0, 1)",
+            "try 0.05",
+        )
         share = self.spread_share
-        require(0 <= share < 1, "loop.comparison.spread_share", share, "parameters would change sign", "use 0.2")
+        require(
+            0 <= share < 1,
+            "loop.comparison.spread_share",
+            share,
+            "parameters would change sign",
+            "use 0.2",
+        )
         at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
-        good, problem = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0), "not a gain and a time"
-        require(good, "loop.comparison.own_pi", self.own_pi, problem, "give [gain, integral time in seconds]")
+        good, problem = (
+            self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0),
+            "not a gain and a time",
+        )
+        require(
+            good,
+            "loop.comparison.own_pi",
+            self.own_pi,
+            problem,
+            "give [gain, integral time in seconds]",
+        )
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
-        """The table; a controller that does not exist for this model has rows with the reason and no numbers."""
+        """The table; a controller that does not exist for this model has rows with the reason and
+        no numbers."""
         built = [compared(name, plant, known, self.rate) for name in self.controllers]
         if self.own_pi is not None:
             built.append((PI.on(plant, *self.own_pi), UNSAID | {"controller": "own_pi"}))
@@ -60,9 +93,17 @@ class Comparison(ComparisonTable):
         for situation in self.situations:
             cases = self.cases(plant, loop, situation, seed)
             for controller, said in built if cases else ():
-                runs = [varied.on_plant(on, controller, seed) for on, varied in cases] if controller else []
+                runs = (
+                    [varied.on_plant(on, controller, seed) for on, varied in cases]
+                    if controller
+                    else []
+                )
                 name = said["controller"]
-                rows.append({"controller": name, "situation": situation} | said | (pooled(runs) if runs else {}))
+                rows.append(
+                    {"controller": name, "situation": situation}
+                    | said
+                    | (pooled(runs) if runs else {})
+                )
         return rows
 
     def cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
@@ -72,7 +113,10 @@ class Comparison(ComparisonTable):
             case "spread":
                 return [(varied, loop) for varied in self.spread(plant, seed)]
             case "saturation":
-                rest, reach = plant.equilibrium().u, self.reach_share * np.array(plant.input_amplitude)
+                rest, reach = (
+                    plant.equilibrium().u,
+                    self.reach_share * np.array(plant.input_amplitude),
+                )
                 lower, upper = (rest - reach).tolist(), (rest + reach).tolist()
                 return [(SaturatedInput(plant=plant, lower=lower, upper=upper), loop)]
             case "delay":
@@ -89,13 +133,26 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def spread(self, plant: Plant, seed: int) -> list[Plant]:
-        """`spread_plants` plants, each field multiplied by a factor in `1 +- spread_share`, space-filling."""
+        """`spread_plants` plants, each field multiplied by a factor in `1 +- spread_share`,
+        space-filling."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))
-        require(not missing, "loop.comparison.spread_fields", missing, "not fields of this plant", "name its own")
-        sampler = scipy.stats.qmc.LatinHypercube(d=len(self.spread_fields), rng=np.random.default_rng([seed, 2]))
-        factors = 1 + self.spread_share * (2 * sampler.random(self.spread_plants) - 1)  # in [1 - share, 1 + share]
+        require(
+            not missing,
+            "loop.comparison.spread_fields",
+            missing,
+            "not fields of this plant",
+            "name its own",
+        )
+        sampler = scipy.stats.qmc.LatinHypercube(
+            d=len(self.spread_fields), rng=np.random.default_rng([seed, 2])
+        )
+        factors = 1 + self.spread_share * (
+            2 * sampler.random(self.spread_plants) - 1
+        )  # in [1 - share, 1 + share]
         nominal = np.array([float(getattr(plant, name)) for name in self.spread_fields])
-        varied = [dict(zip(self.spread_fields, row, strict=True)) for row in (factors * nominal).tolist()]
+        varied = [
+            dict(zip(self.spread_fields, row, strict=True)) for row in (factors * nominal).tolist()
+        ]
         return [replace(plant, **values) for values in varied]  # type: ignore[type-var]  # a dataclass

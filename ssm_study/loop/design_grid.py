@@ -1,4 +1,5 @@
-"""Hundreds of certified designs for one model, each on the true plant: what the mismatch margin is worth."""
+"""Hundreds of certified designs for one model, each on the true plant: what the mismatch margin is
+worth."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,11 +15,11 @@ from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.loop.rollout import motions, settling_times_s
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import at_least
-from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.robustness.prediction import predict
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.robustness.prediction import predict
-from ssm_study.systems import Pair
+from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.systems import Gains
 
 WIDE: dict[str, Any] = {
     "stretch_shares": (0.1, 0.5, 0.9, 0.99),
@@ -26,16 +27,21 @@ WIDE: dict[str, Any] = {
     "input_weights": (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0),
     "output_noises": (1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0),
 }
-"""The grids of `auto` and beyond: rates up to the exact limit, weights that ask for the impossible."""
+"""The grids of `auto` and beyond: rates up to the exact limit, weights that ask for the
+impossible."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGrid(ComparisonTable):
-    """`designs` pairs drawn from the grids of `auto`, wide enough to fail, and the default choice, if any, as row 0.
+    """`designs` pairs drawn from the grids of `auto`, wide enough to fail, and the default choice,
+    if any, as row 0.
 
-    A row holds rates, gains, what is predicted (`synthesis.mismatch`), the response area on the model, and what the
-    true plant did over the run's own horizon: `stable_count` of `initial_conditions` with and without measurement noise
-    (`stable_count_noise_free` is the one to judge by where noise alone crosses the band), settling times, cases that
+    A row holds rates, gains, what is predicted (`synthesis.mismatch`), the response area on the
+    model, and what the
+    true plant did over the run's own horizon: `stable_count` of `initial_conditions` with and
+    without measurement noise
+    (`stable_count_noise_free` is the one to judge by where noise alone crosses the band), settling
+    times, cases that
     left the bound, and what the noise-free ones that do not settle do.
     """
 
@@ -51,14 +57,29 @@ class DesignGrid(ComparisonTable):
             return []
         drawn, chosen = self.drawn(candidates, seed), known.chosen(Auto())
         gains = candidates.gains(drawn)
-        rates = [(candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer) for i, j in drawn]
+        rates = [
+            (candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer)
+            for i, j in drawn
+        ]
         if chosen.feasible:
             own = {name: gain for name, gain in vars(chosen.pair).items() if gain is not None}
-            gains = Pair(**{name: np.concatenate([gain[None], getattr(gains, name)]) for name, gain in own.items()})
+            gains = Gains(
+                **{
+                    name: np.concatenate([gain[None], getattr(gains, name)])
+                    for name, gain in own.items()
+                }
+            )
             rates.insert(0, (chosen.parts()[0].rate, chosen.parts()[1].rate))
-        each = zip(rates, self._predicted(known, gains), _behaved(plant, known, gains, loop, seed), strict=True)
+        each = zip(
+            rates,
+            self._predicted(known, gains),
+            _behaved(plant, known, gains, loop, seed),
+            strict=True,
+        )
         return [
-            {"design": i, "rate_controller": rate[0], "rate_observer": rate[1]} | predicted | behaved
+            {"design": i, "rate_controller": rate[0], "rate_observer": rate[1]}
+            | predicted
+            | behaved
             for i, (rate, predicted, behaved) in enumerate(each, start=int(not chosen.feasible))
         ]
 
@@ -66,32 +87,48 @@ class DesignGrid(ComparisonTable):
         """Controller and observer of each design."""
         counts = len(candidates.ks), len(candidates.ls)
         total = counts[0] * counts[1]
-        flat = np.random.default_rng([seed, 3]).choice(total, size=min(self.designs, total), replace=False)
+        flat = np.random.default_rng([seed, 3]).choice(
+            total, size=min(self.designs, total), replace=False
+        )
         return np.stack(np.unravel_index(np.sort(flat), counts), axis=1)
 
-    def _predicted(self, known: Identified, gains: Pair) -> list[Row]:
+    def _predicted(self, known: Identified, gains: Gains) -> list[Row]:
         rows = []
         for i, area in enumerate(relative_areas(known.model, gains, known.validation)):
             predicted = predict(known.model, pair := gains.at(i), known.balls, known.shown)
             norms = {"gain_norm": pair.k, "observer_gain_norm": pair.l}
             row: Row = {name: float(np.linalg.norm(gain, 2)) for name, gain in norms.items()}
             row |= {"mismatch_gain": known.shown.gain, **vars(predicted)}
-            rows.append(row | {"predicted_stable": predicted.keeps_the_plant(), "model_area": float(area)})
+            rows.append(
+                row
+                | {"predicted_stable": predicted.predicts_stability(), "model_area": float(area)}
+            )
         return rows
 
 
-def _behaved(plant: Plant, known: Identified, gains: Pair, loop: Loop, seed: int) -> list[Row]:
+def _behaved(plant: Plant, known: Identified, gains: Gains, loop: Loop, seed: int) -> list[Row]:
     """All designs as one batch of cases, with the noise and without it."""
     (y0, noise), band, designs = loop.draw(plant, seed), plant.settling_band, len(gains.k)
-    each = ObserverFeedback(model=known.model, gains=gains.at(np.repeat(np.arange(designs), len(y0))))
+    each = ObserverFeedback(
+        model=known.model, gains=gains.at(np.repeat(np.arange(designs), len(y0)))
+    )
     starts, noises = np.tile(y0, (designs, 1)), np.tile(noise, (designs, 1, 1))
-    run, quiet = (loop.simulate(plant, each, starts, given) for given in (noises, np.zeros_like(noises)))
+    run, quiet = (
+        loop.simulate(plant, each, starts, given) for given in (noises, np.zeros_like(noises))
+    )
     alone = loop.simulate(plant, Uncontrolled.of(plant), y0, noise)
-    open_loop, times_s, kinds = mean(settling_times_s(alone, band)), settling_times_s(run, band), motions(quiet, band)
+    open_loop, times_s, kinds = (
+        mean(settling_times_s(alone, band)),
+        settling_times_s(run, band),
+        motions(quiet, band),
+    )
     rows = []
     for first in range(0, len(starts), len(y0)):
         own = slice(first, first + len(y0))
-        row: Row = {"initial_conditions": len(y0), "stable_count": len(y0) - times_s[own].count(None)}
+        row: Row = {
+            "initial_conditions": len(y0),
+            "stable_count": len(y0) - times_s[own].count(None),
+        }
         row |= {"settling_time_mean_s": mean(times_s[own]), "settling_time_open_loop_s": open_loop}
         row |= {"stable_count_noise_free": kinds[own].count("settled")}
         row |= {"unsettled_as": ", ".join(sorted(set(kinds[own]) - {"settled"})) or None}

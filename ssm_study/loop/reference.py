@@ -1,4 +1,5 @@
-"""What the output should follow: a signal as a disturbance is one, of offsets from rest, the same for every output."""
+"""What the output should follow: a signal as a disturbance is one, of offsets from rest, the same
+for every output."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,19 +31,38 @@ class StepReference(Reference):
 
 @dataclass(frozen=True, kw_only=True)
 class FileReference(Reference):
-    """Two columns of a CSV file, time (s) and offset, joined by straight lines and held at both ends."""
+    """Two columns of a CSV file, time (s) and offset, joined by straight lines and held at both
+    ends."""
 
     path: str
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         remedy = "give a CSV file of two columns, time in seconds and offset"
         try:
-            lines = [line for line in Path(self.path).read_text(encoding="utf-8").splitlines() if line.strip()]
-            table = np.loadtxt(lines, delimiter=",", ndmin=2, comments="#") if lines else np.empty((0, 2))
+            lines = [
+                line
+                for line in Path(self.path).read_text(encoding="utf-8").splitlines()
+                if line.strip()
+            ]
+            table = (
+                np.loadtxt(lines, delimiter=",", ndmin=2, comments="#")
+                if lines
+                else np.empty((0, 2))
+            )
         except (OSError, ValueError) as error:
-            raise BadRequest("loop.reference.path", self.path, " ".join(str(error).split())[:120], remedy) from error
+            raise BadRequest(
+                "loop.reference.path", self.path, " ".join(str(error).split())[:120], remedy
+            ) from error
         sound = table.shape[1:] == (2,) and len(table) > 0 and bool(np.isfinite(table).all())
-        require(sound, "loop.reference.path", self.path, "not two columns of finite numbers", remedy)
+        require(
+            sound, "loop.reference.path", self.path, "not two columns of finite numbers", remedy
+        )
         rising = bool((np.diff(table[:, 0]) > 0).all())
-        require(rising, "loop.reference.path", self.path, "times do not increase", "sort the rows by time")
+        require(
+            rising,
+            "loop.reference.path",
+            self.path,
+            "times do not increase",
+            "sort the rows by time",
+        )
         return np.interp(time_s, *table.T)

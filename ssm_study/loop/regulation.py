@@ -1,4 +1,5 @@
-"""The experiment: initial conditions, noise, reference and disturbance, on the plant, without control, on the model."""
+"""The experiment: initial conditions, noise, reference and disturbance, on the plant, without
+control, on the model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -7,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
 from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.reference import Reference, Rest
@@ -18,17 +20,19 @@ from ssm_study.plants.plant import Equilibrium, Plant
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, input_limits
 from ssm_study.synthesis.integrated_error import at_rest
-from ssm_study.certificates.certificate import Design
 
 Channels = tuple[Channel, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedPlant(Plant):
-    """`x+ = A x + B S_u(u) + B d,  y = S_y(C x)`: the model answers for itself, so the loop says nothing of mismatch.
+    """`x+ = A x + B S_u(u) + B d,  y = S_y(C x)`: the model answers for itself, so the loop says
+    nothing of mismatch.
 
-    The state is the model's (scaled), `u` and `y` are physical; `d (m)` disturbs the recurrence's scaled input.
-    Raises `BadRequest` for a model with feedthrough: the loop reads the output before the input acts.
+    The state is the model's (scaled), `u` and `y` are physical; `d (m)` disturbs the recurrence's
+    scaled input.
+    Raises `BadRequest` for a model with feedthrough: the loop reads the output before the input
+    acts.
     """
 
     model: Model
@@ -42,19 +46,39 @@ class IdentifiedPlant(Plant):
 
     def __post_init__(self) -> None:
         model, remedy = self.model, "identify with model.feedthrough=false"
-        problem, told = "the input reaches the output at once", "the loop samples the output before the input acts"
+        problem, told = (
+            "the input reaches the output at once",
+            "the loop samples the output before the input acts",
+        )
         require(not answers_at_once(model), "model.feedthrough", problem, told, remedy)
-        channels, needed = (len(self.inputs), len(self.outputs)), (model.scale.inputs, model.scale.outputs)
-        require(channels == needed, "channels", channels, f"the model has {needed}", "name each of its signals")
+        channels, needed = (
+            (len(self.inputs), len(self.outputs)),
+            (model.scale.inputs, model.scale.outputs),
+        )
+        require(
+            channels == needed,
+            "channels",
+            channels,
+            f"the model has {needed}",
+            "name each of its signals",
+        )
 
     @classmethod
     def of(cls, model: Model, inputs: Channels = (), outputs: Channels = ()) -> "IdentifiedPlant":
-        """Channels are `u_1, ...` and `y_1, ...`, or without a number where there is one, unless given.
+        """Channels are `u_1, ...` and `y_1, ...`, or without a number where there is one, unless
+        given.
 
-        Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as settled.
+        Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
+        settled.
         """
-        unit, counts = float(model.scale.output_scale.min()), {"u": model.scale.inputs, "y": model.scale.outputs}
-        names = {one: [one] if n == 1 else [f"{one}_{i + 1}" for i in range(n)] for one, n in counts.items()}
+        unit, counts = (
+            float(model.scale.output_scale.min()),
+            {"u": model.scale.inputs, "y": model.scale.outputs},
+        )
+        names = {
+            one: [one] if n == 1 else [f"{one}_{i + 1}" for i in range(n)]
+            for one, n in counts.items()
+        }
         return cls(
             model=model,
             step_s=model.step_s,
@@ -62,7 +86,9 @@ class IdentifiedPlant(Plant):
             inputs=inputs or tuple(Channel(name=name, unit="") for name in names["u"]),
             outputs=outputs or tuple(Channel(name=name, unit="") for name in names["y"]),
             states=tuple(Channel(name=f"x{i}", unit="1") for i in range(model.order)),
-            disturbances=tuple(Channel(name=f"scaled_input_{i}", unit="1") for i in range(model.linear.b.shape[1])),
+            disturbances=tuple(
+                Channel(name=f"scaled_input_{i}", unit="1") for i in range(model.linear.b.shape[1])
+            ),
             initial_range=(-unit, unit),
         )
 
@@ -72,12 +98,15 @@ class IdentifiedPlant(Plant):
 
     def equilibrium(self) -> Equilibrium:
         scale = self.model.scale
-        return Equilibrium(u=scale.input_equilibrium, x=np.zeros(self.model.order), y=scale.output_equilibrium)
+        return Equilibrium(
+            u=scale.input_equilibrium, x=np.zeros(self.model.order), y=scale.output_equilibrium
+        )
 
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
         """States in which a constant input would hold `y0`: the model released from a set point.
 
-        Where no input holds it (neurons may rectify or saturate), the smallest state that the linear part reads as it.
+        Where no input holds it (neurons may rectify or saturate), the smallest state that the
+        linear part reads as it.
         """
         return np.stack([self._released(y) for y in y0])
 
@@ -100,21 +129,29 @@ class IdentifiedPlant(Plant):
 
 def answers_at_once(model: Model) -> bool:
     """Whether the input reaches the output within its sample, by D or through a neuron."""
-    through = isinstance(model, StructuredSSM) and bool((model.g.any(axis=1) & model.h.any(axis=0)).any())
+    through = isinstance(model, StructuredSSM) and bool(
+        (model.g.any(axis=1) & model.h.any(axis=0)).any()
+    )
     return through or bool(model.linear.d.any())
 
 
-SAMPLES = (150, 1500)  # shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
+SAMPLES = (
+    150,
+    1500,
+)  # shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
 RESPONSES = 4  # horizon, in lengths of the model's own response
 REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of the response
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """What one experiment left: the controlled plant, the plant left alone from the same states, and the model.
+    """What one experiment left: the controlled plant, the plant left alone from the same states,
+    and the model.
 
-    `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the output's unit.
-    `noise_free`: without measurement noise, where that alone crosses the band; settling is then judged on it.
+    `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the
+    output's unit.
+    `noise_free`: without measurement noise, where that alone crosses the band; settling is then
+    judged on it.
     """
 
     controlled: Rollouts
@@ -130,7 +167,8 @@ class LoopRuns:
 
 
 class ComparisonTable(ABC):
-    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values None."""
+    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values
+    None."""
 
     @abstractmethod
     def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
@@ -139,10 +177,13 @@ class ComparisonTable(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """`initial_conditions` outputs uniform in the plant's `initial_range`, each simulated for `horizon_s` seconds.
+    """`initial_conditions` outputs uniform in the plant's `initial_range`, each simulated for
+    `horizon_s` seconds.
 
-    The fields are explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in the output's unit
-    squared. The bound counts from the equilibrium and is wider by the largest offset of the reference. `comparison` is
+    The fields are explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
+    the output's unit
+    squared. The bound counts from the equilibrium and is wider by the largest offset of the
+    reference. `comparison` is
     a table the run leaves beside its record, `comparison.csv`.
     """
 
@@ -161,9 +202,20 @@ class Loop:
         far = self.bound_in_initial_ranges
         at_least(1, "loop.initial_conditions", self.initial_conditions, "use 10, as the paper does")
         positive("loop.horizon_s", self.horizon_s, "give it in seconds")
-        at_least(0, "loop.measurement_noise_variance", self.measurement_noise_variance, "use 0 for no noise")
+        at_least(
+            0,
+            "loop.measurement_noise_variance",
+            self.measurement_noise_variance,
+            "use 0 for no noise",
+        )
         at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
-        require(far > 1, "loop.bound_in_initial_ranges", far, "cases would start outside the bound", "use more than 1")
+        require(
+            far > 1,
+            "loop.bound_in_initial_ranges",
+            far,
+            "cases would start outside the bound",
+            "use more than 1",
+        )
         (low, high), names = self.limits, "loop.input_lower, loop.input_upper"
         shown = np.asarray(low).tolist(), np.asarray(high).tolist()
         require(bool(np.all(low < high)), names, shown, "lower must be below upper", "swap them")
@@ -181,13 +233,15 @@ class Loop:
         return replace(self, input_lower=low.tolist(), input_upper=high.tolist())
 
     def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
-        """The certified design on the plant, beside the plant left alone and the noise-free model."""
+        """The certified design on the plant, beside the plant left alone and the noise-free
+        model."""
         controller = ObserverFeedback.of(model, design)
         runs = self.on_plant(plant, controller, seed)
         return replace(runs, on_model=self.on_model(plant, controller, runs.controlled.y[:, 0]))
 
     def on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
-        """Any controller: at one seed all meet the same initial states, noise, reference and disturbance."""
+        """Any controller: at one seed all meet the same initial states, noise, reference and
+        disturbance."""
         rest, band, (y0, noise) = plant.equilibrium(), plant.settling_band, self.draw(plant, seed)
         controlled, noise_free = self.simulate(plant, controller, y0, noise), None
         if noise.any() and None in settling_times_s(controlled, band):
@@ -203,15 +257,21 @@ class Loop:
             noise_free=noise_free,
         )
 
-    def on_model(self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]) -> Rollouts:
-        """The certified situation: the controller on its own model from the same outputs, nothing else acting."""
+    def on_model(
+        self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]
+    ) -> Rollouts:
+        """The certified situation: the controller on its own model from the same outputs, nothing
+        else acting."""
         twin = IdentifiedPlant.of(controller.model, plant.inputs, plant.outputs)
         twin = replace(twin, initial_range=plant.initial_range)  # which the bound is a multiple of
         quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)
-        return quiet.simulate(twin, controller, y0, np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1])))
+        return quiet.simulate(
+            twin, controller, y0, np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1]))
+        )
 
     def fitted(self, model: Model) -> "Loop":
-        """This experiment with a horizon: as given, else `RESPONSES` times as long as the model's own response."""
+        """This experiment with a horizon: as given, else `RESPONSES` times as long as the model's
+        own response."""
         if self.horizon_s is not None:
             return self
         response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)
@@ -221,17 +281,27 @@ class Loop:
     def samples(self, step_s: float) -> int:
         return SAMPLES[0] if self.horizon_s is None else max(2, round(self.horizon_s / step_s))
 
-    def draw(self, plant: Plant, seed: int) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
+    def draw(
+        self, plant: Plant, seed: int
+    ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
         """Initial outputs and measurement noise, the same for every controller at one seed."""
         shape = (self.initial_conditions, self.samples(plant.step_s), len(plant.outputs))
         initial, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
-        y0 = plant.equilibrium().y + initial.uniform(*plant.initial_range, size=(shape[0], shape[2]))
+        y0 = plant.equilibrium().y + initial.uniform(
+            *plant.initial_range, size=(shape[0], shape[2])
+        )
         given = self.measurement_noise_variance
-        variance = self.noise_factor * np.array(plant.noise_variance if given is None else (given,) * shape[2])
+        variance = self.noise_factor * np.array(
+            plant.noise_variance if given is None else (given,) * shape[2]
+        )
         return y0, np.sqrt(variance) * noise.standard_normal(shape)
 
     def simulate(
-        self, plant: Plant, controller: Controller, y0: Float[np.ndarray, "N p"], noise: Float[np.ndarray, "N T p"]
+        self,
+        plant: Plant,
+        controller: Controller,
+        y0: Float[np.ndarray, "N p"],
+        noise: Float[np.ndarray, "N T p"],
     ) -> Rollouts:
         """One batched closed loop from the states that read `y0`."""
         cases, samples, outputs = noise.shape
@@ -240,11 +310,26 @@ class Loop:
         disturbance = np.zeros((cases, samples, len(plant.disturbances)))
         if not isinstance(self.disturbance, NoDisturbance):
             remedy = "use disturbance@loop.disturbance=none"
-            require(disturbance.shape[2] > 0, "loop.disturbance", self.disturbance, "the plant has none", remedy)
+            require(
+                disturbance.shape[2] > 0,
+                "loop.disturbance",
+                self.disturbance,
+                "the plant has none",
+                remedy,
+            )
             disturbance[:, :, 0] = self.disturbance.signal(time_s)
-        reach = self.bound_in_initial_ranges * max(abs(r) for r in plant.initial_range) + float(np.abs(offset).max())
-        asked = {"reference": plant.equilibrium().y + np.repeat(offset[:, None], outputs, axis=1), "noise": noise}
-        asked |= {"x0": plant.states_at(y0), "disturbance": disturbance, "bound": np.full(outputs, reach)}
+        reach = self.bound_in_initial_ranges * max(abs(r) for r in plant.initial_range) + float(
+            np.abs(offset).max()
+        )
+        asked = {
+            "reference": plant.equilibrium().y + np.repeat(offset[:, None], outputs, axis=1),
+            "noise": noise,
+        }
+        asked |= {
+            "x0": plant.states_at(y0),
+            "disturbance": disturbance,
+            "bound": np.full(outputs, reach),
+        }
         try:
             return close_loop(plant, controller, **asked, limits=self.limits)
         finally:

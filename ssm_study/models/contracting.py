@@ -1,11 +1,16 @@
-"""Structured recurrences that contract by construction: free parameters, both ways, with the derivative written out.
+"""Structured recurrences that contract by construction: free parameters, both ways, with the
+derivative written out.
 
-All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I, Lambda = I` are
+All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I,
+Lambda = I` are
 
-    E = sqrt2 con(X_E),   [A; Gh] = r con(X_G),   R R' = 2 I - E'E,   F = R Gh - E'A,   con(X) = X chol(I + X'X)^{-T}
+    E = sqrt2 con(X_E),   [A; Gh] = r con(X_G),   R R' = 2 I - E'E,   F = R Gh - E'A,   con(X) = X
+    chol(I + X'X)^{-T}
 
-for the LMI's Schur complement is `(F + E'A)' (2 I - E'E)^{-1} (F + E'A) = Gh'Gh < r^2 I - A'A`. Then F <- diag(d) F and
-E <- E diag(d)^{-1} with `d > 0` stand for `Lambda = diag(d)^{-2}`. `M = I` is a choice of coordinates.
+for the LMI's Schur complement is `(F + E'A)' (2 I - E'E)^{-1} (F + E'A) = Gh'Gh < r^2 I - A'A`.
+Then F <- diag(d) F and
+E <- E diag(d)^{-1} with `d > 0` stand for `Lambda = diag(d)^{-2}`. `M = I` is a choice of
+coordinates.
 """
 
 from typing import NamedTuple
@@ -16,8 +21,13 @@ from jaxtyping import Float
 
 from ssm_study.refusal import BadRequest
 
-FREQUENCIES = np.exp(1j * np.append(0.0, np.geomspace(1e-4, np.pi, 200)))  # the Riccati equation has the last word
-INSIDE, PULLED = 0.9, 0.99  # shares of the largest gain, and of the rate, that a projected model may have
+FREQUENCIES = np.exp(
+    1j * np.append(0.0, np.geomspace(1e-4, np.pi, 200))
+)  # the Riccati equation has the last word
+INSIDE, PULLED = (
+    0.9,
+    0.99,
+)  # shares of the largest gain, and of the rate, that a projected model may have
 STRICT = 1e-2  # relative: what makes the Riccati equation's inequality strict
 HALVINGS = 12  # of the path from a free model to one that contracts
 Square = Float[np.ndarray, "k k"]
@@ -61,7 +71,8 @@ def explicit(free: Free, rate: float) -> Core:
 def derivative(free: Free, change: Free, rate: float) -> Core:
     """`d explicit` along `change`, whose leading axis counts directions.
 
-    `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1} dS L^{-T})`, low the
+    `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1}
+    dS L^{-T})`, low the
     lower triangle with half its diagonal. The same rule gives `dR` of `R R' = 2 I - E'E`.
     """
     n, root2 = free.x_g.shape[1], np.sqrt(2.0)
@@ -79,19 +90,25 @@ def derivative(free: Free, change: Free, rate: float) -> Core:
 
 
 def parameters(core: Core, rate: float) -> Free:
-    """The inverse of `explicit` with `d = 1`; `LinAlgError` where the LMI does not hold with `M = I, Lambda = I`."""
+    """The inverse of `explicit` with `d = 1`; `LinAlgError` where the LMI does not hold with `M =
+    I, Lambda = I`."""
     e = core.e / np.sqrt(2.0)
-    root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - core.e.T @ core.e)  # R of the module's equations
+    root = np.linalg.cholesky(
+        2.0 * np.eye(e.shape[1]) - core.e.T @ core.e
+    )  # R of the module's equations
     gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
     x_g = _uncontracted(np.vstack([core.a, gh]) / rate)
     return Free(x_e=_uncontracted(e), x_g=x_g, log_d=np.zeros(e.shape[1]))
 
 
 def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contracting:
-    """The first model on a path from `core` that contracts at `rate`; `slope` is the neurons' average slope.
+    """The first model on a path from `core` that contracts at `rate`; `slope` is the neurons'
+    average slope.
 
-    Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope) F`, which is itself
-    pulled inside `rate` first: at the end of the path no neuron is left. Raises `BadRequest` where floats hold none.
+    Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
+    F`, which is itself
+    pulled inside `rate` first: at the end of the path no neuron is left. Raises `BadRequest` where
+    floats hold none.
     """
     mean = (core.e * slope) @ core.f  # what the neurons add to A on average
     radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
@@ -105,15 +122,19 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
         share = 0.5 * (low + high)
     found = found or metric(Core(a=average, e=0.0 * core.e, f=core.f), rate)
     if found is None:
-        raise BadRequest("model", "no metric", "its linear part has none at this rate", "use a larger rate")
+        raise BadRequest(
+            "model", "no metric", "its linear part has none at this rate", "use a larger rate"
+        )
     return found
 
 
 def metric(core: Core, rate: float) -> Contracting | None:
     """M and Lambda in which `core` contracts at `rate`, or None where this search finds none.
 
-    With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E F/2)/r`,
-    `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns of its largest entries over
+    With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E
+    F/2)/r`,
+    `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns of its
+    largest entries over
     the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
     """
     a, b, c = (core.a + core.e @ core.f / 2.0) / rate, core.e / 2.0, core.f / rate
@@ -121,7 +142,11 @@ def metric(core: Core, rate: float) -> Contracting | None:
         return None
     response = c @ np.linalg.solve(FREQUENCIES[:, None, None] * np.eye(len(a)) - a, b + 0j)
     d = _balancing(np.abs(response).max(axis=0, initial=0.0))
-    b, c, q = b * d / INSIDE, c / d[:, None], b.shape[1]  # asks for a gain below INSIDE, not only below one
+    b, c, q = (
+        b * d / INSIDE,
+        c / d[:, None],
+        b.shape[1],
+    )  # asks for a gain below INSIDE, not only below one
     weight = c.T @ c  # of the bounded-real lemma: |C x|^2
     weight += STRICT * max(1.0, np.trace(weight)) * np.eye(len(a))
     try:
@@ -137,15 +162,20 @@ def metric(core: Core, rate: float) -> Contracting | None:
 
 
 def in_metric(found: Contracting) -> Core:
-    """The same in coordinates `xt = T x`, and with Lambda moved into E and F: `M = I, Lambda = I`."""
+    """The same in coordinates `xt = T x`, and with Lambda moved into E and F: `M = I, Lambda =
+    I`."""
     back = np.linalg.inv(found.t)
     core, t, d = found
     return Core(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
 
 
 def _balancing(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
-    """`d` such that off the diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal norms."""
-    off, d = gains - np.diag(np.diagonal(gains)), np.ones(len(gains))  # the diagonal does not move under scaling
+    """`d` such that off the diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal
+    norms."""
+    off, d = (
+        gains - np.diag(np.diagonal(gains)),
+        np.ones(len(gains)),
+    )  # the diagonal does not move under scaling
     for _ in range(20):  # sweeps of Osborne's iteration
         for i in range(len(d)):
             row, column = np.linalg.norm(off[i] * d) / d[i], np.linalg.norm(off[:, i] / d) * d[i]
@@ -160,7 +190,8 @@ def _contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = 
 
 
 def _uncontracted(y: Tall) -> Tall:
-    """X with `con(X) = Y`: `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
+    """X with `con(X) = Y`: `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its
+    Cholesky factor as L."""
     return y @ np.linalg.inv(np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)).T
 
 

@@ -1,4 +1,5 @@
-"""The identified model as explicit numbers: what is stored, replayed, certified and deployed. No torch here."""
+"""The identified model as explicit numbers: what is stored, replayed, certified and deployed. No
+torch here."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
@@ -21,15 +22,17 @@ Lifted = Float[np.ndarray, "*batch mbar"]
 
 
 class Simulator(Family, Explicit):
-    """An identified model, explicit numbers only: what training returns and what is stored; `names` are its kinds."""
+    """An identified model, explicit numbers only: what training returns and what is stored; `names`
+    are its kinds."""
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
         """Free run from rest at the equilibrium; physical units in and out."""
 
 
-class Wired(Simulator):
-    """`y = y_eq + output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u - u_eq) / input_scale)`.
+class ScaffoldedModel(Simulator):
+    """`y = y_eq + output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u -
+    u_eq) / input_scale)`.
 
     Physical units outside, scaled units inside (`signals.Scale`).
     """
@@ -43,8 +46,19 @@ class Wired(Simulator):
     def check_wires(self) -> None:
         """Raises `BadRequest` where the scaffoldings do not fit the recurrence or the signals."""
         wired = (*self.scaffold_in.shape[::-1], *self.scaffold_out.shape[::-1])
-        needed = (self.scale.inputs, self.linear.b.shape[1], self.linear.c.shape[0], self.scale.outputs)
-        require(wired == needed, "scaffold_in, scaffold_out", wired, f"the channels must be {needed}", "rewire them")
+        needed = (
+            self.scale.inputs,
+            self.linear.b.shape[1],
+            self.linear.c.shape[0],
+            self.scale.outputs,
+        )
+        require(
+            wired == needed,
+            "scaffold_in, scaffold_out",
+            wired,
+            f"the channels must be {needed}",
+            "rewire them",
+        )
         positive("step_s", self.step_s, "give it in seconds")
 
     @property
@@ -73,7 +87,9 @@ class Wired(Simulator):
         """`S_y(ybar)`, the output in scaled units, as the observer's innovation needs it."""
 
     @abstractmethod
-    def run(self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None) -> tuple[Outputs, np.ndarray]:
+    def run(
+        self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
+    ) -> tuple[Outputs, np.ndarray]:
         """`ybar` from `x0` (default 0), and the last state or all of them."""
 
     def simulate(self, u: Inputs, x0: State | None = None) -> Outputs:
@@ -82,8 +98,9 @@ class Wired(Simulator):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SSM(Wired):
-    """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) / input_scale`.
+class SSM(ScaffoldedModel):
+    """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) /
+    input_scale`.
 
     Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs.
     Source: [Z26] eq. (2).
@@ -100,11 +117,14 @@ class SSM(Wired):
 
     @classmethod
     def of(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
-        """A linear system as it is: identities for scaffoldings, scaled by one around zero unless told otherwise."""
+        """A linear system as it is: identities for scaffoldings, scaled by one around zero unless
+        told otherwise."""
         m, p = linear.b.shape[1], len(linear.c)
         inward, outward = LinearScaffold.identity(m), LinearScaffold.identity(p)
         scale = scale or Scale.unit(m, p)
-        return cls(linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s)
+        return cls(
+            linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s
+        )
 
     def advance(self, x: State, ubar: Lifted) -> State:
         """`x+ = A x + B ubar`."""
@@ -114,7 +134,9 @@ class SSM(Wired):
         """`S_y(C x + D ubar)`."""
         return self.scaffold_out(x @ self.linear.c.T + ubar @ self.linear.d.T)
 
-    def run(self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None) -> tuple[Outputs, State]:
+    def run(
+        self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
+    ) -> tuple[Outputs, State]:
         """`C x + D ubar` step by step, and the last state."""
         return self.linear.simulate(ubar, x0)
 
@@ -133,11 +155,15 @@ class SSM(Wired):
         return self.with_linear(StateSpace(a=shift, b=into, c=read, d=0 * d))
 
     def absorbed(self) -> "SSM":
-        """The same input-output map, a matrix M moved from each scaffolding into the linear part where that helps.
+        """The same input-output map, a matrix M moved from each scaffolding into the linear part
+        where that helps.
 
-        `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings then have Jacobians
-        around the identity. The theorems speak of a ball around `alpha I`; a rotation or a sign per channel lies
-        outside it and would be refused, although the model is as controllable as any. What cannot be absorbed stays
+        `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
+        then have Jacobians
+        around the identity. The theorems speak of a ball around `alpha I`; a rotation or a sign per
+        channel lies
+        outside it and would be refused, although the model is as controllable as any. What cannot
+        be absorbed stays
         refused. Derivation: docs/theory.md, "The ball of Jacobians".
         """
         linear, scaffold_in, scaffold_out = self.linear, self.scaffold_in, self.scaffold_out
@@ -150,9 +176,16 @@ class SSM(Wired):
         return replace(self, linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out)
 
 
-def _straightened(scaffold: Scaffold, side: str) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """The scaffolding without the centre M of its Jacobians, and M, where that makes its ball narrower."""
-    if scaffold.inputs != scaffold.outputs or scaffold.inputs == 1 or (m := scaffold.centre()) is None:
+def _straightened(
+    scaffold: Scaffold, side: str
+) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
+    """The scaffolding without the centre M of its Jacobians, and M, where that makes its ball
+    narrower."""
+    if (
+        scaffold.inputs != scaffold.outputs
+        or scaffold.inputs == 1
+        or (m := scaffold.centre()) is None
+    ):
         return None
     if not np.linalg.cond(m) < 1e8:
         return None

@@ -1,4 +1,5 @@
-"""torch, imported when a name of it is first used: whoever reads a stored model needs none, and it takes two seconds.
+"""torch, imported when a name of it is first used: whoever reads a stored model needs none, and it
+takes two seconds.
 
 Only `torch.name` inside functions is possible; annotations say `Tensor`.
 """

@@ -1,4 +1,5 @@
-"""How well a model simulates: the one definition of fit, over all records taken as one, each simulated once."""
+"""How well a model simulates: the one definition of fit, over all records taken as one, each
+simulated once."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.columns import Column
-from ssm_study.models.identified import SSM, Simulator, Wired
+from ssm_study.models.identified import SSM, ScaffoldedModel, Simulator
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectories, Trajectory, fit_percent, rmse
 
@@ -17,14 +18,40 @@ NOT_KEPT = "where the training records cannot be made or read again"
 COLUMNS = (
     Column("model", "string", word="Model class", setting="model"),
     Column("order", "Int64", word="Model order", setting="model.order"),
-    Column("hidden_width", "Int64", head="width", word="Hidden width", setting="model.hidden_width"),
-    Column("slope_lower", "Float64", "", "mu", "Requested slope floor", "–", setting="model.slope_lower"),
-    Column("slope_upper", "Float64", "", "nu", "Requested slope ceiling", "–", setting="model.slope_upper"),
+    Column(
+        "hidden_width", "Int64", head="width", word="Hidden width", setting="model.hidden_width"
+    ),
+    Column(
+        "slope_lower",
+        "Float64",
+        "",
+        "mu",
+        "Requested slope floor",
+        "–",
+        setting="model.slope_lower",
+    ),
+    Column(
+        "slope_upper",
+        "Float64",
+        "",
+        "nu",
+        "Requested slope ceiling",
+        "–",
+        setting="model.slope_upper",
+    ),
     Column("scaffold_in", "string", word="Input scaffolding", setting="model.scaffold_in"),
     Column("scaffold_out", "string", word="Output scaffolding", setting="model.scaffold_out"),
     Column("neurons", "Int64", word="Neurons", unchecked=AS_TRAINED),
     Column("states_identified", "Int64", word="States identified", unchecked=AS_TRAINED),
-    Column("fit_train_percent", "Float64", "high", "fit train", "Fit on training records", "%", unchecked=NOT_KEPT),
+    Column(
+        "fit_train_percent",
+        "Float64",
+        "high",
+        "fit train",
+        "Fit on training records",
+        "%",
+        unchecked=NOT_KEPT,
+    ),
     Column("fit_validation_percent", "Float64", "high", "fit val", "Fit on validation record", "%"),
     Column("fit_test_percent", "Float64", "high", "fit %", "Fit on test record", "%", shown=True),
     Column("rmse_test", "Float64", "low", "rmse", "RMSE on test record", "output unit"),
@@ -34,7 +61,8 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """Records beside their free runs, both physical; the first `start_up_samples` of each are not scored."""
+    """Records beside their free runs, both physical; the first `start_up_samples` of each are not
+    scored."""
 
     records: Trajectories
     simulated: tuple[Float[np.ndarray, "_ p"], ...]
@@ -62,39 +90,53 @@ class Simulation:
 
 
 def size_facts(model: Simulator) -> dict[str, Any]:
-    """States and neurons of a structured model: what was asked for may have been a choice by folds."""
+    """States and neurons of a structured model: what was asked for may have been a choice by
+    folds."""
     if not isinstance(model, StructuredSSM):
         return {}
     return {"states_identified": model.order, "neurons": len(model.neurons)}
 
 
-def fit_facts(validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()) -> dict[str, Any]:
-    """Free-run fits and the test error of any model; on a benchmark also its score, in the unit it is published in."""
+def fit_facts(
+    validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
+) -> dict[str, Any]:
+    """Free-run fits and the test error of any model; on a benchmark also its score, in the unit it
+    is published in."""
     fits = {"fit_validation_percent": validation.fit_percent, "fit_test_percent": test.fit_percent}
-    return fits | {"rmse_test": test.rmse} | {f"score_test_{i + 1}": score for i, score in enumerate(scores)}
+    return (
+        fits
+        | {"rmse_test": test.rmse}
+        | {f"score_test_{i + 1}": score for i, score in enumerate(scores)}
+    )
 
 
-START_UP_NOISE = 1e-3  # variance of the output noise while estimating, scaled units: a few percent of the signal
+START_UP_NOISE = (
+    1e-3  # variance of the output noise while estimating, scaled units: a few percent of the signal
+)
 Lifted = Float[np.ndarray, "T m"]
 Gramian = Float[np.ndarray, "n n"]
 GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the first
 
 
 def free_run(model: Any, record: Trajectory, start_up_samples: int) -> Float[np.ndarray, "T p"]:
-    """The simulated output `(T, p)`, physical: from rest if every sample is scored, else from the estimated state.
+    """The simulated output `(T, p)`, physical: from rest if every sample is scored, else from the
+    estimated state.
 
     A baseline whose state cannot be estimated starts at rest always.
     """
-    if start_up_samples == 0 or not isinstance(model, Wired):
+    if start_up_samples == 0 or not isinstance(model, ScaffoldedModel):
         return model.simulate(record.u)
     return model.simulate(record.u, initial_state(model, record, start_up_samples))
 
 
 def initial_state(model: Any, record: Trajectory, samples: int) -> Float[np.ndarray, "n"]:
-    """`argmin |y - y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W what the input reaches.
+    """`argmin |y - y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W what the
+    input reaches.
 
-    W is that of the record's own lifted input over the record's length, so a state that the input cannot reach is not
-    invented to fit the noise; a mode near the unit circle, whose Gramian over all time is singular, does no harm. The
+    W is that of the record's own lifted input over the record's length, so a state that the input
+    cannot reach is not
+    invented to fit the noise; a mode near the unit circle, whose Gramian over all time is singular,
+    does no harm. The
     current sample's output error is linearised through the model and solved by Gauss-Newton.
     """
     lifted = model.lift(record.u)
@@ -102,22 +144,35 @@ def initial_state(model: Any, record: Trajectory, samples: int) -> Float[np.ndar
     prior, x0 = _reached(model, lifted), np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
         ybar, by_state = _linearised(model, lifted[:samples], x0)
-        slopes = np.stack([model.scaffold_out.jacobian(y) for y in ybar])  # of S_y along this trajectory
-        o = (slopes @ by_state).reshape(-1, model.order)  # d y_hat / d x0, all samples below one another
+        slopes = np.stack(
+            [model.scaffold_out.jacobian(y) for y in ybar]
+        )  # of S_y along this trajectory
+        o = (slopes @ by_state).reshape(
+            -1, model.order
+        )  # d y_hat / d x0, all samples below one another
         missing = (target - model.scaffold_out(ybar)).ravel() + o @ x0
-        x0 = prior @ o.T @ np.linalg.solve(o @ prior @ o.T + START_UP_NOISE * np.eye(len(o)), missing)
+        x0 = (
+            prior
+            @ o.T
+            @ np.linalg.solve(o @ prior @ o.T + START_UP_NOISE * np.eye(len(o)), missing)
+        )
     return x0
 
 
 def _reached(model: Any, lifted: Lifted) -> Gramian:
-    """The reachability Gramian of the record; with neurons the second moment of the states it drives from rest."""
+    """The reachability Gramian of the record; with neurons the second moment of the states it
+    drives from rest."""
     if isinstance(model, SSM):
-        return reachability_gramian(model.linear.a, model.linear.b * lifted.std(axis=0), len(lifted))
+        return reachability_gramian(
+            model.linear.a, model.linear.b * lifted.std(axis=0), len(lifted)
+        )
     _, states = model.run(lifted)
     return states.T @ states / len(states)
 
 
-def _linearised(model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+def _linearised(
+    model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]
+) -> tuple[np.ndarray, np.ndarray]:
     """What S_y is given from `x0` on `(T, p)`, and its derivative by `x0` `(T, p, n)`."""
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
@@ -132,7 +187,8 @@ def _linearised(model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]) -> tuple
 
 
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:
-    """`sum_k A^k B B^T A^kT` over k below the first power of two that is not less than `samples`: by doubling."""
+    """`sum_k A^k B B^T A^kT` over k below the first power of two that is not less than `samples`:
+    by doubling."""
     gramian, power = b @ b.T, a
     for _ in range((samples - 1).bit_length()):
         gramian, power = gramian + power @ gramian @ power.T, power @ power

@@ -1,4 +1,5 @@
-"""What `conf/model/ssm.yaml` says, where training starts (on a ring, or fitted to data), and the trainable model."""
+"""What `conf/model/ssm.yaml` says, where training starts (on a ring, or fitted to data), and the
+trainable model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -24,12 +25,15 @@ LEAST_SHARE = 0.5  # |y - ys| < |y| exactly where <y, ys> > <ys, ys> / 2
 SLOWEST = 0.9995  # starting modes are pulled inside this radius: a least-squares fit of noisy data may be unstable
 
 Range = Sequence[float]  # from, to
-Pairs = Sequence[tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]]  # records; their lengths may differ
+Pairs = Sequence[
+    tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
+]  # records; their lengths may differ
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
-    """Where training starts: `modes (n,)` with the real ones first and one of each pair, `b (n, m)`, `c (p, n)`, `d`.
+class Initialisation:
+    """Where training starts: `modes (n,)` with the real ones first and one of each pair, `b (n,
+    m)`, `c (p, n)`, `d`.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -41,16 +45,29 @@ class Start:
 
     def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
         """The output to `u` from rest."""
-        filtered = scipy.signal.lfilter  # SciPy loads a part at its first use: this one takes half a second
-        x = np.stack([filtered([0.0, 1.0], [1.0, -z], u @ b) for z, b in zip(self.modes, self.b, strict=True)])
+        filtered = (
+            scipy.signal.lfilter
+        )  # SciPy loads a part at its first use: this one takes half a second
+        x = np.stack(
+            [
+                filtered([0.0, 1.0], [1.0, -z], u @ b)
+                for z, b in zip(self.modes, self.b, strict=True)
+            ]
+        )
         twice = np.where(self.modes.imag == 0, 1.0, 2.0)
         return np.asarray((twice * self.c @ x).real.T + u @ self.d.T)
 
 
 def on_ring(
-    order: int, real_modes: int, radius: Range, frequency: Range, channels: tuple[int, int], rng: np.random.Generator
-) -> Start:
-    """Radii uniform in area between the two, angles uniform in `frequency` (rad per sample); small random gains.
+    order: int,
+    real_modes: int,
+    radius: Range,
+    frequency: Range,
+    channels: tuple[int, int],
+    rng: np.random.Generator,
+) -> Initialisation:
+    """Radii uniform in area between the two, angles uniform in `frequency` (rad per sample); small
+    random gains.
 
     Source: Orvieto et al. (2023), lemma 3.2.
     """
@@ -59,18 +76,29 @@ def on_ring(
     modes = np.sqrt(rng.uniform(radius[0] ** 2, radius[1] ** 2, size=count)).astype(complex)
     modes[real_modes:] *= np.exp(1j * rng.uniform(frequency[0], frequency[1], size=pairs))
     m, p = channels
-    b, c = (rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in ((count, m), (p, count)))
-    b, c = b * np.sqrt(1 - np.abs(modes[:, None]) ** 2), c / np.sqrt(2 * count)  # of like size at any radius and order
+    b, c = (
+        rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in ((count, m), (p, count))
+    )
+    b, c = (
+        b * np.sqrt(1 - np.abs(modes[:, None]) ** 2),
+        c / np.sqrt(2 * count),
+    )  # of like size at any radius and order
     b[:real_modes].imag, c[:, :real_modes].imag = 0.0, 0.0
-    return Start(modes=modes, b=b, c=c, d=np.zeros((p, m)))
+    return Initialisation(modes=modes, b=b, c=c, d=np.zeros((p, m)))
 
 
-def from_data(records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool) -> Start:
-    """ARX by least squares over all records, its impulse response, a balanced realisation of it, its modes.
+def from_data(
+    records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool
+) -> Initialisation:
+    """ARX by least squares over all records, its impulse response, a balanced realisation of it,
+    its modes.
 
-    Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is allowed; their modes,
-    pulled into the unit circle, then answer a thousandfold. A start whose free run is further from the records than
-    zero is made again with as many lags as states; if that is no better, it is scaled to what it explains.
+    Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is
+    allowed; their modes,
+    pulled into the unit circle, then answer a thousandfold. A start whose free run is further from
+    the records than
+    zero is made again with as many lags as states; if that is no better, it is scaled to what it
+    explains.
     Source: Ho & Kalman (1966); Juang & Pappa (1985) for the realisation.
     """
     longest = min(ARX_LAGS, max(len(u) for u, _ in records) // 4)
@@ -82,8 +110,9 @@ def from_data(records: Pairs, order: int, rng: np.random.Generator, feedthrough:
     return replace(start, c=share * start.c, d=share * start.d)
 
 
-def explained(start: Start, records: Pairs) -> float:
-    """`<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than zero is."""
+def explained(start: Initialisation, records: Pairs) -> float:
+    """`<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y`
+    than zero is."""
     seen = np.concatenate([y for _, y in records])
     made = np.concatenate([start.free_run(u) for u, _ in records])
     return float((seen * made).sum() / max((made**2).sum(), np.finfo(float).tiny))
@@ -92,7 +121,8 @@ def explained(start: Start, records: Pairs) -> float:
 def arx(
     records: Pairs, lags: int, feedthrough: bool
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
-    """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
+    """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without
+    feedthrough)."""
     rows, targets = [], []
     for u, y in records:
         past = [y[lags - i : len(y) - i] for i in range(1, lags + 1)]
@@ -106,8 +136,11 @@ def arx(
     return a, b if feedthrough else np.concatenate([np.zeros((1, p, m)), b])
 
 
-def impulse_response(a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lags1 p m"]) -> Float[np.ndarray, "K p m"]:
-    """`h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable fit grows beyond ten times its early peak."""
+def impulse_response(
+    a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lags1 p m"]
+) -> Float[np.ndarray, "K p m"]:
+    """`h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable fit grows beyond ten times its early
+    peak."""
     h = np.zeros((RESPONSE, *b.shape[1:]))
     for k in range(RESPONSE):
         recent = h[max(k - len(a), 0) : k][::-1]
@@ -120,40 +153,51 @@ def impulse_response(a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lag
 
 
 def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator) -> StateSpace:
-    """The balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`; fast modes fill what it lacks."""
+    """The balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`; fast modes fill
+    what it lacks."""
     half = len(h) // 2
     p, m = h.shape[1:]
-    lags = 1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]  # h[1 + i + j]: the direct term h[0] is D
+    lags = (
+        1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]
+    )  # h[1 + i + j]: the direct term h[0] is D
     hankel = h[lags].transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
     left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
     kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
     root = np.sqrt(values[:kept])
     observe, reach = left[:, :kept] * root, root[:, None] * right[:kept]
     a = np.linalg.lstsq(observe[:-p], observe[p:], rcond=None)[0]
-    a = a + 1e-6 * rng.normal(size=a.shape)  # separates repeated modes, which no diagonal form can hold
+    a = a + 1e-6 * rng.normal(
+        size=a.shape
+    )  # separates repeated modes, which no diagonal form can hold
     spare = rng.uniform(0.1, 0.4, size=order - kept)  # forgotten within a few samples
     b = np.vstack([reach[:, :m], 0.1 * rng.normal(size=(order - kept, m))])
     c = np.hstack([observe[:p], 0.1 * rng.normal(size=(p, order - kept))])
     return StateSpace(a=scipy.linalg.block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
 
 
-def modal_start(system: StateSpace) -> Start:
-    """Eigenvalues inside the unit circle, real ones first, one of each pair; `b`, `c` in eigenvector coordinates."""
+def modal_start(system: StateSpace) -> Initialisation:
+    """Eigenvalues inside the unit circle, real ones first, one of each pair; `b`, `c` in
+    eigenvector coordinates."""
     values, vectors = np.linalg.eig(system.a)
     b, c = np.linalg.solve(vectors, system.b.astype(complex)), system.c @ vectors
     radius = np.abs(values)
-    values = np.where(radius > 1.0, values / np.maximum(radius, 1.0) ** 2, values)  # mirrored into the unit circle
-    values = np.where(np.abs(values) > SLOWEST, values * SLOWEST / np.maximum(np.abs(values), SLOWEST), values)
+    values = np.where(
+        radius > 1.0, values / np.maximum(radius, 1.0) ** 2, values
+    )  # mirrored into the unit circle
+    values = np.where(
+        np.abs(values) > SLOWEST, values * SLOWEST / np.maximum(np.abs(values), SLOWEST), values
+    )
     real = np.flatnonzero(np.isreal(values))
     kept = np.concatenate([real, np.flatnonzero(values.imag > 0)])
     modes, b, c = (part.astype(complex) for part in (values[kept], b[kept], c[:, kept]))
-    return Start(modes=modes, b=b, c=c, d=system.d)
+    return Initialisation(modes=modes, b=b, c=c, d=system.d)
 
 
 class ModelSpec(ABC):
     """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
 
-    # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is scored only.
+    # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is
+    # scored only.
     gives_ssm: ClassVar[bool] = False
     sizes: ClassVar[tuple[str, ...]] = ()  # the fields that are at least 1
 
@@ -165,16 +209,20 @@ class ModelSpec(ABC):
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
     def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """The model of training number `start` among several: the same, as each has a seed of its own."""
+        """The model of training number `start` among several: the same, as each has a seed of its
+        own."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class SSMSpec(ModelSpec):
-    """`x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))`: order n, slopes in `[slope_lower, slope_upper]`.
+    """`x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))`: order n, slopes in `[slope_lower,
+    slope_upper]`.
 
-    `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in `ring_frequency`, `real_modes`
-    of them real. `slope_*` bound the scaffolding's own sector in scaled units; its gain lies in B and C. The states of
+    `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in
+    `ring_frequency`, `real_modes`
+    of them real. `slope_*` bound the scaffolding's own sector in scaled units; its gain lies in B
+    and C. The states of
     `dead_time` (samples) come on top of the order.
     """
 
@@ -201,7 +249,10 @@ class SSMSpec(ModelSpec):
         one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
             whole(0, "real_modes", self.real_modes, "use 2")
-            pairs, remedy = self.order - self.real_modes, "leave an even number of states for the pairs"
+            pairs, remedy = (
+                self.order - self.real_modes,
+                "leave an even number of states for the pairs",
+            )
             fits = pairs >= 0 and pairs % 2 == 0
             problem = f"{self.order} states minus these must be pairs"
             require(fits, "model.real_modes", self.real_modes, problem, remedy)
@@ -213,26 +264,44 @@ class SSMSpec(ModelSpec):
 
     def at_start(self, start: int) -> "SSMSpec":
         """A further start begins with random modes, real ones only to make pairs."""
-        return replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2)) if start else self
+        return (
+            replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
+            if start
+            else self
+        )
 
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
-        rng, records, slopes = np.random.default_rng(seed), scaled(data), (self.slope_lower, self.slope_upper)
+        rng, records, slopes = (
+            np.random.default_rng(seed),
+            scaled(data),
+            (self.slope_lower, self.slope_upper),
+        )
         seen = [np.concatenate(parts) for parts in zip(*records, strict=True)]
-        frames = [Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen]
-        scaffold_in, scaffold_out = self.scaffold_in.build(frames[0], rng), self.scaffold_out.build(frames[1], rng)
+        frames = [
+            Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen
+        ]
+        scaffold_in, scaffold_out = (
+            self.scaffold_in.build(frames[0], rng),
+            self.scaffold_out.build(frames[1], rng),
+        )
         if self.start == "data":
             start = from_data(records, self.order, rng, self.feedthrough)
         else:
             channels = (seen[0].shape[1], seen[1].shape[1])
-            start = on_ring(self.order, self.real_modes, self.ring_radius, self.ring_frequency, channels, rng)
+            start = on_ring(
+                self.order, self.real_modes, self.ring_radius, self.ring_frequency, channels, rng
+            )
         return TorchSSM(scaffold_in, LRU(start, self.feedthrough), scaffold_out)
 
 
 def scaled(data: DataSet) -> Pairs:
     """Training records in scaled units: `(u - u_eq) / input_scale`, `(y - y_eq) / output_scale`."""
-    return [(data.scale.scaled_input(record.u), data.scale.scaled_output(record.y)) for record in data.training]
+    return [
+        (data.scale.scaled_input(record.u), data.scale.scaled_output(record.y))
+        for record in data.training
+    ]
 
 
 def whole(least: int, name: str, value: object, remedy: str) -> None:
@@ -245,4 +314,10 @@ def check_slopes(lower: float, upper: float) -> None:
     """Refuse a sector of slopes that is empty, or reaches zero."""
     positive("model.slope_lower", lower, "use 0.01 or so")
     fits, problem = lower < upper < np.inf, "the lower slope must lie below the upper one"
-    require(fits, "model.slope_lower, model.slope_upper", (lower, upper), problem, "swap or separate them")
+    require(
+        fits,
+        "model.slope_lower, model.slope_upper",
+        (lower, upper),
+        problem,
+        "swap or separate them",
+    )

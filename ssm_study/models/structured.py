@@ -1,4 +1,5 @@
-"""The structured model: neurons inside the recurrence, and every certificate still within reach. No torch here."""
+"""The structured model: neurons inside the recurrence, and every certificate still within reach. No
+torch here."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models import baselines
-from ssm_study.models.identified import SSM, Lifted, Outputs, Simulator, State, Wired
+from ssm_study.models.identified import SSM, Lifted, Outputs, ScaffoldedModel, Simulator, State
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.refusal import one_of, require
 from ssm_study.signals import Scale
@@ -22,9 +23,11 @@ Values = Float[np.ndarray, "*batch"]
 
 
 class Neuron(NamedTuple):
-    """`phi(z)`, its slope `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z` for math.h.
+    """`phi(z)`, its slope `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z`
+    for math.h.
 
-    What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic hardening, relu and
+    What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic
+    hardening, relu and
     saturation the same with kinks. Source: docs/theory.md, "With neurons".
     """
 
@@ -45,9 +48,13 @@ NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.ben
         lambda z: np.minimum(z * z, 1.0),
         "(fabs(z) < 1.0 ? z * z * z / 3.0 : z - copysign(2.0 / 3.0, z))",
     ),
-    "relu": Neuron(lambda z: np.maximum(z, 0.0), lambda z: (z >= 0.0).astype(float), "(z > 0.0 ? z : 0.0)"),
+    "relu": Neuron(
+        lambda z: np.maximum(z, 0.0), lambda z: (z >= 0.0).astype(float), "(z > 0.0 ? z : 0.0)"
+    ),
     "saturation": Neuron(
-        lambda z: np.clip(z, -1.0, 1.0), lambda z: ((z >= -1.0) & (z < 1.0)).astype(float), "fmin(fmax(z, -1.0), 1.0)"
+        lambda z: np.clip(z, -1.0, 1.0),
+        lambda z: ((z >= -1.0) & (z < 1.0)).astype(float),
+        "fmin(fmax(z, -1.0), 1.0)",
     ),
 }
 
@@ -60,7 +67,9 @@ def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
     return np.array([known.index(kind) for kind in kinds], dtype=np.int64)
 
 
-def phi(kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value") -> Float[np.ndarray, "*batch q"]:
+def phi(
+    kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value"
+) -> Float[np.ndarray, "*batch q"]:
     """`phi_i(z_i)` for each neuron i, or `of` it the "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
@@ -79,12 +88,16 @@ Injected = Float[np.ndarray, "*batch q"] | float
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructuredSSM(Wired):
-    """`x+ = A x + B v + E w,  y = y_eq + output_scale S_y(C x + D v + H w),  v = S_u((u - u_eq) / input_scale)`.
+class StructuredSSM(ScaffoldedModel):
+    """`x+ = A x + B v + E w,  y = y_eq + output_scale S_y(C x + D v + H w),  v = S_u((u - u_eq) /
+    input_scale)`.
 
-    `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at rest. Shapes:
-    `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`, `bias (q,)`;
-    `neurons` names the kind of each of the q neurons. Without any it is the model of one layer (`SSM`).
+    `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at
+    rest. Shapes:
+    `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`,
+    `bias (q,)`;
+    `neurons` names the kind of each of the q neurons. Without any it is the model of one layer
+    (`SSM`).
     Raises `BadRequest` for shapes that do not fit, entries that are not finite, an unknown kind.
     Source: Revay, Wang & Manchester (2023), REN with D11 = 0.
     """
@@ -105,7 +118,12 @@ class StructuredSSM(Wired):
     step_s: float
 
     def __post_init__(self) -> None:
-        n, m, p, q = len(self.a), self.scaffold_in.outputs, self.scaffold_out.inputs, len(self.neurons)
+        n, m, p, q = (
+            len(self.a),
+            self.scaffold_in.outputs,
+            self.scaffold_out.inputs,
+            len(self.neurons),
+        )
         codes(self.neurons)
         for name, shape in shapes(n, m, p, q).items():
             value = getattr(self, name)
@@ -126,20 +144,29 @@ class StructuredSSM(Wired):
 
     @property
     def _structured(self) -> StructuredSystem:
-        return StructuredSystem(**{block.name: getattr(self, block.name) for block in fields(StructuredSystem)})
+        return StructuredSystem(
+            **{block.name: getattr(self, block.name) for block in fields(StructuredSystem)}
+        )
 
     @cached_property
     def matrices(self) -> "Matrices":
         """What the compiled recurrence takes."""
-        from ssm_study.models.structured_kernel import Matrices  # numba: reading a model does without
+        from ssm_study.models.structured_kernel import (
+            Matrices,
+        )  # numba: reading a model does without
 
         return Matrices.of(vars(self), codes(self.neurons))
 
     def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
-        """The recurrence's derivative at one state and lifted input: neurons replaced by their slopes there."""
-        return self._structured.at_slopes(phi(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope"))
+        """The recurrence's derivative at one state and lifted input: neurons replaced by their
+        slopes there."""
+        return self._structured.at_slopes(
+            phi(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
+        )
 
-    def inner(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> Float[np.ndarray, "*batch q"]:
+    def inner(
+        self, x: State, ubar: Lifted, injected: Injected = 0.0
+    ) -> Float[np.ndarray, "*batch q"]:
         """`w = phi(F x + G v + b + injected) - phi(b)`; an observer injects `L_z (yh - y)`."""
         z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
         return phi(self.neurons, z) - phi(self.neurons, self.bias)
@@ -155,12 +182,15 @@ class StructuredSSM(Wired):
     def run(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, Float[np.ndarray, "*batch T1 n"]]:
-        """`C x + D v + H w`, compiled, and the states, of which there is one more: that after the last sample."""
+        """`C x + D v + H w`, compiled, and the states, of which there is one more: that after the
+        last sample."""
         from ssm_study.models.structured_kernel import free_run
 
         batch, samples = ubar.shape[:-2], ubar.shape[-2]
         start = np.zeros((*batch, self.order))
-        start[...] = 0.0 if x0 is None else x0  # no broadcast view: numba compiles anew for what is read-only
+        start[...] = (
+            0.0 if x0 is None else x0
+        )  # no broadcast view: numba compiles anew for what is read-only
         v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
         ybar, states = free_run(self.matrices, v, start.reshape(-1, self.order))
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
@@ -178,7 +208,8 @@ class StructuredSSM(Wired):
 
 
 def model_from_json(data: Mapping[str, Any]) -> Simulator:
-    """Any stored model: an SSM has no kind, a structured one has neurons instead; an unknown kind is refused."""
+    """Any stored model: an SSM has no kind, a structured one has neurons instead; an unknown kind
+    is refused."""
     if data.get("kind") is None:
         return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
     one_of(kinds := Simulator.members(baselines), "kind", data["kind"])

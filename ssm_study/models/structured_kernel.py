@@ -1,8 +1,12 @@
-"""The structured recurrence compiled: free run and forward sensitivities, one pass over the samples each.
+"""The structured recurrence compiled: free run and forward sensitivities, one pass over the samples
+each.
 
-`z = F x + G v + b,  w = phi(z) - phi(b),  x+ = A x + B v + E w,  ybar = C x + D v + H w` with v = S_u(u) given.
-Arrays are float64 and contiguous: `v (N, T, m)`, `x0 (N, n)`, `ybar (N, T, p)`; `kinds (q,)` are the neurons' codes.
-By hand: with `S = diag phi'(z)` a change obeys `dx+ = (A + E S F) dx + ...`, `dybar = (C + H S F) dx + ...`.
+`z = F x + G v + b,  w = phi(z) - phi(b),  x+ = A x + B v + E w,  ybar = C x + D v + H w` with v =
+S_u(u) given.
+Arrays are float64 and contiguous: `v (N, T, m)`, `x0 (N, n)`, `ybar (N, T, p)`; `kinds (q,)` are
+the neurons' codes.
+By hand: with `S = diag phi'(z)` a change obeys `dx+ = (A + E S F) dx + ...`, `dybar = (C + H S F)
+dx + ...`.
 """
 
 from collections.abc import Mapping
@@ -20,7 +24,8 @@ compiled = njit(cache=True, error_model="numpy")  # division as in C: no checks 
 
 
 class Matrices(NamedTuple):
-    """`a (n, n), b (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds (q,)`."""
+    """`a (n, n), b (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias
+    (q,)`, `kinds (q,)`."""
 
     a: Float[np.ndarray, "n n"]
     b: Float[np.ndarray, "n m"]
@@ -35,7 +40,8 @@ class Matrices(NamedTuple):
 
     @classmethod
     def of(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "Matrices":
-        """Contiguous copies of the parts by name: for any other layout numba would compile everything once more."""
+        """Contiguous copies of the parts by name: for any other layout numba would compile
+        everything once more."""
         arrays = (np.array(parts[name], dtype=np.float64, order="C") for name in cls._fields[:-1])
         return cls._make((*arrays, kinds))
 
@@ -62,7 +68,9 @@ def bend(code, z):
 
 @compiled
 @no_type_check
-def _neurons(k, still, x, v, w, slope):  # Fill w and the slopes at state x and lifted input v; still is phi(b)
+def _neurons(
+    k, still, x, v, w, slope
+):  # Fill w and the slopes at state x and lifted input v; still is phi(b)
     for i in range(w.shape[0]):
         z = k.bias[i]
         for j in range(x.shape[0]):
@@ -90,23 +98,30 @@ def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + i
 @compiled
 @no_type_check
 def free_run(k, v, x0):
-    """`(ybar (N, T, p), states (N, T + 1, n))`: the states include the one after the last sample."""
+    """`(ybar (N, T, p), states (N, T + 1, n))`: the states include the one after the last
+    sample."""
     records, samples = v.shape[0], v.shape[1]
     ybar = np.empty((records, samples, k.c.shape[0]))
     states = np.empty((records, samples + 1, k.a.shape[0]))
     q = k.e.shape[1]
     w, slope, still = np.empty(q), np.empty(q), np.zeros(q)
-    _neurons(k, still, np.zeros(k.a.shape[0]), np.zeros(v.shape[2]), still, slope)  # phi(b): at rest
+    _neurons(
+        k, still, np.zeros(k.a.shape[0]), np.zeros(v.shape[2]), still, slope
+    )  # phi(b): at rest
     for r in range(records):
         states[r, 0] = x0[r]
         for t in range(samples):
-            _neurons(k, still, states[r, t], v[r, t], w, slope)  # w[t] first: output and next state share it
+            _neurons(
+                k, still, states[r, t], v[r, t], w, slope
+            )  # w[t] first: output and next state share it
             _rows(k.c, k.d, k.h, states[r, t], v[r, t], w, ybar[r, t])
             _rows(k.a, k.b, k.e, states[r, t], v[r, t], w, states[r, t + 1])
     return ybar, states
 
 
-def split(sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]) -> dict[str, Float[np.ndarray, "..."]]:
+def split(
+    sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]
+) -> dict[str, Float[np.ndarray, "..."]]:
     """The last axis cut into blocks of these shapes, in their order."""
     *ends, _ = accumulate(map(prod, sizes.values()))
     return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
@@ -115,9 +130,11 @@ def split(sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]) -
 @compiled
 @no_type_check
 def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
-    """Add to a row of derivatives `weights s`, what moves this row alone (from `own` on), and what moves the neurons.
+    """Add to a row of derivatives `weights s`, what moves this row alone (from `own` on), and what
+    moves the neurons.
 
-    `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g, bias and scaffold_in.
+    `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g,
+    bias and scaffold_in.
     """
     x, v, w, slope, rest = here
     for j in range(len(x)):
@@ -137,7 +154,19 @@ def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at)
         row[at[3] + j] += through[channel[j]] * basis[j]
 
 
-BLOCKS = ("a", "b", "e", "f", "g", "bias", "scaffold_in", "x0", "c", "d", "h")  # what moves the states first
+BLOCKS = (
+    "a",
+    "b",
+    "e",
+    "f",
+    "g",
+    "bias",
+    "scaffold_in",
+    "x0",
+    "c",
+    "d",
+    "h",
+)  # what moves the states first
 
 
 def sensitivities(
@@ -149,21 +178,25 @@ def sensitivities(
 ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
     """`ybar`, and its derivatives by each of `BLOCKS`, flattened by rows.
 
-    Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per unit; `x0` is the own
+    Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per
+    unit; `x0` is the own
     record's.
     """
     n, m = k.b.shape
     sizes = shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}
     sizes = {name: sizes[name] for name in BLOCKS}
     places = tuple(accumulate(map(prod, sizes.values()), initial=0))
-    ybar, j = _sensitivities(k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), channel, places)
+    ybar, j = _sensitivities(
+        k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), channel, places
+    )
     return ybar, split(sizes, j)
 
 
 @compiled
 @no_type_check
 def _sensitivities(k, v, x0, basis, channel, places):
-    """A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its place."""
+    """A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its
+    place."""
     records, samples, m = v.shape
     n, p, q = k.a.shape[0], k.c.shape[0], k.e.shape[1]
     _, at_b, at_e, _, _, _, _, at_x0, at_c, at_d, at_h, width = places
@@ -185,11 +218,35 @@ def _sensitivities(k, v, x0, basis, channel, places):
             here = (x, v[r, t], w, slope, rest)
             for o in range(p):
                 own = (at_c + o * n, at_d + o * m, at_h + o * q)
-                _row(out[r, t, o], read[o], s, k.h[o], hs[o], through[o], here, basis[r, t], channel, own, at)
+                _row(
+                    out[r, t, o],
+                    read[o],
+                    s,
+                    k.h[o],
+                    hs[o],
+                    through[o],
+                    here,
+                    basis[r, t],
+                    channel,
+                    own,
+                    at,
+                )
             moved[:] = 0.0
             for i in range(n):
                 own = (i * n, at_b + i * m, at_e + i * q)
-                _row(moved[i], turn[i], s, k.e[i], es[i], push[i], here, basis[r, t], channel, own, at)
+                _row(
+                    moved[i],
+                    turn[i],
+                    s,
+                    k.e[i],
+                    es[i],
+                    push[i],
+                    here,
+                    basis[r, t],
+                    channel,
+                    own,
+                    at,
+                )
             s, moved = moved, s  # two buffers, swapped: no allocation in the loop
             _rows(k.a, k.b, k.e, x, v[r, t], w, ahead)
             x, ahead = ahead, x

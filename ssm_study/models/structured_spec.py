@@ -1,4 +1,5 @@
-"""What `conf/model/structured.yaml` says, and the maps S_u and S_y as they are trained, derivatives written out."""
+"""What `conf/model/structured.yaml` says, and the maps S_u and S_y as they are trained, derivatives
+written out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,9 +21,11 @@ Signals = Float[np.ndarray, "*batch c"]
 
 @dataclass(frozen=True)
 class Pieces:
-    """`S_c(v) = int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted `points`.
+    """`S_c(v) = int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the
+    sorted `points`.
 
-    Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`) the identity, which
+    Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
+    the identity, which
     has none.
     """
 
@@ -35,10 +38,15 @@ class Pieces:
     def owners(self) -> Int[np.ndarray, "P"]:
         """The channel each parameter belongs to."""
         each, knots = np.arange(self.channels), self.knots
-        return np.concatenate([np.repeat(each, knots + 1), np.repeat(each, knots)]) if knots else each[:0]
+        return (
+            np.concatenate([np.repeat(each, knots + 1), np.repeat(each, knots)])
+            if knots
+            else each[:0]
+        )
 
     def start(self, samples: Float[np.ndarray, "N c"]) -> Free:
-        """All slopes equal, the break points at equal shares of the samples' range: its ends are seldom visited."""
+        """All slopes equal, the break points at equal shares of the samples' range: its ends are
+        seldom visited."""
         if not self.knots:
             return np.zeros(0)
         low, high = samples.min(axis=0), samples.max(axis=0)
@@ -46,16 +54,26 @@ class Pieces:
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
     def _explicit(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes, what one unit of `free` does to each, and break points in the order given; one row a channel."""
+        """Slopes, what one unit of `free` does to each, and break points in the order given; one
+        row a channel."""
         split = self.channels * (self.knots + 1)
-        share = 1.0 / (1.0 + np.exp(-theta[:split].reshape(self.channels, -1)))  # the logistic function
+        share = 1.0 / (
+            1.0 + np.exp(-theta[:split].reshape(self.channels, -1))
+        )  # the logistic function
         width = self.upper - self.lower
-        return self.lower + width * share, width * share * (1.0 - share), theta[split:].reshape(self.channels, -1)
+        return (
+            self.lower + width * share,
+            width * share * (1.0 - share),
+            theta[split:].reshape(self.channels, -1),
+        )
 
-    def derivatives(self, theta: Free, v: Signals) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
+    def derivatives(
+        self, theta: Free, v: Signals
+    ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
         """`S(v)`, its slope at v, and what each parameter does to the channel that it belongs to.
 
-        `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where t_j lies
+        `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where
+        t_j lies
         between 0 and v, negative where v < 0.
         """
         if not self.knots:
@@ -69,8 +87,12 @@ class Pieces:
             values[..., c] = inside @ slopes
             at[..., c] = slopes[np.searchsorted(ends[1:-1], v[..., c], side="right")]
             frees.append(inside * by_free)
-            passed = (x > ends[1:-1]).astype(float) - (ends[1:-1] < 0.0)  # which break points lie between 0 and v
-            moves.append((passed * -np.diff(slopes))[..., np.argsort(order)])  # back in the order of the parameters
+            passed = (x > ends[1:-1]).astype(float) - (
+                ends[1:-1] < 0.0
+            )  # which break points lie between 0 and v
+            moves.append(
+                (passed * -np.diff(slopes))[..., np.argsort(order)]
+            )  # back in the order of the parameters
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
     def freeze(self, theta: Free) -> Scaffold:
@@ -86,10 +108,13 @@ AUTO = "auto"
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSpec(ModelSpec):
-    """`x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y = S_y(C x + D v + H w),  v = S_u(u)`.
+    """`x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y = S_y(C x + D v + H w),  v =
+    S_u(u)`.
 
-    What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one of the results of
-    several trainings (`at_start`), null that of the best validation fit. Source: docs/theory.md, "With neurons".
+    What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one
+    of the results of
+    several trainings (`at_start`), null that of the best validation fit. Source: docs/theory.md,
+    "With neurons".
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -113,22 +138,57 @@ class StructuredSpec(ModelSpec):
     integrated: bool = False
 
     def __post_init__(self) -> None:
-        for name, least in {"order": 1, "neurons": 0, "knots": 0, "output_knots": 0, "starts": 1, "draws": 1}.items():
+        for name, least in {
+            "order": 1,
+            "neurons": 0,
+            "knots": 0,
+            "output_knots": 0,
+            "starts": 1,
+            "draws": 1,
+        }.items():
             if (name, getattr(self, name)) != ("order", AUTO):
-                whole(least, name, getattr(self, name), "use 4 or so" + (f", or {AUTO}" if name == "order" else ""))
+                whole(
+                    least,
+                    name,
+                    getattr(self, name),
+                    "use 4 or so" + (f", or {AUTO}" if name == "order" else ""),
+                )
         codes(self.each)
         one_of(("none", "staged", "free"), "model.input_path", self.input_path)
         one_of(("none", "free"), "model.output_path", self.output_path)
         check_slopes(self.slope_lower, self.slope_upper)
         inside = self.rate is None or 0 < self.rate <= 1
-        require(inside, "model.rate", self.rate, "must lie in (0, 1]", "use 0.999, or null for a free model")
+        require(
+            inside,
+            "model.rate",
+            self.rate,
+            "must lie in (0, 1]",
+            "use 0.999, or null for a free model",
+        )
         at_least(0, "model.ridge", self.ridge, "use 1e-6")
         three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
-        require(three, "model.start_steps", self.start_steps, "needs three numbers, at least 1", "use [15, 20, 10]")
-        told, remedy = "without neurons no integrator is set apart: a mode comes near one by itself", "use 1 or more"
-        require(not self.integrated or self.neurons > 0, "model.neurons", self.neurons, told, remedy)
+        require(
+            three,
+            "model.start_steps",
+            self.start_steps,
+            "needs three numbers, at least 1",
+            "use [15, 20, 10]",
+        )
+        told, remedy = (
+            "without neurons no integrator is set apart: a mode comes near one by itself",
+            "use 1 or more",
+        )
+        require(
+            not self.integrated or self.neurons > 0, "model.neurons", self.neurons, told, remedy
+        )
         plain = not (self.integrated and self.output_knots)
-        require(plain, "model.output_knots", self.output_knots, "an integrated output has a linear S_y", "use 0")
+        require(
+            plain,
+            "model.output_knots",
+            self.output_knots,
+            "an integrated output has a linear S_y",
+            "use 0",
+        )
 
     @property
     def each(self) -> tuple[str, ...]:
@@ -143,7 +203,8 @@ class StructuredSpec(ModelSpec):
         return self.starts + (self.among_starts is not None)
 
     def at_start(self, start: int) -> "StructuredSpec":
-        """What start k trains. With `among_starts` each odd k and the last have half the states, the last no neurons.
+        """What start k trains. With `among_starts` each odd k and the last have half the states,
+        the last no neurons.
 
         More can be certified of such models, where they suffice.
         """
@@ -156,13 +217,21 @@ class StructuredSpec(ModelSpec):
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""
         ends = {"lower": self.slope_lower, "upper": self.slope_upper}
-        lift, read = Pieces(channels[0], self.knots, **ends), Pieces(channels[1], self.output_knots, **ends)
+        lift, read = (
+            Pieces(channels[0], self.knots, **ends),
+            Pieces(channels[1], self.output_knots, **ends),
+        )
         return lift, read
 
     def one_layer(self) -> SSMSpec:
         """The model without neurons, trained as `model=ssm` is."""
-        inward, outward = (Monotone() if knots else Linear() for knots in (self.knots, self.output_knots))
-        shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper", "feedthrough")}
+        inward, outward = (
+            Monotone() if knots else Linear() for knots in (self.knots, self.output_knots)
+        )
+        shared = {
+            name: getattr(self, name)
+            for name in ("order", "slope_lower", "slope_upper", "feedthrough")
+        }
         width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 

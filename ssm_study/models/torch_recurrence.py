@@ -1,11 +1,16 @@
-"""One simulation law of the linear recurrence, two evaluations of it: as one convolution, and in chunks.
+"""One simulation law of the linear recurrence, two evaluations of it: as one convolution, and in
+chunks.
 
-    x[k+1] = lambda x[k] + B u[k],    y[k] = Re(C x[k]) + D u[k],    x[0] given      (all modes are decoupled)
+    x[k+1] = lambda x[k] + B u[k],    y[k] = Re(C x[k]) + D u[k],    x[0] given      (all modes are
+    decoupled)
 
-ModalForm are complex numbers; a real mode is one with zero imaginary part, and the factor two of a conjugate pair is
-already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]` with `g[0] = D` and
+ModalForm are complex numbers; a real mode is one with zero imaginary part, and the factor two of a
+conjugate pair is
+already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]` with `g[0] = D`
+and
 `g[k] = Re(C lambda^(k-1) B)`.
-Shapes: `decay (n,)` complex, the logarithm of lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)` real; `u (e, T, m)`;
+Shapes: `decay (n,)` complex, the logarithm of lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)`
+real; `u (e, T, m)`;
 `x0 (e, n)` complex.
 """
 
@@ -29,24 +34,35 @@ _AGES = torch.arange(CHUNK + 1, dtype=torch.float64)[:, None]
 
 
 class Chunks(torch.autograd.Function):
-    """Blocks of 64 samples, their products and a scan of the states between; shapes as above, `x0 (e, n)` or None.
+    """Blocks of 64 samples, their products and a scan of the states between; shapes as above, `x0
+    (e, n)` or None.
 
-        y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q counts blocks)
+        y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q
+        counts blocks)
 
-    `T[(j, input), (k, output)] = g[k-j]` is the response within a block, `G` the inputs' way to the state after it and
-    `W` the state's way to the outputs. Complex tables are stored as real ones, real and imaginary parts side by side.
-    Differentiates backward, once: autograd's own way through the blocks takes three times as many calls.
+    `T[(j, input), (k, output)] = g[k-j]` is the response within a block, `G` the inputs' way to the
+    state after it and
+    `W` the state's way to the outputs. Complex tables are stored as real ones, real and imaginary
+    parts side by side.
+    Differentiates backward, once: autograd's own way through the blocks takes three times as many
+    calls.
     """
 
     @staticmethod
-    def forward(ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None) -> Tensor:
-        rate = decay.to(torch.complex128)  # in which powers are taken: a phase grows with its sample
+    def forward(
+        ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None
+    ) -> Tensor:
+        rate = decay.to(
+            torch.complex128
+        )  # in which powers are taken: a phase grows with its sample
         power = torch.exp(_AGES.to(u.device) * rate).to(decay.dtype)  # lambda^k, k = 0 ... 64
         lift = _real((power[:-1].flip(0)[:, None] * b.mT).flatten(0, 1))
         read = _real((power[:-1, None] * c).flatten(0, 1).conj_physical())
         within = _toeplitz(d, read, _real(b.mT.contiguous()))
         blocks = _blocks(u)
-        members = math.isqrt(len(blocks) - 1) + 1  # as many powers of lambda^64 as a group of the scan has
+        members = (
+            math.isqrt(len(blocks) - 1) + 1
+        )  # as many powers of lambda^64 as a group of the scan has
         steps = torch.arange(1, members + 1, device=u.device)[:, None, None]
         turns = torch.exp(steps * (rate * CHUNK)).to(decay.dtype)
         x = _scan(turns, _complex(blocks @ lift), x0)  # the state at the start of each block
@@ -61,9 +77,18 @@ class Chunks(torch.autograd.Function):
         m, p = b.shape[1], len(c)
         errors, inputs, states = _blocks(upstream[0]), blocks.flatten(0, 1), _real(x).flatten(0, 1)
         reached = _complex(errors @ read)
-        later = _scan(turns.conj_physical(), reached.flip(0), None).flip(0)  # the loss by the inputs to the states
-        pushed, errors = _real(later).flatten(0, 1), errors.flatten(0, 1)  # adjoint of the states, rows by block
-        d_u = (errors @ within.mT).addmm_(pushed, lift.mT).view(blocks.shape) if ctx.needs_input_grad[4] else None
+        later = _scan(turns.conj_physical(), reached.flip(0), None).flip(
+            0
+        )  # the loss by the inputs to the states
+        pushed, errors = (
+            _real(later).flatten(0, 1),
+            errors.flatten(0, 1),
+        )  # adjoint of the states, rows by block
+        d_u = (
+            (errors @ within.mT).addmm_(pushed, lift.mT).view(blocks.shape)
+            if ctx.needs_input_grad[4]
+            else None
+        )
         d_g = _diagonal_sums(inputs.mT @ errors, p, m)  # by the impulse response g
         tail = d_g[1:].reshape(-1, m)  # g[0] = D alone, g[k] = Re(C lambda^(k-1) B)
         d_lift = _complex((inputs.mT @ pushed).view(CHUNK, m, -1)).flip(0)
@@ -73,10 +98,21 @@ class Chunks(torch.autograd.Function):
         power_conj, d_turn = power.conj_physical(), (x.conj() * later).sum((0, 1))
         d_b = (power_conj[:-1, None] * d_lift).sum(0) + _complex(tail.mT @ read[:-p])
         d_c = (power_conj[:-1, None] * d_read).sum(0)
-        d_power = torch.cat([(d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1), d_turn[None]])
-        d_decay = (_AGES.to(d_read.real) * (power_conj * d_power)).sum(0)  # d lambda^k = k lambda^k d decay
+        d_power = torch.cat(
+            [(d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1), d_turn[None]]
+        )
+        d_decay = (_AGES.to(d_read.real) * (power_conj * d_power)).sum(
+            0
+        )  # d lambda^k = k lambda^k d decay
         d_x0 = torch.addcmul(reached[0], power_conj[-1], later[0]) if ctx.starts_moving else None
-        return d_decay, d_b.mT, d_c, d_g[0], None if d_u is None else _signal(d_u, ctx.samples, m), d_x0
+        return (
+            d_decay,
+            d_b.mT,
+            d_c,
+            d_g[0],
+            None if d_u is None else _signal(d_u, ctx.samples, m),
+            d_x0,
+        )
 
 
 def _real(table: Complex2) -> Real2:  # Real and imaginary parts side by side, without a copy
@@ -87,7 +123,9 @@ def _complex(table: Real2) -> Complex2:
     return torch.view_as_complex(table.view(*table.shape[:-1], -1, 2))
 
 
-def _toeplitz(d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]) -> Tensor:
+def _toeplitz(
+    d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]
+) -> Tensor:
     """`T[(j, input), (k, output)] = g[output, input, k - j]`, zero above the diagonal of time."""
     p, m = d.shape
     g = torch.cat([d.new_zeros(CHUNK - 1, p, m), d[None], (read[:-p] @ b.mT).view(-1, p, m)])
@@ -95,13 +133,16 @@ def _toeplitz(d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Te
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
-    """What `_toeplitz` spread, gathered: rows of length 2 s - 1 instead of 2 s put a diagonal into a column."""
+    """What `_toeplitz` spread, gathered: rows of length 2 s - 1 instead of 2 s put a diagonal into
+    a column."""
     flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
     skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
     return skewed.unflatten(2, (CHUNK, -1)).sum(2)[..., CHUNK - 1 :].permute(2, 1, 0)
 
 
-def _blocks(signal: Float[Tensor, "e T m"]) -> Float[Tensor, "q e sm"]:  # Blocks of samples first, filled up with zeros
+def _blocks(
+    signal: Float[Tensor, "e T m"],
+) -> Float[Tensor, "q e sm"]:  # Blocks of samples first, filled up with zeros
     filled = torch.nn.functional.pad(signal, (0, 0, 0, -signal.shape[1] % CHUNK))
     return filled.unflatten(1, (-1, CHUNK)).transpose(0, 1).flatten(2).contiguous()
 
@@ -111,8 +152,11 @@ def _signal(blocks: Float[Tensor, "q e sp"], samples: int, channels: int) -> Flo
     return blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)[:, :samples]
 
 
-def _scan(turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None) -> Tensor:
-    """`x[0] = x0`, `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from group to group."""
+def _scan(
+    turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None
+) -> Tensor:
+    """`x[0] = x0`, `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from
+    group to group."""
     groups = -(-len(rise) // len(turns))
     x = rise.new_zeros(groups * len(turns), *rise.shape[1:])
     x[1 : len(rise)] = rise[:-1]
@@ -126,9 +170,12 @@ def _scan(turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: T
     return x[: len(rise)]
 
 
-FEW_POWERS = 4096  # below this the many small operations of doubling cost more than the exponentials
+FEW_POWERS = (
+    4096  # below this the many small operations of doubling cost more than the exponentials
+)
 CHUNKS_UP_TO_MODES = 16
-# Measured in benchmarks/models_recurrence.py: chunks win where their products are small against the transforms.
+# Measured in benchmarks/models_recurrence.py: chunks win where their products are small against the
+# transforms.
 CHUNKS_FROM_SAMPLES = 500
 Input = Float[Tensor, "e T m"]
 Output = Float[Tensor, "e T p"]
@@ -138,7 +185,8 @@ Tables = tuple[Complex[Tensor, "s n"], Complex[Tensor, "q n"]]
 
 @dataclass(frozen=True, kw_only=True)
 class ModalForm:
-    """The recurrence in explicit modal parameters; `decay = log(lambda)` with negative real part."""
+    """The recurrence in explicit modal parameters; `decay = log(lambda)` with negative real
+    part."""
 
     decay: Complex[Tensor, "n"]
     b: Complex[Tensor, "n m"]
@@ -147,7 +195,8 @@ class ModalForm:
 
 
 def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
-    """`x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the recurrence stands after the last sample."""
+    """`x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the recurrence stands after the
+    last sample."""
     samples, rate = u.shape[1], modes.decay.to(torch.complex128)
     ages = powers(rate, samples).flip(0).to(modes.b.dtype)
     moments = torch.complex(u.transpose(1, 2) @ ages.real, u.transpose(1, 2) @ ages.imag)
@@ -156,10 +205,13 @@ def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
 
 
 def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """`y = g * u` by real transforms of a fast length; differentiable forward, vectorised and any number of times."""
+    """`y = g * u` by real transforms of a fast length; differentiable forward, vectorised and any
+    number of times."""
     (p, m), samples = modes.d.shape, u.shape[1]
     both, length = tables(modes.decay, samples), next_fast_len(2 * samples - 1, real=True)
-    weights = (modes.c[:, None] * modes.b.mT).flatten(0, 1)  # C_i B_i, one row per pair of output and input
+    weights = (modes.c[:, None] * modes.b.mT).flatten(
+        0, 1
+    )  # C_i B_i, one row per pair of output and input
     tail = power_sums(weights, both)[:, : samples - 1]
     g = torch.cat([modes.d.flatten()[:, None], tail], 1).view(p, m, -1)
     spectrum, lifted = torch.fft.rfft(g, n=length), torch.fft.rfft(u.mT, n=length)
@@ -171,22 +223,27 @@ def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Outpu
 
 
 def by_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Blocks of 64 samples as matrix products; the states between blocks follow the same law, 64 times slower."""
+    """Blocks of 64 samples as matrix products; the states between blocks follow the same law, 64
+    times slower."""
     return Chunks.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
 
 
 def tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """`F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
+    """`F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s +
+    r`.
 
     About sqrt(samples) rows each; the powers are taken in complex128.
     """
     short = math.isqrt(samples - 1) + 1
     rate = decay.to(torch.complex128)
-    return powers(rate, short).to(decay.dtype), powers(rate * short, -(-samples // short)).to(decay.dtype)
+    return powers(rate, short).to(decay.dtype), powers(rate * short, -(-samples // short)).to(
+        decay.dtype
+    )
 
 
 def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
-    """Rows `exp(rate)^k`, k = 0 ... count - 1; large tables by doubling, nine times cheaper than the exponentials."""
+    """Rows `exp(rate)^k`, k = 0 ... count - 1; large tables by doubling, nine times cheaper than
+    the exponentials."""
     if count * len(rate) <= FEW_POWERS:
         return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
     step = torch.exp(rate)[None]
@@ -197,7 +254,8 @@ def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]
 
 
 def power_sums(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
-    """`Re sum_i weights_i lambda_i^k` without a table of samples x n: one real product of the two tables."""
+    """`Re sum_i weights_i lambda_i^k` without a table of samples x n: one real product of the two
+    tables."""
     fine, coarse = both
     left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
     return (left @ torch.view_as_real(fine.conj().resolve_conj()).flatten(-2).mT).flatten(-2)
@@ -223,12 +281,17 @@ def respond(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
 
 
 def gramians(modes: ModalForm, reals: int) -> tuple[Complex[Tensor, "n n"], Complex[Tensor, "n n"]]:
-    """`P_ij = b_i b_j^H / (1 - l_i conj(l_j))`, `Q_ij = conj(c_i)^T c_j / (1 - conj(l_i) l_j)` over all n modes.
+    """`P_ij = b_i b_j^H / (1 - l_i conj(l_j))`, `Q_ij = conj(c_i)^T c_j / (1 - conj(l_i) l_j)` over
+    all n modes.
 
-    Conjugate partners are written out, so the modes are those of the real system. The conjugates matter: without them
+    Conjugate partners are written out, so the modes are those of the real system. The conjugates
+    matter: without them
     the formula is that of another system, and its values need not even be real.
     """
-    turn, half = torch.exp(modes.decay), modes.c[:, reals:] / 2  # a pair's factor two is shared between the partners
+    turn, half = (
+        torch.exp(modes.decay),
+        modes.c[:, reals:] / 2,
+    )  # a pair's factor two is shared between the partners
     turn, b = (torch.cat([part, part[reals:].conj()]) for part in (turn, modes.b))
     c = torch.cat([modes.c[:, :reals], half, half.conj()], 1)
     reach = 1.0 - turn[:, None] * turn[None, :].conj()
@@ -236,7 +299,8 @@ def gramians(modes: ModalForm, reals: int) -> tuple[Complex[Tensor, "n n"], Comp
 
 
 def hankel_singular_values(modes: ModalForm, reals: int) -> Float[Tensor, "n"]:
-    """`sigma_i = sqrt(eig_i(P Q))`, largest first, by the Cholesky-like root of P; zeros are rounded off at 1e-12."""
+    """`sigma_i = sqrt(eig_i(P Q))`, largest first, by the Cholesky-like root of P; zeros are
+    rounded off at 1e-12."""
     p, q = gramians(modes, reals)
     values, vectors = torch.linalg.eigh(p)
     root = vectors * torch.sqrt(values.clamp(min=1e-14 * values.detach().max()))  # P = root root^H

@@ -16,20 +16,25 @@ from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
 if TYPE_CHECKING:
-    from ssm_study.models.spec import Start
+    from ssm_study.models.spec import Initialisation
 
 FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorted evaluation
 
 
 class TorchScaffold(nn.Module):
-    """Holds the free parameters of a `Trainable` in float64; `freeze()` returns the explicit ones."""
+    """Holds the free parameters of a `Trainable` in float64; `freeze()` returns the explicit
+    ones."""
 
-    def __init__(self, spec: Trainable, start: dict[str, np.ndarray], slopes: tuple[float, float]) -> None:
+    def __init__(
+        self, spec: Trainable, start: dict[str, np.ndarray], slopes: tuple[float, float]
+    ) -> None:
         super().__init__()
         self.spec, self.slopes = spec, slopes
         for name, values in start.items():
             at = torch.tensor(np.ascontiguousarray(values))
-            self.register_parameter(name, nn.Parameter(at, requires_grad=not name.startswith(spec.fixed)))
+            self.register_parameter(
+                name, nn.Parameter(at, requires_grad=not name.startswith(spec.fixed))
+            )
 
     def explicit(self) -> Any:
         return self.spec.explicit(dict(self.named_parameters()), self.slopes)
@@ -48,10 +53,13 @@ class TorchScaffold(nn.Module):
 
 
 class Lift(nn.Module):
-    """`S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact ways; what they need is prepared once.
+    """`S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact ways; what they need is
+    prepared once.
 
-    Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a piecewise-linear
-    map with h kinks: the sorted samples fall into h + 1 runs, each an affine map, so the cost does not grow with h.
+    Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a
+    piecewise-linear
+    map with h kinks: the sorted samples fall into h + 1 runs, each an affine map, so the cost does
+    not grow with h.
     Else directly. `sorts=False` leaves out the second, which has no forward-mode derivative.
     """
 
@@ -81,9 +89,15 @@ class Lift(nn.Module):
         if pieces is None:
             return scaffold(self.u)
         points, slopes, offsets = pieces
-        inner = torch.searchsorted(self.values, points.detach())  # where the runs of one slope begin
-        cuts = torch.nn.functional.pad(torch.nn.functional.pad(inner, (1, 0)), (0, 1), value=len(self.values))
-        return _AffineRuns.apply(slopes, offsets, cuts.diff(), self.values, self.order, self.back).view(self.u.shape)
+        inner = torch.searchsorted(
+            self.values, points.detach()
+        )  # where the runs of one slope begin
+        cuts = torch.nn.functional.pad(
+            torch.nn.functional.pad(inner, (1, 0)), (0, 1), value=len(self.values)
+        )
+        return _AffineRuns.apply(
+            slopes, offsets, cuts.diff(), self.values, self.order, self.back
+        ).view(self.u.shape)
 
 
 Run = Float[Tensor, "h1"]
@@ -96,10 +110,19 @@ class _AffineRuns(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, slopes: Run, offsets: Run, counts: Int[Tensor, "h1"], ranked: Sample, order: Place, back: Place
+        ctx: Any,
+        slopes: Run,
+        offsets: Run,
+        counts: Int[Tensor, "h1"],
+        ranked: Sample,
+        order: Place,
+        back: Place,
     ) -> Sample:
         ctx.save_for_backward(counts, ranked, order)
-        slope, offset = (torch.repeat_interleave(part, counts, output_size=len(ranked)) for part in (slopes, offsets))
+        slope, offset = (
+            torch.repeat_interleave(part, counts, output_size=len(ranked))
+            for part in (slopes, offsets)
+        )
         return torch.addcmul(offset, slope, ranked).index_select(0, back)
 
     @staticmethod
@@ -114,13 +137,16 @@ class _AffineRuns(torch.autograd.Function):
 Signals = Float[Tensor, "e T _"]
 States = Float[Tensor, "e n"]
 Modal = Complex[Tensor, "e modes"]
-LEAST_DAMPING = 1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
+LEAST_DAMPING = (
+    1e-8  # per sample: below it the radius rounds to one, and what is stored is not stable
+)
 
 
 class LRU(nn.Module):
     """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
 
-    `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves. With one input
+    `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves.
+    With one input
     `B` is all ones and only `C` is trained: the modal form has exactly that much freedom.
     Source: Orvieto et al. (2023), section 3.
     """
@@ -128,15 +154,19 @@ class LRU(nn.Module):
     flip: Tensor
     pairs: Tensor
 
-    def __init__(self, start: "Start", feedthrough: bool) -> None:
+    def __init__(self, start: "Initialisation", feedthrough: bool) -> None:
         super().__init__()
         modes = torch.from_numpy(start.modes)
         radius = modes.abs().clamp(1e-3, 1 - 1e-6)
         self.reals = int((modes.imag == 0).sum())
         self.nu = nn.Parameter(torch.log(-torch.log(radius)))  # inverse of |lambda| = exp(-exp(nu))
         self.theta = nn.Parameter(modes[self.reals :].angle())  # one of each pair
-        self.register_buffer("flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64))
-        self.register_buffer("pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False)
+        self.register_buffer(
+            "flip", torch.where(modes[: self.reals].real < 0, torch.pi, 0.0).to(torch.float64)
+        )
+        self.register_buffer(
+            "pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False
+        )
         self.single = single = start.b.shape[1] == 1
         b, c = torch.from_numpy(start.b), torch.from_numpy(start.c)
         gain = torch.sqrt(1 - radius**2)[:, None]
@@ -155,23 +185,29 @@ class LRU(nn.Module):
         return 2 * len(self.nu) - self.reals
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """`y` of the recurrence, from rest or from `x0`, which is ordered as in `to_state_space`."""
+        """`y` of the recurrence, from rest or from `x0`, which is ordered as in
+        `to_state_space`."""
         return respond(self.modes(), u, None if x0 is None else self.initial_state(x0))
 
     def modes(self) -> ModalForm:
         """Free to explicit parameters."""
         damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
         angle = torch.cat([self.flip, self.theta])  # 0 or pi for real modes
-        gain = torch.sqrt(-torch.expm1(-2 * damping))[:, None]  # sqrt(1 - |lambda|^2), without cancellation near one
+        gain = torch.sqrt(-torch.expm1(-2 * damping))[
+            :, None
+        ]  # sqrt(1 - |lambda|^2), without cancellation near one
         if self.single:
             b = torch.complex(gain, torch.zeros_like(gain))
         else:
             b = _join(gain * self.b_real, gain[self.reals :] * self.b_imag)
-        c = _join(self.pairs[:, None] * self.c_real, 2.0 * self.c_imag).mT  # y = Re(c_r x_r) + 2 Re(c_c x_c)
+        c = _join(
+            self.pairs[:, None] * self.c_real, 2.0 * self.c_imag
+        ).mT  # y = Re(c_r x_r) + 2 Re(c_c x_c)
         return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=self.d)
 
     def to_state_space(self) -> StateSpace:
-        """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per pair.
+        """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per
+        pair.
 
         `x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`.
         """
@@ -181,7 +217,10 @@ class LRU(nn.Module):
         decay, b, c = (part.cpu().numpy().astype(np.complex128) for part in parts)
         turn, reals, pairs = np.exp(decay), self.reals, slice(self.reals, None)
         blocks = [np.array([[z.real, -z.imag], [z.imag, z.real]]) for z in turn[pairs]]
-        b2, c2 = (np.stack([part[pairs].real, sign * part[pairs].imag], 1) for part, sign in ((b, 1), (c, -1)))
+        b2, c2 = (
+            np.stack([part[pairs].real, sign * part[pairs].imag], 1)
+            for part, sign in ((b, 1), (c, -1))
+        )
         return StateSpace(
             a=block_diag(np.diag(turn[:reals].real), *blocks),
             b=np.vstack([b[:reals].real, b2.reshape(-1, b.shape[1])]),
@@ -192,14 +231,21 @@ class LRU(nn.Module):
     def initial_state(self, free: States) -> Modal:
         """Real states, ordered as in `to_state_space`, to modal ones."""
         real, pairs = free[:, : self.reals], free[:, self.reals :].unflatten(1, (-1, 2))
-        return torch.complex(torch.cat([real, pairs[..., 0]], 1), torch.cat([torch.zeros_like(real), pairs[..., 1]], 1))
+        return torch.complex(
+            torch.cat([real, pairs[..., 0]], 1),
+            torch.cat([torch.zeros_like(real), pairs[..., 1]], 1),
+        )
 
     def real_state(self, modal: Modal) -> States:
         """The inverse of `initial_state`."""
-        return torch.cat([modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1)
+        return torch.cat(
+            [modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1
+        )
 
 
-def _parts(values: Complex[Tensor, "n k"], reals: int, trained: bool) -> tuple[nn.Parameter, nn.Parameter]:
+def _parts(
+    values: Complex[Tensor, "n k"], reals: int, trained: bool
+) -> tuple[nn.Parameter, nn.Parameter]:
     """Real parts of all modes and imaginary parts of the pairs, as separate parameters."""
     real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
     return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
@@ -225,7 +271,8 @@ class TorchModel(nn.Module, ABC):
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        """The output, and the state after the last sample: what the next window of a record starts from."""
+        """The output, and the state after the last sample: what the next window of a record starts
+        from."""
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
@@ -233,7 +280,8 @@ class TorchModel(nn.Module, ABC):
 
 
 class TorchSSM(TorchModel):
-    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`.
+    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T,
+    p)`.
 
     `lifted` is `S_u(u)` where it is known already; `x0` is ordered as in `to_state_space`.
     """
@@ -243,15 +291,29 @@ class TorchSSM(TorchModel):
         self.scaffold_in, self.lru, self.scaffold_out = scaffold_in, lru, scaffold_out
         self.states = lru.order
 
-    def forward(self, u: Signals, x0: States | None = None, lifted: Signals | None = None) -> Signals:
+    def forward(
+        self, u: Signals, x0: States | None = None, lifted: Signals | None = None
+    ) -> Signals:
         return self.scaffold_out(self.lru(self.scaffold_in(u) if lifted is None else lifted, x0))
 
-    def advance(self, u: Signals, x0: States, lifted: Signals | None = None) -> tuple[Signals, States]:
+    def advance(
+        self, u: Signals, x0: States, lifted: Signals | None = None
+    ) -> tuple[Signals, States]:
         lifted = self.scaffold_in(u) if lifted is None else lifted
         modes, modal = self.lru.modes(), self.lru.initial_state(x0)
         end = self.lru.real_state(end_state(modes, lifted, modal))
         return self.scaffold_out(respond(modes, lifted, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
-        linear, inward, outward = self.lru.to_state_space(), self.scaffold_in.freeze(), self.scaffold_out.freeze()
-        return SSM(linear=linear, scaffold_in=inward, scaffold_out=outward, scale=data.scale, step_s=data.step_s)
+        linear, inward, outward = (
+            self.lru.to_state_space(),
+            self.scaffold_in.freeze(),
+            self.scaffold_out.freeze(),
+        )
+        return SSM(
+            linear=linear,
+            scaffold_in=inward,
+            scaffold_out=outward,
+            scale=data.scale,
+            step_s=data.step_s,
+        )

@@ -6,7 +6,16 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
+from ssm_study.plants.plant import (
+    Disturbances,
+    Equilibrium,
+    Inputs,
+    Outputs,
+    Plant,
+    States,
+    check_signs,
+    stated,
+)
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -18,9 +27,12 @@ class CascadedTanks(Plant):
         dx1/dt = k4 u - k1 sqrt(x1),                       x1 <= brim, the excess spills
         dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
 
-    State the levels (V of the level sensors), input pump voltage (V, negative ones pump nothing), output the lower
-    level, disturbance an inflow to the lower tank (V/s). `outflow_upper, inflow_lower, outflow_lower` are k1, k2, k3
-    (sqrt(V)/s), `pump_gain` k4 (1/s), `spill_share` k5 (pure); `settling_band` in V. Source: Schoukens et al. 2016.
+    State the levels (V of the level sensors), input pump voltage (V, negative ones pump nothing),
+    output the lower
+    level, disturbance an inflow to the lower tank (V/s). `outflow_upper, inflow_lower,
+    outflow_lower` are k1, k2, k3
+    (sqrt(V)/s), `pump_gain` k4 (1/s), `spill_share` k5 (pure); `settling_band` in V. Source:
+    Schoukens et al. 2016.
     """
 
     inputs = (Channel(name="pump_voltage", unit="V"),)
@@ -28,7 +40,10 @@ class CascadedTanks(Plant):
     states = (Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V"))
     disturbances = (Channel(name="lower_inflow", unit="V/s"),)
     initial_range, input_clock_s = stated("initial_level_v", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = stated("amplitude_v", (1,)), stated("level_noise_variance", (1,))
+    input_amplitude, noise_variance = (
+        stated("amplitude_v", (1,)),
+        stated("level_noise_variance", (1,)),
+    )
 
     outflow_upper: float
     inflow_lower: float
@@ -55,7 +70,9 @@ class CascadedTanks(Plant):
     def equilibrium(self) -> Equilibrium:
         upper = (self.pump_gain * self.rest_pump_v / self.outflow_upper) ** 2
         lower = upper * (self.inflow_lower / self.outflow_lower) ** 2  # Torricelli at both outlets
-        return Equilibrium(u=np.array([self.rest_pump_v]), x=np.array([upper, lower]), y=np.array([lower]))
+        return Equilibrium(
+            u=np.array([self.rest_pump_v]), x=np.array([upper, lower]), y=np.array([lower])
+        )
 
     def states_at(self, y0: Outputs) -> States:
         """The lower level as asked, the upper one at rest."""
@@ -64,7 +81,9 @@ class CascadedTanks(Plant):
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)  # a pump does not suck
         for _ in range(self.substeps):  # the brim is enforced after each substep
-            x = runge_kutta(lambda z: self._rate(z, pumped, d[:, 0]), x, self.step_s / self.substeps, 1)
+            x = runge_kutta(
+                lambda z: self._rate(z, pumped, d[:, 0]), x, self.step_s / self.substeps, 1
+            )
             x = np.clip(x, 0.0, self.brim_v)
         return x
 
@@ -74,7 +93,12 @@ class CascadedTanks(Plant):
         full = x[:, 0] >= self.brim_v  # the upper tank spills
         spill = np.where(full, np.maximum(surplus, 0.0), 0.0)
         upper = np.where(full, np.minimum(surplus, 0.0), surplus)
-        lower = self.inflow_lower * root[:, 0] - self.outflow_lower * root[:, 1] + self.spill_share * spill + d
+        lower = (
+            self.inflow_lower * root[:, 0]
+            - self.outflow_lower * root[:, 1]
+            + self.spill_share * spill
+            + d
+        )
         return np.stack([upper, lower], axis=1)
 
     def output(self, x: States) -> Outputs:

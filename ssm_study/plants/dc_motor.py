@@ -7,11 +7,21 @@ from math import ceil
 
 import numpy as np
 
-from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
+from ssm_study.plants.plant import (
+    Disturbances,
+    Equilibrium,
+    Inputs,
+    Outputs,
+    Plant,
+    States,
+    check_signs,
+    stated,
+)
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
-# What the compiled kernel reads, SI units; reciprocals because it multiplies faster than it divides.
+# What the compiled kernel reads, SI units; reciprocals because it multiplies faster than it
+# divides.
 MotorConstants = namedtuple(
     "MotorConstants",
     "resistance per_inductance k per_motor_inertia per_load_inertia "
@@ -21,16 +31,22 @@ MotorConstants = namedtuple(
 
 @dataclass(frozen=True, kw_only=True)
 class DCMotor(Plant):
-    """Armature, motor shaft, elastic coupling, load; Coulomb friction that can hold each shaft still; input dead-zone.
+    """Armature, motor shaft, elastic coupling, load; Coulomb friction that can hold each shaft
+    still; input dead-zone.
 
-        L_a di_a/dt = u_eff - R_a i_a - K_m w_m,          u_eff = v_a - sgn(v_a) v_dz, or 0 inside the dead-zone
+        L_a di_a/dt = u_eff - R_a i_a - K_m w_m,          u_eff = v_a - sgn(v_a) v_dz, or 0 inside
+        the dead-zone
         J_m dw_m/dt = K_m i_a - T_s - B_m w_m - a0 sgn(w_m)
         J_L dw_L/dt = T_s - B_L w_L - T_d - a0 sgn(w_L),   T_s = k_s (th_m - th_L) + B_s (w_m - w_L)
 
-    State `(i_a, w_m, w_L, th_m - th_L)`, input voltage (V), output load speed (rad/s), disturbance load torque (N m).
-    `sgn` is set-valued at zero: a shaft at rest stays at rest, exactly, while the other torques on it are within `a0`.
-    Stepped by a Taylor series of order 4 with located switches, steps of at most `solver_step_s`; a speed that touches
-    zero twice within one such step is not seen (`tests/dc_motor_exact.py` does). `settling_band` in rad/s.
+    State `(i_a, w_m, w_L, th_m - th_L)`, input voltage (V), output load speed (rad/s), disturbance
+    load torque (N m).
+    `sgn` is set-valued at zero: a shaft at rest stays at rest, exactly, while the other torques on
+    it are within `a0`.
+    Stepped by a Taylor series of order 4 with located switches, steps of at most `solver_step_s`; a
+    speed that touches
+    zero twice within one such step is not seen (`tests/dc_motor_exact.py` does). `settling_band` in
+    rad/s.
     Source: [Z26] sec. IV; Kara & Eker 2004.
     """
 
@@ -44,7 +60,10 @@ class DCMotor(Plant):
     )
     disturbances = (Channel(name="load_torque", unit="N m"),)
     initial_range, input_clock_s = stated("initial_speed_rad_per_s", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = stated("amplitude_v", (1,)), stated("speed_noise_variance", (1,))
+    input_amplitude, noise_variance = (
+        stated("amplitude_v", (1,)),
+        stated("speed_noise_variance", (1,)),
+    )
 
     resistance_ohm: float
     inductance_h: float
@@ -71,15 +90,27 @@ class DCMotor(Plant):
         check_signs(self, not_negative=not_negative)
         electrical_s = self.inductance_h / self.resistance_ohm
         problem = f"longer than the armature's time constant of {electrical_s:.3g} s, where the series turns unstable"
-        require(self.solver_step_s <= electrical_s, "solver_step_s", self.solver_step_s, problem, "shorten it")
+        require(
+            self.solver_step_s <= electrical_s,
+            "solver_step_s",
+            self.solver_step_s,
+            problem,
+            "shorten it",
+        )
 
     @cached_property
     def constants(self) -> MotorConstants:
         electrical = (self.resistance_ohm, 1.0 / self.inductance_h, self.torque_constant_nm_per_a)
         inertias = (1.0 / self.motor_inertia_kgm2, 1.0 / self.load_inertia_kgm2)
         shaft = (self.shaft_stiffness_nm_per_rad, self.shaft_damping_nms_per_rad)
-        friction = (self.motor_viscous_nms_per_rad, self.load_viscous_nms_per_rad, self.coulomb_torque_nm)
-        return MotorConstants(*map(float, (*electrical, *inertias, *shaft, *friction, self.dead_zone_v)))
+        friction = (
+            self.motor_viscous_nms_per_rad,
+            self.load_viscous_nms_per_rad,
+            self.coulomb_torque_nm,
+        )
+        return MotorConstants(
+            *map(float, (*electrical, *inertias, *shaft, *friction, self.dead_zone_v))
+        )
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(4), y=np.zeros(1))
@@ -90,7 +121,9 @@ class DCMotor(Plant):
         return np.concatenate([still, y0, y0, still], axis=1)
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        from ssm_study.plants.dc_motor_kernel import advance_batch  # numba: describing a motor does without
+        from ssm_study.plants.dc_motor_kernel import (
+            advance_batch,
+        )  # numba: describing a motor does without
 
         substeps = ceil(self.step_s / self.solver_step_s - 1e-9)
         # Contiguous: for every other layout of the three numba would compile the kernel once more.

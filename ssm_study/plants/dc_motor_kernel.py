@@ -1,9 +1,14 @@
-"""Compiled batch stepping of the two-mass motor: Taylor series of the affine flow, switches located on it.
+"""Compiled batch stepping of the two-mass motor: Taylor series of the affine flow, switches located
+on it.
 
-Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from `c[q+1] = A c[q]/(q+1)`
-and the truncated series is a one-step method of order `ORDER`. A sign change of a speed (slip ends) or a held torque
-beyond the friction level (stick ends) is found by bisection on the same polynomial, so switching costs no order.
-State `(i_a, w_m, w_L, th_m - th_L)`; a body is stuck exactly when its speed is 0.0 and its torque is within `a0`.
+Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from
+`c[q+1] = A c[q]/(q+1)`
+and the truncated series is a one-step method of order `ORDER`. A sign change of a speed (slip ends)
+or a held torque
+beyond the friction level (stick ends) is found by bisection on the same polynomial, so switching
+costs no order.
+State `(i_a, w_m, w_L, th_m - th_L)`; a body is stuck exactly when its speed is 0.0 and its torque
+is within `a0`.
 """
 
 from typing import no_type_check
@@ -19,7 +24,9 @@ BISECTIONS = 60  # below the spacing of doubles for any substep
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _torques(p, i, wm, wl, th, load):  # Torques on motor shaft and load without Coulomb friction, N m
+def _torques(
+    p, i, wm, wl, th, load
+):  # Torques on motor shaft and load without Coulomb friction, N m
     shaft = p.stiffness * th + p.damping * (wm - wl)
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
@@ -27,7 +34,8 @@ def _torques(p, i, wm, wl, th, load):  # Torques on motor shaft and load without
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _series(p, c, v, load, motor_mode, load_mode):
-    """Fill `c[1:]`; row 0 is the state. A stuck body keeps a zero speed in every row, hence exactly."""
+    """Fill `c[1:]`; row 0 is the state. A stuck body keeps a zero speed in every row, hence
+    exactly."""
     for q in range(ORDER):
         i, wm, wl, th = c[q, 0], c[q, 1], c[q, 2], c[q, 3]
         held_v, held_load = (v, load) if q == 0 else (0.0, 0.0)
@@ -63,7 +71,9 @@ def _keeps(p, c, t, load, body, mode):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _leaves(p, c, h, load, body, mode):  # The time in [0, h] at which body leaves its mode; above h if it does not
+def _leaves(
+    p, c, h, load, body, mode
+):  # The time in [0, h] at which body leaves its mode; above h if it does not
     if _keeps(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low, high = 0.0, h
@@ -78,7 +88,9 @@ def _leaves(p, c, h, load, body, mode):  # The time in [0, h] at which body leav
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _mode(speed, torque, coulomb):  # 0 stuck, else the sign of the motion (or of the motion about to begin)
+def _mode(
+    speed, torque, coulomb
+):  # 0 stuck, else the sign of the motion (or of the motion about to begin)
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:
@@ -114,7 +126,8 @@ def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
-    """`x (N, 4)` after `substeps` steps of `h` seconds under voltage `u (N, 1)` and load torque `d (N, 1)`."""
+    """`x (N, 4)` after `substeps` steps of `h` seconds under voltage `u (N, 1)` and load torque `d
+    (N, 1)`."""
     out = np.empty_like(x)
     c = np.empty((ORDER + 1, 4))
     for n in range(x.shape[0]):

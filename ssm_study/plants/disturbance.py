@@ -10,7 +10,8 @@ from ssm_study.refusal import at_least, positive, require
 
 
 class Disturbance(ABC):
-    """`signal(time_s (T,)) -> (T,)`, in the unit of the disturbance channel it acts on (the motor's: load torque, N m).
+    """`signal(time_s (T,)) -> (T,)`, in the unit of the disturbance channel it acts on (the
+    motor's: load torque, N m).
 
     In a closed loop that is the plant's first channel.
     """
@@ -37,7 +38,13 @@ class StepDisturbance(Disturbance):
 
     def __post_init__(self) -> None:
         ordered = self.until_s is None or self.at_s < self.until_s
-        require(ordered, "at_s, until_s", (self.at_s, self.until_s), "not in order", "give at_s < until_s")
+        require(
+            ordered,
+            "at_s, until_s",
+            (self.at_s, self.until_s),
+            "not in order",
+            "give at_s < until_s",
+        )
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         end = np.inf if self.until_s is None else self.until_s
@@ -60,7 +67,8 @@ class PeriodicDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RampDisturbance(Disturbance):
-    """`d` rises (or falls) at `slope_per_s` from `from_s` until `until_s`, constant before and after."""
+    """`d` rises (or falls) at `slope_per_s` from `from_s` until `until_s`, constant before and
+    after."""
 
     slope_per_s: float
     from_s: float
@@ -68,7 +76,13 @@ class RampDisturbance(Disturbance):
 
     def __post_init__(self) -> None:
         ordered = 0 <= self.from_s < self.until_s
-        require(ordered, "from_s, until_s", (self.from_s, self.until_s), "not in order", "give 0 <= from_s < until_s")
+        require(
+            ordered,
+            "from_s, until_s",
+            (self.from_s, self.until_s),
+            "not in order",
+            "give 0 <= from_s < until_s",
+        )
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         return self.slope_per_s * (np.clip(time_s, self.from_s, self.until_s) - self.from_s)
@@ -76,7 +90,8 @@ class RampDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomDisturbance(Disturbance):
-    """`d` uniform in `[-amplitude, amplitude]`, drawn anew every `hold_s` and a function of seed and time alone."""
+    """`d` uniform in `[-amplitude, amplitude]`, drawn anew every `hold_s` and a function of seed
+    and time alone."""
 
     amplitude: float
     hold_s: float
@@ -87,6 +102,8 @@ class RandomDisturbance(Disturbance):
         at_least(0, "seed", self.seed, "use 0")
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        holds, which = np.unique(np.floor(time_s / self.hold_s + 1e-9).astype(np.int64), return_inverse=True)
+        holds, which = np.unique(
+            np.floor(time_s / self.hold_s + 1e-9).astype(np.int64), return_inverse=True
+        )
         draws = [np.random.default_rng([self.seed, int(hold)]).uniform(-1.0, 1.0) for hold in holds]
         return self.amplitude * np.array(draws, dtype=np.float64)[which]

@@ -8,8 +8,11 @@ from jaxtyping import Float
 Rate = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
-def runge_kutta(rate: Rate, x: Float[np.ndarray, "N n"], step_s: float, substeps: int) -> Float[np.ndarray, "N n"]:
-    """`x(t + step_s)` of `dx/dt = rate(x)` in `substeps` steps, fourth order where the rate is smooth."""
+def runge_kutta(
+    rate: Rate, x: Float[np.ndarray, "N n"], step_s: float, substeps: int
+) -> Float[np.ndarray, "N n"]:
+    """`x(t + step_s)` of `dx/dt = rate(x)` in `substeps` steps, fourth order where the rate is
+    smooth."""
     h = step_s / substeps
     for _ in range(substeps):
         a = rate(x)

@@ -1,4 +1,5 @@
-"""The interface every plant answers: what it is called, where it rests, and one sampling period under held input."""
+"""The interface every plant answers: what it is called, where it rests, and one sampling period
+under held input."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ Outputs = Float[np.ndarray, "N p"]
 
 @dataclass(frozen=True, kw_only=True)
 class Equilibrium:
-    """`x = f(x, u)` with `y = h(x)`: held at `u (m,)`, a plant started in `x (n,)` stays there and reads `y (p,)`."""
+    """`x = f(x, u)` with `y = h(x)`: held at `u (m,)`, a plant started in `x (n,)` stays there and
+    reads `y (p,)`."""
 
     u: Float[np.ndarray, "m"]
     x: Float[np.ndarray, "n"]
@@ -27,11 +29,14 @@ class Equilibrium:
 
 
 class Plant(ABC):
-    """`x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`: a sampled system under held input, physical units throughout.
+    """`x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`: a sampled system under held input, physical
+    units throughout.
 
-    Concrete plants are frozen keyword-only dataclasses, one file and one yaml each, that name their signals as class
+    Concrete plants are frozen keyword-only dataclasses, one file and one yaml each, that name their
+    signals as class
     attributes; wrappers are plants around a plant.
-    Laws (tested for every yaml): the equilibrium is a fixed point; a batch equals its rows; two halves equal the whole;
+    Laws (tested for every yaml): the equilibrium is a fixed point; a batch equals its rows; two
+    halves equal the whole;
     `output(states_at(y)) = y`; `output` never sees the input that acts after it.
     """
 
@@ -57,11 +62,13 @@ class Plant(ABC):
     @property
     @abstractmethod
     def initial_range(self) -> tuple[float, float]:
-        """Offsets of the output from its equilibrium from which initial conditions are drawn, unit of the output."""
+        """Offsets of the output from its equilibrium from which initial conditions are drawn, unit
+        of the output."""
 
     @property
     def input_amplitude(self) -> tuple[float, ...]:
-        """Offsets of each input from its equilibrium that an excitation uses unless it is told otherwise."""
+        """Offsets of each input from its equilibrium that an excitation uses unless it is told
+        otherwise."""
         return (1.0,) * len(self.inputs)
 
     @property
@@ -76,7 +83,8 @@ class Plant(ABC):
 
     @property
     def real(self) -> bool:
-        """Whether it is a device: one case at a time, from where it is, and never run again to check a record."""
+        """Whether it is a device: one case at a time, from where it is, and never run again to
+        check a record."""
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
@@ -103,7 +111,8 @@ class Plant(ABC):
         x0: States | None = None,
         d: Float[np.ndarray, "N T q"] | None = None,
     ) -> tuple[Float[np.ndarray, "N T n"], Float[np.ndarray, "N T p"]]:
-        """States and outputs at the sampling instants; `x0` None starts at the equilibrium, `d` None is undisturbed."""
+        """States and outputs at the sampling instants; `x0` None starts at the equilibrium, `d`
+        None is undisturbed."""
         cases, samples = u.shape[:2]
         state = np.tile(self.equilibrium().x, (cases, 1)) if x0 is None else x0
         still = np.zeros((cases, len(self.disturbances)))
@@ -116,7 +125,8 @@ class Plant(ABC):
 
 
 def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """A property that answers with the plant's field of that name, or with that times each of the factors."""
+    """A property that answers with the plant's field of that name, or with that times each of the
+    factors."""
 
     def read(plant: Plant) -> Any:
         value = getattr(plant, field)
@@ -125,12 +135,16 @@ def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
     return property(read)
 
 
-def check_signs(plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()) -> None:
+def check_signs(
+    plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()
+) -> None:
     """Raise `BadRequest` for a setting, by its name, that has the wrong sign or is not finite.
 
     `positive` None: every one that is not among `not_negative`.
     """
-    for name in (name for name in vars(plant) if name not in not_negative) if positive is None else positive:
+    for name in (
+        (name for name in vars(plant) if name not in not_negative) if positive is None else positive
+    ):
         refusal.positive(name, getattr(plant, name), "give it in the unit of its name")
     for name in not_negative:
         refusal.at_least(0, name, getattr(plant, name), "use 0 to leave the effect out")

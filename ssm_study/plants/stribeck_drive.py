@@ -5,7 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States, check_signs, stated
+from ssm_study.plants.plant import (
+    Disturbances,
+    Equilibrium,
+    Inputs,
+    Outputs,
+    Plant,
+    States,
+    check_signs,
+    stated,
+)
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
@@ -17,9 +26,12 @@ class StribeckDrive(Plant):
         tau di/dt = sat(u) - i,    J dw/dt = K i - b w - F(w) - d
         F(w) = sgn(w) (Fc + (Fs - Fc) exp(-(w/ws)^2)),   at rest any torque up to Fs
 
-    State `(i, w)`, input current command (A), output speed (rad/s), disturbance load torque (N m). Each substep solves
-    the current exactly and thresholds the speed by what friction can take away: first order, and rest is exactly 0.0.
-    `settling_band` in rad/s. Source of the friction: Armstrong-Helouvry, Dupont, Canudas de Wit 1994; its
+    State `(i, w)`, input current command (A), output speed (rad/s), disturbance load torque (N m).
+    Each substep solves
+    the current exactly and thresholds the speed by what friction can take away: first order, and
+    rest is exactly 0.0.
+    `settling_band` in rad/s. Source of the friction: Armstrong-Helouvry, Dupont, Canudas de Wit
+    1994; its
     values are this project's.
     """
 
@@ -28,7 +40,10 @@ class StribeckDrive(Plant):
     states = (Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s"))
     disturbances = (Channel(name="load_torque", unit="N m"),)
     initial_range, input_clock_s = stated("initial_speed_rad_per_s", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = stated("amplitude_a", (1,)), stated("speed_noise_variance", (1,))
+    input_amplitude, noise_variance = (
+        stated("amplitude_a", (1,)),
+        stated("speed_noise_variance", (1,)),
+    )
 
     current_lag_s: float
     current_limit_a: float
@@ -47,10 +62,21 @@ class StribeckDrive(Plant):
     speed_noise_variance: float
 
     def __post_init__(self) -> None:
-        signs = ("viscous_nms_per_rad", "coulomb_torque_nm", "static_torque_nm", "speed_noise_variance")
+        signs = (
+            "viscous_nms_per_rad",
+            "coulomb_torque_nm",
+            "static_torque_nm",
+            "speed_noise_variance",
+        )
         check_signs(self, not_negative=signs)
         static = self.static_torque_nm
-        require(static >= self.coulomb_torque_nm, "static_torque_nm", static, "below the Coulomb torque", "raise it")
+        require(
+            static >= self.coulomb_torque_nm,
+            "static_torque_nm",
+            static,
+            "below the Coulomb torque",
+            "raise it",
+        )
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(2), y=np.zeros(1))
@@ -60,12 +86,17 @@ class StribeckDrive(Plant):
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         h = self.step_s / self.substeps
-        keep, drive = np.exp(-h / self.current_lag_s), np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a)
+        keep, drive = (
+            np.exp(-h / self.current_lag_s),
+            np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a),
+        )
         i, w = x[:, 0], x[:, 1]
         for _ in range(self.substeps):
             torque = self.torque_constant_nm_per_a * i - self.viscous_nms_per_rad * w - d[:, 0]
             free = w + (h / self.inertia_kgm2) * torque
-            w = np.sign(free) * np.maximum(np.abs(free) - (h / self.inertia_kgm2) * self.friction_nm(w), 0.0)
+            w = np.sign(free) * np.maximum(
+                np.abs(free) - (h / self.inertia_kgm2) * self.friction_nm(w), 0.0
+            )
             i = drive + (i - drive) * keep  # exact over the substep
         return np.stack([i, w], axis=1)
 

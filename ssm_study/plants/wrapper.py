@@ -1,4 +1,5 @@
-"""A plant around a plant: limits and dead time at its input, rounding at its output, disturbances."""
+"""A plant around a plant: limits and dead time at its input, rounding at its output,
+disturbances."""
 
 from dataclasses import dataclass
 from operator import attrgetter
@@ -22,7 +23,8 @@ def _inner(name: str) -> Any:  # A property that answers as the inner plant does
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Plant):
-    """Everything is the inner plant's unless a wrapper says otherwise; one with `memory` appends states of its own."""
+    """Everything is the inner plant's unless a wrapper says otherwise; one with `memory` appends
+    states of its own."""
 
     memory: ClassVar[tuple[Channel, ...]] = ()
     plant: Plant
@@ -54,7 +56,9 @@ class Wrapper(Plant):
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         inner, memory = self.split(x)
-        return np.concatenate([self.plant.advance(inner, self.applied(memory, u), d), self.renewed(memory, u)], axis=1)
+        return np.concatenate(
+            [self.plant.advance(inner, self.applied(memory, u), d), self.renewed(memory, u)], axis=1
+        )
 
     def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
         """The input that reaches the inner plant."""
@@ -70,7 +74,8 @@ class Wrapper(Plant):
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedInput(Wrapper):
-    """`x+ = f(x, clip(u, lower, upper), d)`: limits in the input's unit, one number or one per input."""
+    """`x+ = f(x, clip(u, lower, upper), d)`: limits in the input's unit, one number or one per
+    input."""
 
     lower: Limit
     upper: Limit
@@ -78,7 +83,13 @@ class SaturatedInput(Wrapper):
     def __post_init__(self) -> None:
         rest, limits = self.plant.equilibrium().u, (self.lower, self.upper)
         for name, limit in zip(("lower", "upper"), limits, strict=True):
-            require(np.size(limit) in (1, len(rest)), name, limit, f"there are {len(rest)} inputs", "give as many")
+            require(
+                np.size(limit) in (1, len(rest)),
+                name,
+                limit,
+                f"there are {len(rest)} inputs",
+                "give as many",
+            )
         inside = np.all(np.asarray(self.lower) <= rest) and np.all(rest <= np.asarray(self.upper))
         require(inside, "lower, upper", limits, f"do not enclose rest at {rest}", "widen them")
 
@@ -88,7 +99,8 @@ class SaturatedInput(Wrapper):
 
 @dataclass(frozen=True, kw_only=True)
 class DelayedInput(Wrapper):
-    """`x+ = f(x, u[k - samples], d)`: a dead time of whole samples; what is under way are the appended states."""
+    """`x+ = f(x, u[k - samples], d)`: a dead time of whole samples; what is under way are the
+    appended states."""
 
     samples: int
 
@@ -98,7 +110,9 @@ class DelayedInput(Wrapper):
     @property
     def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
         ages = range(self.samples)
-        return tuple(Channel(name=f"{c.name}_due_in_{age}", unit=c.unit) for age in ages for c in self.inputs)
+        return tuple(
+            Channel(name=f"{c.name}_due_in_{age}", unit=c.unit) for age in ages for c in self.inputs
+        )
 
     def fresh_memory(self) -> Float[np.ndarray, "r"]:
         return np.tile(self.plant.equilibrium().u, self.samples)
@@ -112,7 +126,8 @@ class DelayedInput(Wrapper):
 
 @dataclass(frozen=True, kw_only=True)
 class QuantisedOutput(Wrapper):
-    """`y = resolution round(h(x) / resolution)`: an encoder or converter; resolution in the output's unit."""
+    """`y = resolution round(h(x) / resolution)`: an encoder or converter; resolution in the
+    output's unit."""
 
     resolution: float
 
@@ -125,7 +140,8 @@ class QuantisedOutput(Wrapper):
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbed(Wrapper):
-    """`x+ = f(x, u, d + disturbance(t))` on one disturbance channel; the time since the start is an appended state."""
+    """`x+ = f(x, u, d + disturbance(t))` on one disturbance channel; the time since the start is an
+    appended state."""
 
     disturbance: Disturbance
     channel: int = 0
@@ -133,10 +149,18 @@ class Disturbed(Wrapper):
 
     def __post_init__(self) -> None:
         count = len(self.plant.disturbances)
-        require(0 <= self.channel < count, "channel", self.channel, f"the plant has {count} disturbances", "use 0")
+        require(
+            0 <= self.channel < count,
+            "channel",
+            self.channel,
+            f"the plant has {count} disturbances",
+            "use 0",
+        )
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         inner, elapsed = self.split(x)
         d = d.copy()
         d[:, self.channel] += self.disturbance.signal(elapsed[:, 0])
-        return np.concatenate([self.plant.advance(inner, u, d), elapsed + self.plant.step_s], axis=1)
+        return np.concatenate(
+            [self.plant.advance(inner, u, d), elapsed + self.plant.step_s], axis=1
+        )

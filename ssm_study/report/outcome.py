@@ -1,4 +1,5 @@
-"""What a run came to, on one screen: the claim, the numbers that bear it, and where the figures lie."""
+"""What a run came to, on one screen: the claim, the numbers that bear it, and where the figures
+lie."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,9 +19,14 @@ MISSING = "–"
 LIMITS = ("limit_lower", "limit_upper", "limited_rate", "unlimited_from", "unlimited_to")
 LIMITED = "{} to {}: rate {} from everywhere, the full rate from outputs {} to {}"
 EACH_ITS_OWN = "a range of each output (see the exported header)"
-# A simulated plant's loop knows given limits alone; the exported code, for want of others, the range of the records.
+# A simulated plant's loop knows given limits alone; the exported code, for want of others, the
+# range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
-SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as the benchmarks publish them
+SCORE_UNITS = {
+    "emps": " mm",
+    "cascaded_tanks": " V",
+    "ced": " ticks/s",
+}  # as the benchmarks publish them
 
 
 def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: Console) -> None:
@@ -28,11 +34,17 @@ def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: C
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in _reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
-    kinds: dict[str, list[str]] = {}  # a line per figure, from where the user stands: `figures/rates.png, .pdf`
+    kinds: dict[
+        str, list[str]
+    ] = {}  # a line per figure, from where the user stands: `figures/rates.png, .pdf`
     for path in figures:
-        kinds.setdefault(str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/"), []).append(path.suffix)
+        kinds.setdefault(str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/"), []).append(
+            path.suffix
+        )
     for stem, suffixes in kinds.items():
-        console.print(Text(f"  {stem}{', '.join(suffixes)}"), soft_wrap=True, highlight=False)  # a path is never broken
+        console.print(
+            Text(f"  {stem}{', '.join(suffixes)}"), soft_wrap=True, highlight=False
+        )  # a path is never broken
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
@@ -60,13 +72,25 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
     def number(name: str, form: str = ".3g", unit: str = "") -> str:
         value = record.get(name)
-        return MISSING if value is None else f"{value:{form}}{unit}" if isinstance(value, (int, float)) else str(value)
+        return (
+            MISSING
+            if value is None
+            else f"{value:{form}}{unit}"
+            if isinstance(value, (int, float))
+            else str(value)
+        )
 
     yield "fit_test_percent", "Fit on the test record", number("fit_test_percent", ".1f", " %")
     for name in sorted(key for key in record if key.startswith("score_test_")):
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
-        yield name, f"Benchmark score, record {name.removeprefix('score_test_')}", number(name, ".4g", unit)
-    slopes = f"[{number('input_slope_lower')}, {number('input_slope_upper')}] ({number('bound_method')})"
+        yield (
+            name,
+            f"Benchmark score, record {name.removeprefix('score_test_')}",
+            number(name, ".4g", unit),
+        )
+    slopes = (
+        f"[{number('input_slope_lower')}, {number('input_slope_upper')}] ({number('bound_method')})"
+    )
     yield "input_slope_lower", "Slopes of S_u", slopes
     for side in ("controller", "observer"):
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
@@ -74,21 +98,31 @@ def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield f"rate_{side}", f"{side.capitalize()} rate", shown
     rates = f"controller {number('controller_certified_rate')}, observer {number('observer_certified_rate')}"
     alone = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
-    told = "" if record.get("neurons") else f"; model alone {alone:.3g}"  # with neurons A says it not
+    told = (
+        "" if record.get("neurons") else f"; model alone {alone:.3g}"
+    )  # with neurons A says it not
     yield "controller_certified_rate", "Rate proved of the gains", f"{rates}{told}"
     yield from _proved(number, record)
     yield "evidence", "Evidence", str(record.get("evidence"))
     yield _prediction(record)
-    where = {None: "simulated plant", "plant": "simulated plant"}.get(record.get("loop_on"), record.get("loop_on"))
-    settled = f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on the {where}"
-    yield "stable_count", "Starts settled", settled
+    where = {None: "simulated plant", "plant": "simulated plant"}.get(
+        record.get("loop_on"), record.get("loop_on")
+    )
+    settled = (
+        f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on the {where}"
+    )
+    yield "stable_count", "InitialStates settled", settled
     time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")
     ratio = f" (ratio {time_s / alone_s:.2f})" if time_s is not None and alone_s else ""
-    shown = f"{number('settling_time_mean_s', '.3f', ' s')}, uncontrolled {alone_s or 0:.3f} s{ratio}"
+    shown = (
+        f"{number('settling_time_mean_s', '.3f', ' s')}, uncontrolled {alone_s or 0:.3f} s{ratio}"
+    )
     yield "settling_time_open_loop_s", "Mean settling time", shown
 
 
-def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+def _proved(
+    number: Callable[[str], str], record: Mapping[str, Any]
+) -> Iterator[tuple[str, str, str]]:
     """What is proved beside the rates: with limited inputs, of a wrong model, of noise."""
     label, neurons = LIMITS_OF[_on_plant(record)], record.get("neurons")
     if neurons and record.get("controller_certified"):
@@ -97,11 +131,19 @@ def _proved(number: Callable[[str], str], record: Mapping[str, Any]) -> Iterator
     limited = LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
     yield LIMITS[0], label, limited.replace(f"outputs {MISSING} to {MISSING}", EACH_ITS_OWN)
     seen = f"the records show {number('mismatch_seen')}"
-    yield "certified_tolerance", "Mismatch tolerated", f"{tolerated.format(number('certified_tolerance'))}, {seen}"
+    yield (
+        "certified_tolerance",
+        "Mismatch tolerated",
+        f"{tolerated.format(number('certified_tolerance'))}, {seen}",
+    )
     measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
     more = (record.get("noise_gain_measured") or 0.0) > (record.get("noise_gain") or float("inf"))
     measured += ": more than noise moves it" if more else ""
-    yield "noise_gain", "Sensor noise", f"reaches the output at most {number('noise_gain')}-fold{measured}"
+    yield (
+        "noise_gain",
+        "Sensor noise",
+        f"reaches the output at most {number('noise_gain')}-fold{measured}",
+    )
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -110,7 +152,9 @@ def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
         return "evidence", "Prediction", "none: the evidence allows no judgement"
     said = "stays stable" if record.get("predicted_stable") else "not predicted to be stable"
     said += ", with doubts" if record.get("evidence") == DOUBT else ""
-    rests_on = decides(*(record.get(name) for name in ("resolved_margin", "controller_radius", "noise_peak")))
+    rests_on = decides(
+        *(record.get(name) for name in ("resolved_margin", "controller_radius", "noise_peak"))
+    )
     label = "Prediction for the plant" if _on_plant(record) else "Prediction"
     return "predicted_stable", label, f"{said}: {rests_on}" if rests_on else said
 
@@ -124,8 +168,14 @@ def _certified(record: Mapping[str, Any], side: str) -> str:
 
 def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
     """Whatever the record says about why a run is infeasible, not certified or failed."""
-    told = re.split(r" (?=(?:note|doubt|cannot judge): )", str(record.get("evidence_reasons") or ""))
-    yield from (f"{one[0].upper()}{one[1:]}" for one in told if one.startswith(("doubt: ", "cannot judge: ")))
+    told = re.split(
+        r" (?=(?:note|doubt|cannot judge): )", str(record.get("evidence_reasons") or "")
+    )
+    yield from (
+        f"{one[0].upper()}{one[1:]}"
+        for one in told
+        if one.startswith(("doubt: ", "cannot judge: "))
+    )
     for name in ("infeasible_reason", "uncertified_reason", "error_message"):
         if record.get(name):
             yield f"{name.replace('_', ' ').capitalize()}: {record[name]}"

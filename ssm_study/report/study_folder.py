@@ -28,18 +28,22 @@ class NothingToDraw(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class RunFolder:
-    """The files of one run, read when asked for; a file that is not there reads as None (a failed run leaves few)."""
+    """The files of one run, read when asked for; a file that is not there reads as None (a failed
+    run leaves few)."""
 
     path: Path
 
     def _parsed(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
-        """The content of a file, None where there is none. Raises `BadRequest` that names a damaged one."""
+        """The content of a file, None where there is none. Raises `BadRequest` that names a damaged
+        one."""
         path = self.path / name
         try:
             return parse(contents(path).decode()) if path.is_file() else None
         except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             cause = " ".join(str(error).split())[:200]
-            raise BadRequest("report", path, f"the file is damaged ({cause})", "run the study again") from error
+            raise BadRequest(
+                "report", path, f"the file is damaged ({cause})", "run the study again"
+            ) from error
 
     def _recording(self, name: str, most: int | None = None) -> RecordedCases | None:
         path = self.path / f"{name}.mcap"
@@ -58,7 +62,8 @@ class RunFolder:
 
     @cached_property
     def model(self) -> SSM | None:
-        """None for a baseline too: it is identified and scored, but nothing can be certified of it."""
+        """None for a baseline too: it is identified and scored, but nothing can be certified of
+        it."""
         data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM) else None
@@ -99,9 +104,11 @@ class RunFolder:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFolder:
-    """A study folder: `runs.parquet` as `table`, and its run folders by name; `others` are shown beside it.
+    """A study folder: `runs.parquet` as `table`, and its run folders by name; `others` are shown
+    beside it.
 
-    A run of another study is named by its path from `folder`; `shown` names a run to take for the best. Raises
+    A run of another study is named by its path from `folder`; `shown` names a run to take for the
+    best. Raises
     `BadRequest` where a table is missing.
     """
 
@@ -123,7 +130,8 @@ class StudyFolder:
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
-        """The tables of controllers and situations that runs left beside their records, one below the other."""
+        """The tables of controllers and situations that runs left beside their records, one below
+        the other."""
         found = {name: self.run(name).comparison for name in text(self.table, "run") if name}
         tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
@@ -134,11 +142,19 @@ class StudyFolder:
     @cached_property
     def best(self) -> RunFolder | None:
         """The best run that left a model (see `best_first`), or None."""
-        names = [self.shown] if self.shown else [name for name in text(best_first(self.table), "run") if name]
-        return next((self.run(name) for name in names if (self.folder / name / "model.json").is_file()), None)
+        names = (
+            [self.shown]
+            if self.shown
+            else [name for name in text(best_first(self.table), "run") if name]
+        )
+        return next(
+            (self.run(name) for name in names if (self.folder / name / "model.json").is_file()),
+            None,
+        )
 
     def of_best(self, *parts: str, otherwise: str) -> list[Any]:
-        """These parts of the best run, `model` or `closed_loop` say; raises `NothingToDraw` where it lacks one."""
+        """These parts of the best run, `model` or `closed_loop` say; raises `NothingToDraw` where
+        it lacks one."""
         found = [getattr(self.best, part, None) for part in parts]
         if any(part is None for part in found):
             raise NothingToDraw(otherwise)
@@ -146,10 +162,19 @@ class StudyFolder:
 
 
 def gathered(folder: Path) -> pd.DataFrame:
-    """The table of one study. Raises `BadRequest` where nobody gathered it, and for a damaged one."""
+    """The table of one study. Raises `BadRequest` where nobody gathered it, and for a damaged
+    one."""
     path = folder / "runs.parquet"
-    require(path.is_file(), "study", folder, "it has no runs.parquet", "run `ssm-study gather` on it first")
+    require(
+        path.is_file(),
+        "study",
+        folder,
+        "it has no runs.parquet",
+        "run `ssm-study gather` on it first",
+    )
     try:
         return pd.read_parquet(path)
     except ValueError as error:  # what Arrow raises
-        raise BadRequest("study", path, "the table is damaged", "run `ssm-study gather` on the study") from error
+        raise BadRequest(
+            "study", path, "the table is damaged", "run `ssm-study gather` on the study"
+        ) from error

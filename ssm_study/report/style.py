@@ -1,4 +1,5 @@
-"""One look for every figure: widths of a two-column paper, colours that survive colour blindness and grey print."""
+"""One look for every figure: widths of a two-column paper, colours that survive colour blindness
+and grey print."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,14 @@ COLUMN_IN = 3.5
 PAGE_IN = 7.16
 
 # Okabe & Ito 2008, ordered so that neighbours also differ in lightness.
-BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7"
+BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#E69F00",
+    "#56B4E9",
+    "#CC79A7",
+)
 INK, GREY, PALE = "#1A1A1A", "#6B6B6B", "#D9D9D9"
 CYCLE = [BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE]
 SEQUENCE = "viridis"  # monotone in lightness
@@ -37,25 +45,30 @@ _PAPER: dict[str, dict[str, Any]] = {  # by group, as `matplotlib.rc` takes them
 
 @contextmanager
 def paper() -> Iterator[None]:
-    """Everything drawn and saved inside has the look of this project; the caller's own settings come back after."""
+    """Everything drawn and saved inside has the look of this project; the caller's own settings
+    come back after."""
     import matplotlib as mpl
     import seaborn as sns
     from cycler import cycler
 
-    look: dict[Any, Any] = {f"{group}.{name}": v for group, values in _PAPER.items() for name, v in values.items()}
+    look: dict[Any, Any] = {
+        f"{group}.{name}": v for group, values in _PAPER.items() for name, v in values.items()
+    }
     with sns.axes_style("ticks"), mpl.rc_context(look | {"axes.prop_cycle": cycler(color=CYCLE)}):
         yield
 
 
 def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
-    """An empty figure without pyplot's global state, so that figures can be drawn anywhere and are freed."""
+    """An empty figure without pyplot's global state, so that figures can be drawn anywhere and are
+    freed."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
-    """The legend in one row over the axes, with what only the `others` show: never on top of the data."""
+    """The legend in one row over the axes, with what only the `others` show: never on top of the
+    data."""
     shown: dict[str, Any] = {}
     for part in (axes, *others):
         handles, labels = part.get_legend_handles_labels()
@@ -65,7 +78,8 @@ def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> No
 
 
 def save(figure: "Figure", folder: Path, name: str) -> list[Path]:
-    """`folder/name.png` and `folder/name.pdf`; the same data give the same bytes (no creation date)."""
+    """`folder/name.png` and `folder/name.pdf`; the same data give the same bytes (no creation
+    date)."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = {folder / f"{name}.png": "Software", folder / f"{name}.pdf": "CreationDate"}
     for path, left_out in paths.items():

@@ -1,4 +1,5 @@
-"""The words of the report: what print calls a column, a choice, and what became of a run, with its colour and mark."""
+"""The words of the report: what print calls a column, a choice, and what became of a run, with its
+colour and mark."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,7 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Columns that the report adds to the table.
-DERIVED = {"verdict": "Outcome", "slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)"}
+DERIVED = {
+    "verdict": "Outcome",
+    "slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)",
+}
 CHOICES: dict[str, str] = {
     "pi": "PI", "lqg": "LQG", "mpc": "MPC", "lmi": "LMI", "paper_lmi": "paper's LMI",
     "auto_integral": "auto, integral", "own_pi": "own PI",
@@ -35,7 +39,8 @@ def words(name: object) -> str:
 
 
 def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
-    """What a prediction rests on, beside its bounds: `margin 2.03 > 1, own radius 0.892 < 1`; noise where it counts."""
+    """What a prediction rests on, beside its bounds: `margin 2.03 > 1, own radius 0.892 < 1`; noise
+    where it counts."""
     told = [] if margin is None else [f"margin {margin:.3g} {'>' if margin > 1 else '≤'} 1"]
     told += [] if radius is None else [f"own radius {radius:.3g} {'<' if radius < 1 else '≥'} 1"]
     if noise is not None and noise > 0:
@@ -59,7 +64,12 @@ class Verdict:
 
 
 SETTLED = Verdict(
-    "certified, settles", "both certificates hold and every start settles", style.BLUE, "o", "circle", "bold green"
+    "certified, settles",
+    "both certificates hold and every start settles",
+    style.BLUE,
+    "o",
+    "circle",
+    "bold green",
 )
 LOST = Verdict(
     "certified, does not settle", "both certificates hold for the model, yet some start does not settle",
@@ -70,22 +80,40 @@ UNTRIED = Verdict(
     style.SKY, "<", "triangle-left", "bold yellow",
 )  # fmt: skip
 UNCERTIFIED = Verdict(
-    "not certified", "a design exists, but a certificate did not pass", style.ORANGE, "s", "square", "bold yellow"
+    "not certified",
+    "a design exists, but a certificate did not pass",
+    style.ORANGE,
+    "s",
+    "square",
+    "bold yellow",
 )
 IDENTIFIED = Verdict(
     "identified", "a baseline, identified and scored; no controller is designed for it",
     style.PURPLE, "v", "triangle-down", "bold cyan",
 )  # fmt: skip
 INFEASIBLE = Verdict(
-    "infeasible", "no certificate exists at the requested rate", style.GREY, "x", "cross", "bold magenta"
+    "infeasible",
+    "no certificate exists at the requested rate",
+    style.GREY,
+    "x",
+    "cross",
+    "bold magenta",
 )
 FAILED = Verdict("failed", "the run ended with an error", style.INK, "P", "diamond", "bold red")
-BY_STANDING = (SETTLED, LOST, UNCERTIFIED, IDENTIFIED, INFEASIBLE, FAILED)  # see `table.rank.standing`
+BY_STANDING = (
+    SETTLED,
+    LOST,
+    UNCERTIFIED,
+    IDENTIFIED,
+    INFEASIBLE,
+    FAILED,
+)  # see `table.rank.standing`
 VERDICTS = (SETTLED, LOST, UNTRIED, *BY_STANDING[2:])
 
 
 def judged(table: pd.DataFrame) -> pd.Series:
-    """A `Verdict` per row: its standing, where a run that is certified alone may have closed no loop."""
+    """A `Verdict` per row: its standing, where a run that is certified alone may have closed no
+    loop."""
     found = standing(table).map(lambda place: BY_STANDING[place]).astype(object)
     return found.mask((found == LOST) & column(table, "stable_fraction").isna(), UNTRIED)
 
@@ -98,21 +126,31 @@ def verdicts(table: pd.DataFrame) -> pd.Series:
 def counts(table: pd.DataFrame) -> str:
     """A line such as `12 runs: 9 certified, settles; 2 infeasible; 1 failed`."""
     tally = verdicts(table).value_counts()
-    parts = [f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally]
-    return f"{len(table)} run{'s' if len(table) != 1 else ''}" + (": " + "; ".join(parts) if parts else "")
+    parts = [
+        f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally
+    ]
+    return f"{len(table)} run{'s' if len(table) != 1 else ''}" + (
+        ": " + "; ".join(parts) if parts else ""
+    )
 
 
-def scatter(axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0) -> None:
-    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the legend.
+def scatter(
+    axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0
+) -> None:
+    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the
+    legend.
 
-    `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each other.
+    `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each
+    other.
     """
     word = verdicts(table)
     for k, verdict in enumerate(VERDICTS):
         here = (word == verdict.word) & x.notna() & y.notna()
         if not here.any():
             continue
-        edge, width = (verdict.colour, 0.9) if verdict.marker == "x" else ("white", 0.3)  # a cross is all edge
+        edge, width = (
+            (verdict.colour, 0.9) if verdict.marker == "x" else ("white", 0.3)
+        )  # a cross is all edge
         axes.scatter(
             x[here] + k * dodge, y[here], s=18, c=verdict.colour, marker=verdict.marker, edgecolors=edge,
             linewidths=width, label=verdict.word, zorder=3,

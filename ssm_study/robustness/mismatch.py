@@ -1,13 +1,18 @@
-"""How far a plant is from its model, as its records show it: `e = y - y_model`, at each amplitude, noise removed.
+"""How far a plant is from its model, as its records show it: `e = y - y_model`, at each amplitude,
+noise removed.
 
-A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows of `e` holds where
+A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
+of `e` holds where
 it has been, so there is one `View` for each amplitude:
 
     in total        g    = ||e||_2 / ||u||_2
-    by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands in for it
-    split           e    = Q y_model + r,   Q = S_(e, y_model) / S_(y_model),   g_r(w) = sqrt(S_r(w) / S_u(w))
+    by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands
+    in for it
+    split           e    = Q y_model + r,   Q = S_(e, y_model) / S_(y_model),   g_r(w) = sqrt(S_r(w)
+    / S_u(w))
 
-r counts by size alone. What counts, and trials in closed loop (`MOVING`): docs/trust.md, "What is measured for it".
+r counts by size alone. What counts, and trials in closed loop (`MOVING`): docs/trust.md, "What is
+measured for it".
 """
 
 from dataclasses import dataclass
@@ -19,28 +24,46 @@ from jaxtyping import Complex, Float, Inexact, Int
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
+from ssm_study.robustness.return_to_rest import (
+    AT_REST,
+    FAINT,
+    SURE,
+    after_motion,
+    after_returns,
+    is_return,
+    left,
+    swing,
+)
 from ssm_study.signals import Trajectories, Trajectory, repetition
-from ssm_study.robustness.return_to_rest import AT_REST, FAINT, SURE, after_motion, after_returns, is_return, left, swing
 
-# Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in 4,000 samples.
+# Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in
+# 4,000 samples.
 SEGMENT = 64
 ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
-# A band with less than this share of the input's mean power is not excited: g is measured there, and uncertain.
+# A band with less than this share of the input's mean power is not excited: g is measured there,
+# and uncertain.
 EXCITED = 0.01
 BAND = 0.05  # share of the farthest start on record (of the output's scale without one) that counts as settled
 MISSED = 0.05  # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it: chance p
-IN_LOOP = (1 / 3, 300)  # share, and most samples, of a trial in closed loop that only tell its initial state
+IN_LOOP = (
+    1 / 3,
+    300,
+)  # share, and most samples, of a trial in closed loop that only tell its initial state
 MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
 QUIET = 0.25  # quantile of the bands of e that is taken for white noise in a closed loop where no record measured it
 BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
-Spectra = tuple[Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]]
+Spectra = tuple[
+    Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What the records of one amplitude show, scaled units, at `ANGLES`: see the module for `linear` (Q) and `rest`.
+    """What the records of one amplitude show, scaled units, at `ANGLES`: see the module for
+    `linear` (Q) and `rest`.
 
-    `amplitude` is the input's rms; `response` the output's power over the model's, one where they agree, zero where the
+    `amplitude` is the input's rms; `response` the output's power over the model's, one where they
+    agree, zero where the
     plant holds still.
     """
 
@@ -54,12 +77,17 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """All views, the smallest amplitude first. `spread`: standard error of the largest's `ln g`, from blocks.
+    """All views, the smallest amplitude first. `spread`: standard error of the largest's `ln g`,
+    from blocks.
 
-    `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None without such a
-    record. `unexcited`: bands without input power in the largest record. `loop`: what trials in closed loop show.
-    `stuck`: what stays of the output at rest input after it has moved (friction, play), where more than `AT_REST`;
-    `farthest`: from where a decay at rest input was recorded; both in output scales. `noise`: the sensor's, a sample's
+    `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None
+    without such a
+    record. `unexcited`: bands without input power in the largest record. `loop`: what trials in
+    closed loop show.
+    `stuck`: what stays of the output at rest input after it has moved (friction, play), where more
+    than `AT_REST`;
+    `farthest`: from where a decay at rest input was recorded; both in output scales. `noise`: the
+    sensor's, a sample's
     power at `ANGLES`, in squares of that scale, where an input repeats.
     """
 
@@ -74,7 +102,8 @@ class Mismatch:
 
     @property
     def offset(self) -> float:
-        """What may stay of the output at rest input, in bands of settling (-): at most, with 95 % confidence."""
+        """What may stay of the output at rest input, in bands of settling (-): at most, with 95 %
+        confidence."""
         worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
         return worst / self.band
 
@@ -93,7 +122,8 @@ class Mismatch:
 
     @property
     def seen(self) -> float:
-        """The largest gain of any record: from below, what the incremental gain of the mismatch is."""
+        """The largest gain of any record: from below, what the incremental gain of the mismatch
+        is."""
         return max(view.gain for view in self.everywhere) if self.rests else float("inf")
 
     @property
@@ -112,13 +142,21 @@ class Mismatch:
         return np.interp(angles, ANGLES, self.by_frequency)
 
 
-def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()) -> Mismatch:
-    """`e = y - y_model` in free run, scaled: of the `trials` where there are any, else of the validation records.
+def mismatch(
+    model: Model, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()
+) -> Mismatch:
+    """`e = y - y_model` in free run, scaled: of the `trials` where there are any, else of the
+    validation records.
 
-    With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do not count. Raises
+    With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
+    not count. Raises
     `BadRequest` without a record that moves the input.
     """
-    trial_runs = [_Errors.of(model, trial, unscored(trial, start_up_samples)) for trial in trials if trial.closed_loop]
+    trial_runs = [
+        _Errors.of(model, trial, unscored(trial, start_up_samples))
+        for trial in trials
+        if trial.closed_loop
+    ]
     loops = [one for one in trial_runs if one.u.any() and swing(one.e + one.model) > MOVING]
     opened = [*validation, *(one for one in trials if not one.closed_loop and not is_return(one))]
     measured = [_Errors.of(model, record, start_up_samples) for record in opened]
@@ -135,7 +173,9 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
     drive, response = welch([largest.u]), model.linear.response_samples()
     rested = [y for one in moving if len(y := after_motion(one.u, one.e + one.model, response))]
     own = [off for y in rested if (off := left(y)) > AT_REST]
-    excited = [size for y in rested if (size := swing(y)) > FAINT]  # what a decay may not show: it starts elsewhere
+    excited = [
+        size for y in rested if (size := swing(y)) > FAINT
+    ]  # what a decay may not show: it starts elsewhere
     still, offsets = after_returns(model.scale, [one for one in trials if is_return(one)], response)
     decayed = [left(one.e + one.model) for one in measured if not one.u.any()]
     return Mismatch(
@@ -144,15 +184,23 @@ def mismatch(model: Model, validation: Trajectories, start_up_samples: int = 0, 
         spread=largest.spread(),
         noise=() if noise is None else tuple(noise.tolist()),
         left_at_rest=max((*decayed, *still, *excited), default=None),
-        stuck=tuple(max(own, offsets, key=lambda found: max(found, default=0.0))),  # one rest counts once
-        farthest=max((float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()), default=1.0),
-        unexcited=tuple(float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]),
+        stuck=tuple(
+            max(own, offsets, key=lambda found: max(found, default=0.0))
+        ),  # one rest counts once
+        farthest=max(
+            (float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()),
+            default=1.0,
+        ),
+        unexcited=tuple(
+            float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]
+        ),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Errors:
-    """One record: scaled input, the model's output, what it misses; `period` samples repeat from `start`, twice."""
+    """One record: scaled input, the model's output, what it misses; `period` samples repeat from
+    `start`, twice."""
 
     u: Float[np.ndarray, "T m"]
     model: Float[np.ndarray, "T p"]
@@ -176,7 +224,8 @@ class _Errors:
         return float((self.u**2).mean())
 
     def spread(self) -> float:
-        """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS` pieces."""
+        """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS`
+        pieces."""
         pieces = zip(np.array_split(self.e, BLOCKS), np.array_split(self.u, BLOCKS), strict=True)
         ratios = [float((e**2).sum() / (u**2).sum()) for e, u in pieces if np.any(u) and np.any(e)]
         known = np.std(np.log(ratios)) / np.sqrt(len(ratios)) if len(ratios) > 1 else 0.0
@@ -185,17 +234,25 @@ class _Errors:
     def spectra(self) -> Spectra:
         """Fourier transforms of both periods of e, and of input and model over the second."""
         assert self.period is not None
-        first, second = (slice(self.start + k * self.period, self.start + (k + 1) * self.period) for k in (0, 1))
+        first, second = (
+            slice(self.start + k * self.period, self.start + (k + 1) * self.period) for k in (0, 1)
+        )
         both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
         return both, np.fft.rfft(self.u[second], axis=0), np.fft.rfft(self.model[second], axis=0)
 
 
 def _once(records: list[_Errors]) -> View:
-    """Records whose input does not repeat, taken together: noise counts as mismatch, and nothing is split off."""
-    error, drive = (float(sum((part**2).sum() for part in parts)) for parts in zip(*[(r.e, r.u) for r in records]))  # noqa: B905
+    """Records whose input does not repeat, taken together: noise counts as mismatch, and nothing is
+    split off."""
+    error, drive = (
+        float(sum((part**2).sum() for part in parts))
+        for parts in zip(*[(r.e, r.u) for r in records])  # noqa: B905
+    )
     power_u, power_e = welch([r.u for r in records]), welch([r.e for r in records])
     bands = np.linspace(0, np.pi, len(power_u))
-    ratio = np.sqrt(np.divide(power_e, power_u, out=np.where(power_e > 0, np.inf, 0.0), where=power_u > 0))
+    ratio = np.sqrt(
+        np.divide(power_e, power_u, out=np.where(power_e > 0, np.inf, 0.0), where=power_u > 0)
+    )
     return _sizes(records, np.interp(ANGLES, bands, ratio), float(np.sqrt(error / drive)))
 
 
@@ -207,21 +264,29 @@ def _sizes(records: list[_Errors], resolved: Float[np.ndarray, "F"], gain: float
 
 
 def unscored(trial: Trajectory, start_up_samples: int) -> int:
-    """Samples at the beginning of a trial in closed loop that tell its initial state: a third, `IN_LOOP` at most."""
+    """Samples at the beginning of a trial in closed loop that tell its initial state: a third,
+    `IN_LOOP` at most."""
     return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
 
 
 def _in_loop(records: list[_Errors], noise: Float[np.ndarray, "F"] | None) -> View:
-    """What trials in closed loop show: the largest of any, since a large swing would hide a small one in their mean."""
+    """What trials in closed loop show: the largest of any, since a large swing would hide a small
+    one in their mean."""
     shown = [_swung(record, noise) for record in records]
-    return _sizes(records, np.max([resolved for resolved, _ in shown], axis=0), max(gain for _, gain in shown))
+    return _sizes(
+        records, np.max([resolved for resolved, _ in shown], axis=0), max(gain for _, gain in shown)
+    )
 
 
-def _swung(record: _Errors, noise: Float[np.ndarray, "F"] | None) -> tuple[Float[np.ndarray, "F"], float]:
+def _swung(
+    record: _Errors, noise: Float[np.ndarray, "F"] | None
+) -> tuple[Float[np.ndarray, "F"], float]:
     """By frequency and in total: what exceeds the noise by `SURE` standard errors, over the input.
 
-    Where no record measured the noise it is taken for white, as strong as e in its quietest bands. Welch's average over
-    N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment (Hann's window, half overlapping); by frequency
+    Where no record measured the noise it is taken for white, as strong as e in its quietest bands.
+    Welch's average over
+    N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment (Hann's window, half
+    overlapping); by frequency
     the gain is raised by as many of them, since what a loop that failed shows must refute it.
     """
     power_u, power_e = welch([record.u]), welch([record.e])
@@ -236,35 +301,59 @@ def _swung(record: _Errors, noise: Float[np.ndarray, "F"] | None) -> tuple[Float
 
 
 def _noise(records: list[_Errors]) -> Float[np.ndarray, "F"]:
-    """What does not repeat, a sample's power in each band: the same at all amplitudes, so their median serves all."""
+    """What does not repeat, a sample's power in each band: the same at all amplitudes, so their
+    median serves all."""
     spectra = [(record.spectra()[0], record.period) for record in records]
-    return np.asarray(np.median([banded(power(a - b) / 2) / period for (a, b), period in spectra], axis=0))
+    return np.asarray(
+        np.median([banded(power(a - b) / 2) / period for (a, b), period in spectra], axis=0)
+    )
 
 
 def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
-    """With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
+    """With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias:
+    noise is independent.
 
-    In a band that the input does not excite nothing is subtracted: the gain is the one measured, noise included.
-    Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`. Below the largest amplitude only
+    In a band that the input does not excite nothing is subtracted: the gain is the one measured,
+    noise included.
+    Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`. Below the
+    largest amplitude only
     what exceeds `SURE` of its standard deviations counts.
     """
     both, drive, said = record.spectra()
     drawn, (_, lines) = noise * record.period, bands_of(len(drive))
     power_u, power_said = banded(power(drive)), banded(power(said))
     repeats = banded((both[0] * both[1].conj()).real.sum(axis=1))  # noise averages out, see above
-    doubt = 0.0 if sure else SURE * np.sqrt((drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines)
-    cross = ((both[0] + both[1]) / 2 * said.conj()).sum(axis=1)  # both periods: half the noise's variance
+    doubt = (
+        0.0 if sure else SURE * np.sqrt((drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines)
+    )
+    cross = ((both[0] + both[1]) / 2 * said.conj()).sum(
+        axis=1
+    )  # both periods: half the noise's variance
     linear = divided(banded(cross.real) + 1j * banded(cross.imag), power_said)
     known = power_said * np.abs(linear) ** 2 > (1 + (0.0 if sure else SURE**2)) * drawn / 2 / lines
     linear = np.where(known & (record.e.shape[1] == 1) & (record.u.shape[1] == 1), linear, 0.0)
     explained = power_said * np.abs(linear) ** 2
     whole, rest = np.maximum(repeats - doubt, 0.0), np.maximum(repeats - explained - doubt, 0.0)
-    dark = power_u < EXCITED * power_u.mean()  # little or no input: by chance nothing repeats there, or anything
+    dark = (
+        power_u < EXCITED * power_u.mean()
+    )  # little or no input: by chance nothing repeats there, or anything
     measured = banded((power(both[0]) + power(both[1])) / 2)
-    whole, rest, linear = np.where(dark, measured, whole), np.where(dark, measured, rest), np.where(dark, 0.0, linear)
-    answered = (power_said * np.abs(1 + linear) ** 2 + rest).sum() / max(power_said.sum(), np.finfo(float).tiny)
-    sizes = {"by_frequency": np.sqrt(divided(whole, power_u)), "rest": np.sqrt(divided(rest, power_u))}
-    amplitude, gain = float(np.sqrt((record.u**2).mean())), float(np.sqrt(whole.sum() / power_u.sum()))
+    whole, rest, linear = (
+        np.where(dark, measured, whole),
+        np.where(dark, measured, rest),
+        np.where(dark, 0.0, linear),
+    )
+    answered = (power_said * np.abs(1 + linear) ** 2 + rest).sum() / max(
+        power_said.sum(), np.finfo(float).tiny
+    )
+    sizes = {
+        "by_frequency": np.sqrt(divided(whole, power_u)),
+        "rest": np.sqrt(divided(rest, power_u)),
+    }
+    amplitude, gain = (
+        float(np.sqrt((record.u**2).mean())),
+        float(np.sqrt(whole.sum() / power_u.sum())),
+    )
     return View(amplitude=amplitude, gain=gain, linear=linear, response=float(answered), **sizes)
 
 
@@ -273,13 +362,16 @@ def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
     return (np.abs(spectrum) ** 2).sum(axis=1)
 
 
-def divided(values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]) -> Inexact[np.ndarray, "F"]:
+def divided(
+    values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
+) -> Inexact[np.ndarray, "F"]:
     """By a power that may vanish."""
     return values / np.maximum(by, np.finfo(float).tiny)
 
 
 def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
-    """The band of `ANGLES` of each line of a spectrum, the mean left out, and how many lines a band has."""
+    """The band of `ANGLES` of each line of a spectrum, the mean left out, and how many lines a band
+    has."""
     bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
     return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
 
@@ -291,8 +383,14 @@ def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
 
 
 def welch(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
-    """Welch's power density (1967), over channels and records (each by its length), at equal steps from 0 to pi."""
+    """Welch's power density (1967), over channels and records (each by its length), at equal steps
+    from 0 to pi."""
     segment = min(SEGMENT, *(len(signal) for signal in signals))
     even = max(segment - segment % 2, 2)  # so that the last band is at pi
-    powers = [scipy.signal.welch(one, nperseg=even, detrend=False, axis=0)[1].sum(axis=1) for one in signals]
-    return np.sum([len(one) * density for one, density in zip(signals, powers, strict=True)], axis=0)
+    powers = [
+        scipy.signal.welch(one, nperseg=even, detrend=False, axis=0)[1].sum(axis=1)
+        for one in signals
+    ]
+    return np.sum(
+        [len(one) * density for one, density in zip(signals, powers, strict=True)], axis=0
+    )

@@ -1,7 +1,9 @@
 """What is left of an output at rest input: the motion that does not end, and where it stays off.
 
-Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input an output should rest
-at the equilibrium; at another, each return is compared with the mean of the others: a single one tells the motion only.
+Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
+an output should rest
+at the equilibrium; at another, each return is compared with the mean of the others: a single one
+tells the motion only.
 Source: docs/trust.md, "Neither proved nor measured: the prediction".
 """
 
@@ -22,15 +24,24 @@ SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
 
 def is_return(record: Trajectory) -> bool:
-    """Whether the input moves once, at the beginning, and is held from then on (`data.splits.returns`)."""
-    return len(record) > FEWEST and bool((record.u[0] != record.u[1]).any()) and not np.ptp(record.u[1:], axis=0).any()
+    """Whether the input moves once, at the beginning, and is held from then on
+    (`data.splits.returns`)."""
+    return (
+        len(record) > FEWEST
+        and bool((record.u[0] != record.u[1]).any())
+        and not np.ptp(record.u[1:], axis=0).any()
+    )
 
 
-def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tuple[list[float], list[float]]:
+def after_returns(
+    scale: Scale, records: list[Trajectory], response: int
+) -> tuple[list[float], list[float]]:
     """Of the returns: what moves on, and the offsets above `AT_REST`, in output scales.
 
-    Those count that outlast the model's response; without any, all that came to rest from `FAR` away, where each did:
-    a model may have a slow mode that the plant has not. Nothing is said where a single return, at an input other than
+    Those count that outlast the model's response; without any, all that came to rest from `FAR`
+    away, where each did:
+    a model may have a slow mode that the plant has not. Nothing is said where a single return, at
+    an input other than
     the equilibrium's, came to rest.
     """
     still, offsets = list[float](), list[float]()
@@ -45,12 +56,19 @@ def after_returns(scale: Scale, records: list[Trajectory], response: int) -> tup
 
 
 def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
-    """How far a return ends from the mean of the others at its input, output scales, if none still moves there."""
-    still = (outputs for outputs in _by_input(scale, records).values() if max(map(swing, outputs)) < AT_REST)
+    """How far a return ends from the mean of the others at its input, output scales, if none still
+    moves there."""
+    still = (
+        outputs
+        for outputs in _by_input(scale, records).values()
+        if max(map(swing, outputs)) < AT_REST
+    )
     return max((off for outputs in still for off in _apart(outputs, centred=False)), default=0.0)
 
 
-def _by_input(scale: Scale, records: list[Trajectory]) -> dict[bytes, list[Float[np.ndarray, "T p"]]]:
+def _by_input(
+    scale: Scale, records: list[Trajectory]
+) -> dict[bytes, list[Float[np.ndarray, "T p"]]]:
     """The scaled outputs of the returns, by the scaled input at which each ends."""
     groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
     for record in records:
@@ -77,14 +95,18 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
     return [float(off) for off in (np.abs(means) - SURE * np.sqrt(spread)).max(axis=1)]
 
 
-def after_motion(u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int) -> Float[np.ndarray, "K p"]:
-    """The output from where the input has come to rest; nothing unless that outlasts the response."""
+def after_motion(
+    u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int
+) -> Float[np.ndarray, "K p"]:
+    """The output from where the input has come to rest; nothing unless that outlasts the
+    response."""
     still = y[int(np.flatnonzero(u.any(axis=1))[-1]) + 1 :] if u.any() else y[:0]
     return still if len(still) >= max(RESPONSES * response, FEWEST) else y[:0]
 
 
 def left(y: Float[np.ndarray, "T p"]) -> float:
-    """What is left of an output in the last quarter of its record at rest input: offset or swing, noise removed."""
+    """What is left of an output in the last quarter of its record at rest input: offset or swing,
+    noise removed."""
     tail, noise = _tail(y)
     offset = np.maximum(np.abs(tail.mean(axis=0)) - SURE * np.sqrt(noise / len(tail)), 0.0)
     return max(float(offset.max()), swing(y))
@@ -93,15 +115,25 @@ def left(y: Float[np.ndarray, "T p"]) -> float:
 def swing(y: Float[np.ndarray, "T p"]) -> float:
     """The amplitude of the output's motion there."""
     tail, noise = _tail(y)
-    return float(np.sqrt(2 * np.maximum(tail.var(axis=0) - (1 + SURE * np.sqrt(8 / len(tail))) * noise, 0.0)).max())
+    return float(
+        np.sqrt(
+            2 * np.maximum(tail.var(axis=0) - (1 + SURE * np.sqrt(8 / len(tail))) * noise, 0.0)
+        ).max()
+    )
 
 
 def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
-    """The output there, and the variance of its noise: the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
+    """The output there, and the variance of its noise: the mean of `median(S) / ln 2`, each over
+    `NEIGHBOURS` lines.
 
-    A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a loop has fed back and
+    A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a
+    loop has fed back and
     coloured is broad, and does. The relative variance is about 6/T, that of the output's own 2/T.
     """
     tail = y[-max(len(y) // 4, FEWEST) :]
-    lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][1:-1]
-    return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(axis=0) / 2 / np.log(2)
+    lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][
+        1:-1
+    ]
+    return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(
+        axis=0
+    ) / 2 / np.log(2)

@@ -1,12 +1,16 @@
-"""How the closed loop answers an output error: the transfer function of the mismatch, its peaks, the controller alone.
+"""How the closed loop answers an output error: the transfer function of the mismatch, its peaks,
+the controller alone.
 
 With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians (D cancels),
 
     x+  = (A + B J_u K) x + B J_u K eps,     eps+ = (A + L J_y C) eps - L e,     u = K (x + eps).
 
-With an internal model `u = K_x (x + eps) + K_z z` and `z+ = A_z z + E (J_y C x + e)`, driven by the measured output
-(here D is taken as zero); integrators have `A_z = I`. The Jacobians are taken constant, at the ends and the centre of
-their balls, and so are the slopes of neurons, at zero and one: a loop whose neurons switch is not among them.
+With an internal model `u = K_x (x + eps) + K_z z` and `z+ = A_z z + E (J_y C x + e)`, driven by the
+measured output
+(here D is taken as zero); integrators have `A_z = I`. The Jacobians are taken constant, at the ends
+and the centre of
+their balls, and so are the slopes of neurons, at zero and one: a loop whose neurons switch is not
+among them.
 Source: docs/theory.md, "Small gain for the plant".
 """
 
@@ -18,18 +22,27 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace, System, feed
+from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace, System, error_input_matrix
 
-PEAK_TOLERANCE = 1e-8  # relative: the returned gain is attained, and no frequency exceeds it by more than this
-# Relative: how near the imaginary axis an eigenvalue counts as a crossing. Rounding moves them by up to 1e-6 (seen);
+PEAK_TOLERANCE = (
+    1e-8  # relative: the returned gain is attained, and no frequency exceeds it by more than this
+)
+# Relative: how near the imaginary axis an eigenvalue counts as a crossing. Rounding moves them by
+# up to 1e-6 (seen);
 # a false crossing costs one more frequency to look at, a missed one the peak.
 ON_AXIS = 1e-4
 
 
-def frequency_response(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Complex[np.ndarray, "F p m"]:
+def frequency_response(
+    system: StateSpace, angles: Float[np.ndarray, "F"]
+) -> Complex[np.ndarray, "F p m"]:
     """`C (e^{j angle} I - A)^{-1} B + D`, angles in radians per sample."""
     shifted = np.exp(1j * angles)[:, None, None] * np.eye(system.order) - system.a
-    return system.c @ np.linalg.solve(shifted, np.broadcast_to(system.b, (len(angles), *system.b.shape))) + system.d
+    return (
+        system.c
+        @ np.linalg.solve(shifted, np.broadcast_to(system.b, (len(angles), *system.b.shape)))
+        + system.d
+    )
 
 
 def gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
@@ -38,15 +51,21 @@ def gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarra
 
 
 def hinf_norm(system: StateSpace) -> float:
-    """`sup_w sigma_max(C (e^{jw} I - A)^{-1} B + D)`; infinite if `A` is not stable, or not by what floats resolve.
+    """`sup_w sigma_max(C (e^{jw} I - A)^{-1} B + D)`; infinite if `A` is not stable, or not by what
+    floats resolve.
 
-    A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma` exceeds the norm
-    iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between neighbouring ones lie the peaks to look at
-    next: quadratic convergence. Source: Bruinsma & Steinbuch, Systems & Control Letters 14 (1990) 287-293.
+    A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma`
+    exceeds the norm
+    iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between neighbouring ones lie
+    the peaks to look at
+    next: quadratic convergence. Source: Bruinsma & Steinbuch, Systems & Control Letters 14 (1990)
+    287-293.
     """
     try:
         return _peak(system) if system.spectral_radius < 1 else float("inf")
-    except np.linalg.LinAlgError:  # an eigenvalue on the circle, to rounding: nothing may be claimed
+    except (
+        np.linalg.LinAlgError
+    ):  # an eigenvalue on the circle, to rounding: nothing may be claimed
         return float("inf")
 
 
@@ -61,7 +80,9 @@ def _peak(system: StateSpace) -> float:
         crossings = _crossings(continuous, best * (1 + PEAK_TOLERANCE))
         if not len(crossings):
             break
-        between = np.concatenate([crossings, (crossings[1:] + crossings[:-1]) / 2])  # a peak lies between two crossings
+        between = np.concatenate(
+            [crossings, (crossings[1:] + crossings[:-1]) / 2]
+        )  # a peak lies between two crossings
         found = float(gains(system, 2 * np.arctan(between)).max())
         if found <= best * (1 + PEAK_TOLERANCE):
             break
@@ -70,7 +91,8 @@ def _peak(system: StateSpace) -> float:
 
 
 def _bilinear(system: StateSpace) -> StateSpace:
-    """The continuous-time system with the same norm: `z = (1 + s) / (1 - s)`, so `w = tan(angle / 2)`."""
+    """The continuous-time system with the same norm: `z = (1 + s) / (1 - s)`, so `w = tan(angle /
+    2)`."""
     one, root2 = np.eye(system.order), np.sqrt(2)
     shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable
     a, d = shifted @ (system.a - one), system.d - system.c @ shifted @ system.b
@@ -94,7 +116,9 @@ MOST_CORNERS = 4  # neurons up to which every corner of their slopes is tried, b
 # Frequencies (rad/sample) of the weighted peak, beside those of the loop's own modes.
 FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
 
-End = tuple[StateSpace, Pair, float, float]  # system and gains at frozen slopes of the neurons, slopes of `S_u`, `S_y`
+End = tuple[
+    StateSpace, Gains, float, float
+]  # system and gains at frozen slopes of the neurons, slopes of `S_u`, `S_y`
 
 
 def slopes(ball: JacobianBall) -> tuple[float, ...]:
@@ -102,41 +126,58 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
     return (ball.lower, ball.alpha, ball.upper) if ball.beta > 0 else (ball.alpha,)
 
 
-def ends(system: System, pair: Pair, balls: Balls, at: Float[np.ndarray, "k q"] | None = None) -> Iterator[End]:
-    """Every combination of slopes; those of neurons at the corners unless given (`at`), where L is `L + E S L_z`."""
-    frozen: list[tuple[StateSpace, Pair]] = [(system, pair)] if isinstance(system, StateSpace) else []
+def ends(
+    system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
+) -> Iterator[End]:
+    """Every combination of slopes; those of neurons at the corners unless given (`at`), where L is
+    `L + E S L_z`."""
+    frozen: list[tuple[StateSpace, Gains]] = (
+        [(system, pair)] if isinstance(system, StateSpace) else []
+    )
     if not isinstance(system, StateSpace):
         for row in system.corners(MOST_CORNERS) if at is None else at:
             injected = 0.0 if pair.l_z is None else (system.e * row) @ pair.l_z
             frozen.append((system.at_slopes(row), replace(pair, l=pair.l + injected)))
-    for (linear, own), slope_in, slope_out in product(frozen, slopes(balls.input), slopes(balls.output)):
+    for (linear, own), slope_in, slope_out in product(
+        frozen, slopes(balls.input), slopes(balls.output)
+    ):
         yield linear, own, slope_in, slope_out
 
 
-def sensitivity(linear: StateSpace, pair: Pair, slope_in: float, slope_out: float) -> StateSpace:
-    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
+def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:
+    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal
+    model."""
     k, (n, p) = pair.k, pair.l.shape
     on_state, on_internal, modes = k[:, :n], k[:, n:], pair.modes
     drive, internal = slope_in * linear.b @ on_state, slope_in * linear.b @ on_internal
-    fed, none = feed(modes, p), np.zeros((len(modes), n))
+    fed, none = error_input_matrix(modes, p), np.zeros((len(modes), n))
     rows = [[linear.a + drive, drive, internal]]  # x, for `u` reads the estimate `x + eps`
-    rows += [[np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, none.T]]  # eps, driven by e
+    rows += [
+        [np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, none.T]
+    ]  # eps, driven by e
     rows += [[slope_out * fed @ linear.c[:p], none, modes]]  # z is driven by what is measured
     entry, read = [np.zeros((n, p)), -pair.l, fed], [on_state, on_state, on_internal]
-    return StateSpace(a=np.block(rows), b=np.vstack(entry), c=np.hstack(read), d=np.zeros((len(k), p)))
+    return StateSpace(
+        a=np.block(rows), b=np.vstack(entry), c=np.hstack(read), d=np.zeros((len(k), p))
+    )
 
 
-def sensitivity_peak(system: System, pair: Pair, balls: Balls) -> float:
-    """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is unstable."""
+def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
+    """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is
+    unstable."""
     return max(hinf_norm(sensitivity(*end)) for end in ends(system, pair, balls))
 
 
-def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of each controller by itself, the largest over the slopes, its internal model left out.
+def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
+    """Spectral radius of each controller by itself, the largest over the slopes, its internal model
+    left out.
 
-    While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the controller runs alone:
-    `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest is unstable for every plant that holds
-    still under small inputs, whatever its certificate says of the model. Field's term: strong stabilisation.
+    While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
+    controller runs alone:
+    `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest is unstable for every
+    plant that holds
+    still under small inputs, whatever its certificate says of the model. Field's term: strong
+    stabilisation.
     Source: Youla, Bongiorno & Lu, Automatica 10 (1974) 159-173.
     """
     on_state, largest = pair.k[..., : system.order], np.zeros(pair.k.shape[:-2])
@@ -149,17 +190,21 @@ def controller_radius(system: System, pair: Pair, balls: Balls) -> Float[np.ndar
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Responses:
-    """`T_ue` of pairs of many controllers and observers at `angles`; what pairs share is computed once.
+    """`T_ue` of pairs of many controllers and observers at `angles`; what pairs share is computed
+    once.
 
     `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
-    `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair into two factors: of
+    `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair
+    into two factors: of
     the observer, and of the controller, G is common.
     """
 
     angles: Float[np.ndarray, "F"]
     known: dict[bytes, Complex[np.ndarray, "F n k"]] = field(default_factory=dict)
 
-    def to_state(self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]) -> Complex[np.ndarray, "F n k"]:
+    def to_state(
+        self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]
+    ) -> Complex[np.ndarray, "F n k"]:
         """`(z I - a)^{-1} b`, kept for the next pair that asks."""
         key = a.tobytes() + b.tobytes()
         if key not in self.known:
@@ -175,9 +220,10 @@ class Responses:
         ls: list[Float[np.ndarray, "n p"]],
         *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
-        """Of one controller with its internal model and each of these observers, at slopes of `S_u` and `S_y`."""
+        """Of one controller with its internal model and each of these observers, at slopes of `S_u`
+        and `S_y`."""
         (slope_in, slope_out), n, p = slope, linear.order, ls[0].shape[1]
-        summed = k[:, n:] @ self.to_state(modes, feed(modes, p))
+        summed = k[:, n:] @ self.to_state(modes, error_input_matrix(modes, p))
         loop = (k[:, :n] + slope_out * summed @ linear.c[:p]) @ self.to_state(linear.a, linear.b)
         observed = np.stack([self.to_state(linear.a + slope_out * l @ linear.c, l) for l in ls])  # noqa: E741
         through = -np.einsum("mn,ofnp->ofmp", k[:, :n], observed)
@@ -196,13 +242,20 @@ def peaks_on_grid(
     l_zs: Float[np.ndarray, "O q p"] | None = None,
     internal: Float[np.ndarray, "z z"] | None = None,
 ) -> Float[np.ndarray, "C O"]:
-    """The largest `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0, 1/2 and 1, all alike.
+    """The largest `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0,
+    1/2 and 1, all alike.
 
     From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """
-    some = None if isinstance(system, StateSpace) else np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
+    some = (
+        None
+        if isinstance(system, StateSpace)
+        else np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
+    )
     responses, peaks = Responses(angles=angles), np.zeros((len(ks), len(ls)))
-    observers = Pair(k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs, internal=internal)  # of no controller
+    observers = Gains(
+        k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs, internal=internal
+    )  # of no controller
     for linear, frozen, *slope in ends(system, observers, balls, some):
         for k, peak in zip(ks, peaks, strict=True):
             size = sizes(responses.of(linear, k, observers.modes, list(frozen.l), *slope))

@@ -1,4 +1,5 @@
-"""The line from data to record, and what is checked of its runs afterwards; called, it is `library.study`."""
+"""The line from data to record, and what is checked of its runs afterwards; called, it is
+`library.study`."""
 
 import sys
 from importlib import import_module
@@ -7,7 +8,8 @@ from typing import Any
 
 
 class _Room(ModuleType):
-    """`import ssm_study as st; st.study(...)` must work although the room that does it has the same name."""
+    """`import ssm_study as st; st.study(...)` must work although the room that does it has the same
+    name."""
 
     def __call__(self, *overrides: str) -> Any:
         return import_module("ssm_study.library").study(*overrides)

@@ -1,4 +1,5 @@
-"""A configuration from a stranger must not run a program: only what is named here may be instantiated."""
+"""A configuration from a stranger must not run a program: only what is named here may be
+instantiated."""
 
 import re
 from importlib.util import find_spec
@@ -12,7 +13,17 @@ from ssm_study.extensions import packages
 from ssm_study.refusal import require
 
 # The rooms whose classes are specifications; the others (cli, study, report) act on the world.
-ROOMS = ("plants", "data", "models", "training", "bounds", "synthesis", "loop")
+ROOMS = (
+    "plants",
+    "data",
+    "models",
+    "training",
+    "bounds",
+    "certificates",
+    "robustness",
+    "synthesis",
+    "loop",
+)
 # Hydra's own section: what Hydra instantiates before any of our code is asked.
 PLUGINS = re.compile(r"(hydra\._internal\.core_plugins|hydra_plugins)(\.[a-z_]\w*)+\.[A-Z]\w*")
 FOLDERS = {
@@ -27,22 +38,29 @@ KEYS = frozenset(
     | {"dry_run", "progress", "retry_failed", "strict"}
 )
 PARTS = ("plant", "excitation", "data", "model", "training", "reduction", "synthesis", "loop")
-ENVIRONMENT = re.compile(r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_")
+ENVIRONMENT = re.compile(
+    r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_"
+)
 RESOLVERS = re.compile(r"\$\{\s*(oc\.env|env|oc\.decode|oc\.create|oc\.deprecated)\s*:")
 REMEDY = "name a part of ssm_study; your own study: add --with FOLDER"
 
 
 def refuse_foreign_targets(config: DictConfig) -> None:
-    """Walk the whole tree before anything is instantiated; raises `BadRequest` for the first key that is not ours.
+    """Walk the whole tree before anything is instantiated; raises `BadRequest` for the first key
+    that is not ours.
 
-    Allowed as `_target_`: classes defined in our own specification rooms; in Hydra's section its plugins. Refused
-    as well: interpolations that read the environment (secrets would end up in saved configurations) or build nodes from
+    Allowed as `_target_`: classes defined in our own specification rooms; in Hydra's section its
+    plugins. Refused
+    as well: interpolations that read the environment (secrets would end up in saved configurations)
+    or build nodes from
     text, and logging handlers made by factories.
     """
     tree = OmegaConf.to_container(config, resolve=False)
     assert isinstance(tree, dict)
     hydra = tree.pop("hydra", None)
-    _refuse_in_task(tree)  # before anything is resolved: an interpolation may already read what it must not
+    _refuse_in_task(
+        tree
+    )  # before anything is resolved: an interpolation may already read what it must not
     for path, key, value in nodes(hydra, "hydra."):
         _refuse_in_hydra(path, key, value)
     if any("${" in str(value) for key, value in tree.items() if key != "run"):
@@ -52,7 +70,9 @@ def refuse_foreign_targets(config: DictConfig) -> None:
 def _refuse_in_task(tree: Any) -> None:
     problem = "this interpolation reads the environment or builds configuration from text"
     for path, key, value in nodes(tree):
-        require(key != "_target_" or is_ours(value), path, value, "this may not be instantiated", REMEDY)
+        require(
+            key != "_target_" or is_ours(value), path, value, "this may not be instantiated", REMEDY
+        )
         resolves = isinstance(value, str) and RESOLVERS.search(value) is not None
         require(not resolves, path, value, problem, "write the value itself")
 
@@ -61,14 +81,27 @@ def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
     if key == "_target_":
         allowed = PLUGINS.fullmatch(str(value)) is not None
         require(allowed, path, value, "this may not be instantiated", "use Hydra's own plugins")
-    if key in ("()", "class") and "_logging." in path:  # `()` is the factory of logging.config: any function at all
-        standard, remedy = key == "class" and str(value).startswith("logging."), "use a handler class of logging"
+    if (
+        key in ("()", "class") and "_logging." in path
+    ):  # `()` is the factory of logging.config: any function at all
+        standard, remedy = (
+            key == "class" and str(value).startswith("logging."),
+            "use a handler class of logging",
+        )
         require(standard, path, value, "logging is not made by foreign classes", remedy)
     if path in FOLDERS:
         kept = value in FOLDERS[path]
-        require(kept, path, value, "a run lies in results_dir/study/run", "choose results_dir and study")
+        require(
+            kept, path, value, "a run lies in results_dir/study/run", "choose results_dir and study"
+        )
     if path.startswith("hydra.job.env_set."):
-        require(bool(ENVIRONMENT.fullmatch(key)), path, value, "this variable may not be set", "set it in your shell")
+        require(
+            bool(ENVIRONMENT.fullmatch(key)),
+            path,
+            value,
+            "this variable may not be set",
+            "set it in your shell",
+        )
 
 
 def is_ours(target: Any) -> bool:
@@ -84,4 +117,6 @@ def is_ours(target: Any) -> bool:
     except ModuleNotFoundError:
         return False
     source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
-    return re.search(rf"^class {name}\b", source, re.MULTILINE) is not None  # nothing imported from elsewhere
+    return (
+        re.search(rf"^class {name}\b", source, re.MULTILINE) is not None
+    )  # nothing imported from elsewhere

@@ -1,6 +1,8 @@
-"""What the files of a run and its configuration give, section by section: columns derived again and findings.
+"""What the files of a run and its configuration give, section by section: columns derived again and
+findings.
 
-Each section is a function of the run that yields `Checked` (a claim that holds or does not), `Derived` (columns of the
+Each section is a function of the run that yields `Checked` (a claim that holds or does not),
+`Derived` (columns of the
 record, to be compared) and `NotChecked` (what cannot be derived of this run, with the reason).
 """
 
@@ -14,6 +16,10 @@ import numpy as np
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import SIDES, Infeasible, StateFeedback
+from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
+from ssm_study.certificates.theorems.integral_action import controlled_system, internal_model
+from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
 from ssm_study.engine.durable import contents, unsealed
@@ -27,20 +33,16 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
+from ssm_study.robustness.mismatch import mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings, trials
-from ssm_study.study.recording_labels import mislabelled
 from ssm_study.study.line import STUDY, further
+from ssm_study.study.recording_labels import mislabelled
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
 from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
-from ssm_study.certificates.certificate import SIDES, Infeasible, StateFeedback
+from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.input_inversion import shown_behind
-from ssm_study.synthesis.design import broken_claims
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.robustness.mismatch import mismatch
-from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
-from ssm_study.certificates.theorems.integral_action import controlled_system, internal_model
-from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
@@ -86,13 +88,18 @@ def files(run: RunFiles) -> Claims:
     sums = manifest["files"] if manifest else {}
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
-    yield Checked(claim="files", holds=not damaged, found=changed if damaged else "as they were written")
+    yield Checked(
+        claim="files", holds=not damaged, found=changed if damaged else "as they were written"
+    )
     if not (run.path / CONFIGURATION).is_file():
         yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     needed |= {"certificate.json", "evidence.json"} if run.claims_certificate else set()
-    there = {CONFIGURATION, *(path.name for path in run.path.iterdir() if path.suffix in READ)} - {MANIFEST, RECORD}
+    there = {CONFIGURATION, *(path.name for path in run.path.iterdir() if path.suffix in READ)} - {
+        MANIFEST,
+        RECORD,
+    }
     stages = (*STAGES, trials.TRIALS) if run.claims_certificate else STAGES_OF_A_BASELINE
     made = {CONFIGURATION, OVERRIDES, *(name for stage in stages for name in stage.files)}
     made -= {"comparison.csv"} if run.specification.loop.comparison is None else set()
@@ -104,20 +111,33 @@ def files(run: RunFiles) -> Claims:
         yield from (Checked(claim=name, holds=False, found=found) for name in sorted(names))
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
-    yield NotChecked(dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"})
+    yield NotChecked(
+        dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"}
+    )
     if run.specification.loop.comparison is not None:
         yield NotChecked({"comparison.csv": "its loops are not kept"})
     if isinstance(run.specification.refine, int):
-        yield NotChecked({trials.TRIED: "its loops are made again; that these designs were chosen is not"})
+        yield NotChecked(
+            {trials.TRIED: "its loops are made again; that these designs were chosen is not"}
+        )
 
 
 def requested(run: RunFiles) -> Claims:
     """The settings are those of the configuration, and the run's name is its hash."""
-    name, hashed = str(run.config.run), run_name(run.config)  # what a name shows before its hash is the user's choice
-    yield Derived({"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"})
+    name, hashed = (
+        str(run.config.run),
+        run_name(run.config),
+    )  # what a name shows before its hash is the user's choice
+    yield Derived(
+        {"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"}
+    )
     study, folder = run.path.absolute().parent, run.path.absolute().name
     alone = folder == name or not ((study / PARQUET).exists() or (study / name).exists())
-    told = "stands once" if alone else f"counts as one more run of its study: delete it, or name it {name}"
+    told = (
+        "stands once"
+        if alone
+        else f"counts as one more run of its study: delete it, or name it {name}"
+    )
     yield Checked(claim="folder", holds=alone, found=f"{folder} {told}")
     configuration = run.specification.configuration
     named = [setting_of(name) for name in run.record if FURTHER.covers(name)]
@@ -132,13 +152,16 @@ def requested(run: RunFiles) -> Claims:
 
 def status(run: RunFiles) -> Claims:
     """A run is infeasible exactly if a part of its design is missing."""
-    yield Derived({"status": OK if not run.claims_certificate or run.design.feasible else INFEASIBLE})
+    yield Derived(
+        {"status": OK if not run.claims_certificate or run.design.feasible else INFEASIBLE}
+    )
 
 
 def data(run: RunFiles) -> Claims:
     """The records are those that the configuration gives, simulated or read anew.
 
-    A recording of somebody else's may be elsewhere by now: then what follows from it is not checked.
+    A recording of somebody else's may be elsewhere by now: then what follows from it is not
+    checked.
     """
     try:
         records = run.data
@@ -176,10 +199,17 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
-    inputs = {f"u {i}": (u, one.u) for i, (u, one) in enumerate(zip(run.inputs, records.training, strict=True))}
+    inputs = {
+        f"u {i}": (u, one.u)
+        for i, (u, one) in enumerate(zip(run.inputs, records.training, strict=True))
+    }
     yield agreement("excitation.mcap", inputs, ITERATED, "the configuration gives it")
     for file, wrong in mislabelled(run, records):
-        found = f"not those of the run: {', '.join(wrong)}" if wrong else "times, names, units and words are the run's"
+        found = (
+            f"not those of the run: {', '.join(wrong)}"
+            if wrong
+            else "times, names, units and words are the run's"
+        )
         yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
 
 
@@ -195,49 +225,81 @@ def model(run: RunFiles) -> Claims:
 def entries(run: RunFiles, file: str, read: Any) -> Checked:
     """Whether the file says only what its reader reads."""
     extra = unknown(run.stored(file), read.to_json())
-    return Checked(claim=f"{file} entries", holds=not extra, found=f"unknown: {', '.join(extra)}" if extra else "known")
+    return Checked(
+        claim=f"{file} entries",
+        holds=not extra,
+        found=f"unknown: {', '.join(extra)}" if extra else "known",
+    )
 
 
 def certificate(run: RunFiles) -> Claims:
-    """Both theorems in exact rational arithmetic on the stored matrices, and the columns that follow from them."""
+    """Both theorems in exact rational arithmetic on the stored matrices, and the columns that
+    follow from them."""
     design, system, spec = run.design, run.model.system, run.specification.loop
     balls, feedback = certified_balls(run.model), run.design.state_feedback
-    controlled = controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
-    broken = broken_claims(run.certificate, system, balls, controlled)
+    controlled = (
+        controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
+    )
+    broken = failed_checks(run.certificate, system, balls, controlled)
     yield entries(run, "certificate.json", design)
     if unfit := [sentence for sentence in broken if sentence.endswith(UNFIT)]:
         yield Checked(claim="certificate.json", holds=False, found="; ".join(unfit))
         return
     for label, part in design.content.items():
-        wrong = [sentence for sentence in broken if re.match(rf"{label}\b", sentence)] + information(part)
+        wrong = [
+            sentence for sentence in broken if re.match(rf"{label}\b", sentence)
+        ] + information(part)
         if label in SIDES and part.method != run.record.get("synthesis_method"):
             wrong.append(f"method {part.method}: another one was requested")
         why = part.reason if isinstance(part, Infeasible) else part.solver_status
         found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
         at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
-        yield Checked(claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found)
-    if (words := getattr(run.specification.synthesis, "modes", ())) and isinstance(feedback, StateFeedback):
+        yield Checked(
+            claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found
+        )
+    if (words := getattr(run.specification.synthesis, "modes", ())) and isinstance(
+        feedback, StateFeedback
+    ):
         asked = internal_model(words, run.model.step_s, run.model.scale.outputs)
         made = {"modes": (feedback.a[run.model.order :, run.model.order :], asked)}
-        yield agreement("certificate internal model", made, ONE_FORMULA, f"{', '.join(words)} was requested")
-    told = {label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)}
-    ends = run.model.scale.scaled_input(np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))).T
+        yield agreement(
+            "certificate internal model", made, ONE_FORMULA, f"{', '.join(words)} was requested"
+        )
+    told = {
+        label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)
+    }
+    ends = run.model.scale.scaled_input(
+        np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))
+    ).T
     pairs = {label: (part.limits, ends) for label, part in told.items()}
-    yield from [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")] if told else []
+    yield from (
+        [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")]
+        if told
+        else []
+    )
     kept = run.simulated.validation
-    shown = (shown_behind if design.inverts else mismatch)(run.model, kept.records, kept.start_up_samples, run.trials)
+    shown = (shown_behind if design.inverts else mismatch)(
+        run.model, kept.records, kept.start_up_samples, run.trials
+    )
     facts = design_facts(design, run.model, balls, shown)
     yield Derived(withheld(facts, run.record.get("evidence")))
 
 
 def information(part: Theorem | Infeasible) -> list[str]:
-    """What stands beside the matrices and decides nothing: the margin and the condition number, derived again."""
+    """What stands beside the matrices and decides nothing: the margin and the condition number,
+    derived again."""
     if isinstance(part, Infeasible):
         return []
-    again = margin(next(iter(part.in_floats(**part.numbers).values())))
-    wrong = [] if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE else [f"margin: it is {again:.6g}"]
+    again = margin(next(iter(part.as_floats(**part.numbers).values())))
+    wrong = (
+        []
+        if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE
+        else [f"margin: it is {again:.6g}"]
+    )
     number = condition(getattr(part, part.metric_matrix))
-    return wrong + ([] if abs(number / part.condition - 1) <= ITERATED else [f"condition: it is {number:.6g}"])
+    return wrong + (
+        [] if abs(number / part.condition - 1) <= ITERATED else [f"condition: it is {number:.6g}"]
+    )
 
 
 def fits(run: RunFiles) -> Claims:
@@ -246,22 +308,34 @@ def fits(run: RunFiles) -> Claims:
     for split in ("validation", "test"):
         kept = getattr(run.simulated, split)
         made = Simulation.of(run.model, kept.records, kept.start_up_samples)
-        pairs = {str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))}
+        pairs = {
+            str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))
+        }
         yield agreement(f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it")
         again[split] = made
     yield Derived(fit_facts(again["validation"], again["test"]))
 
 
 def loop(run: RunFiles) -> Claims:
-    """The recorded loops are those of the stored model and gains on the configured plant; the columns are theirs."""
+    """The recorded loops are those of the stored model and gains on the configured plant; the
+    columns are theirs."""
     there = {name for name in LOOPS if (run.path / name).is_file()}
     needed = {"closed_loop.mcap", "closed_loop_model.mcap"} if run.closes_loop else set()
     needed |= {"comparison.csv"} if run.closes_loop and run.specification.loop.comparison else set()
-    yield from (Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there))
+    yield from (
+        Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there)
+    )
     if not run.closes_loop:
-        yield from (Checked(claim=name, holds=False, found="such a run closes no loop") for name in sorted(there))
+        yield from (
+            Checked(claim=name, holds=False, found="such a run closes no loop")
+            for name in sorted(there)
+        )
         return
-    spec, plant, controller = run.specification, run.plant, ObserverFeedback.of(run.model, run.design)
+    spec, plant, controller = (
+        run.specification,
+        run.plant,
+        ObserverFeedback.of(run.model, run.design),
+    )
     kept, loop_on = recordings.read_experiment(run.path)
     apart = replay_error(controller, kept.controlled, run.loop.limits)
     said = f"the certified gains give it from the measured output to {apart:.1e}"
@@ -271,29 +345,58 @@ def loop(run: RunFiles) -> Claims:
     yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, run.design))
     fitted = run.loop.fitted(run.model)
     on_model = fitted.on_model(plant, controller, kept.controlled.y[:, 0])
-    made: dict[str, tuple[Rollouts | None, Rollouts | None]] = {"closed_loop_model.mcap": (kept.on_model, on_model)}
+    made: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
+        "closed_loop_model.mcap": (kept.on_model, on_model)
+    }
     if plant.real:
-        yield NotChecked({"closed_loop.mcap output, states": "recorded on a device, which is not run again"})
+        yield NotChecked(
+            {"closed_loop.mcap output, states": "recorded on a device, which is not run again"}
+        )
     else:
         again = fitted.on_plant(plant, controller, spec.loop_seed)
         pairs = recordings.of_rollouts(kept.controlled, again.controlled)
-        pairs |= {name: (getattr(kept, name), getattr(again, name)) for name in ("settling_band", "input_equilibrium")}
+        pairs |= {
+            name: (getattr(kept, name), getattr(again, name))
+            for name in ("settling_band", "input_equilibrium")
+        }
         pairs["uncontrolled"] = kept.uncontrolled.y, again.uncontrolled.y
-        yield agreement("closed_loop.mcap", pairs, ITERATED, "the configured plant with the certified gains gives it")
+        yield agreement(
+            "closed_loop.mcap",
+            pairs,
+            ITERATED,
+            "the configured plant with the certified gains gives it",
+        )
         made[recordings.NOISE_FREE] = kept.noise_free, again.noise_free
     for name, pair in made.items():
         if pair != (None, None):
-            yield agreement(name, recordings.of_rollouts(*pair), ITERATED, "stored model and gains give it")
+            yield agreement(
+                name, recordings.of_rollouts(*pair), ITERATED, "stored model and gains give it"
+            )
 
 
-def agreement(claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str) -> Checked:
+def agreement(
+    claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str
+) -> Checked:
     """Whether each stored value is the one made again, to `tolerance` of its largest entry."""
     apart = {name: recordings.distance(*pair) for name, pair in pairs.items()}
     worst = max(apart, key=lambda name: apart[name])
     wrong = [name for name in apart if not apart[name] <= tolerance]  # so written that NaN is wrong
-    found = f"{said} to {apart[worst]:.1e}" if not wrong else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
+    found = (
+        f"{said} to {apart[worst]:.1e}"
+        if not wrong
+        else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
+    )
     return Checked(claim=claim, holds=not wrong, found=found)
 
 
-SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (files, requested, status, data, model, certificate, fits, loop)
+SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (
+    files,
+    requested,
+    status,
+    data,
+    model,
+    certificate,
+    fits,
+    loop,
+)
 OF_A_BASELINE = (files, requested, status, data, model, fits)

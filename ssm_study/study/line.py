@@ -1,6 +1,7 @@
 """One run, read top to bottom: data -> model -> bounds -> synthesis -> closed loop -> record.
 
-Each stage is a pure function of its part of the configuration and of the stages before it. It is computed into a folder
+Each stage is a pure function of its part of the configuration and of the stages before it. It is
+computed into a folder
 of the store, so that what is computed and what is reused are the same bits.
 """
 
@@ -16,16 +17,16 @@ from ssm_study.engine.plan import PlannedStages
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.runs import Run
 from ssm_study.engine.settings import Settings, entry
-from ssm_study.engine.stages import Facts, Kept, Stages
+from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.task import Task, folder_of, store_of
 from ssm_study.refusal import require
 from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
 
 if TYPE_CHECKING:
+    from ssm_study.certificates.certificate import Design
     from ssm_study.signals import DataSet
     from ssm_study.study.specification import Specification
-    from ssm_study.study.stages import Simulated, Trained
-    from ssm_study.certificates.certificate import Design
+    from ssm_study.study.stages import ModelRun, Trained
 
 LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jobs on this machine
 
@@ -33,12 +34,28 @@ LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jo
 class Study(Task["Specification"]):
     """The line of stages from data to closed loop, for one configuration."""
 
-    libraries = ("torch", "lightning", "numpy", "scipy", "cvxpy", "clarabel", "python-flint", "hydra-core", "ssm-study")
+    libraries = (
+        "torch",
+        "lightning",
+        "numpy",
+        "scipy",
+        "cvxpy",
+        "clarabel",
+        "python-flint",
+        "hydra-core",
+        "ssm-study",
+    )
 
     def refuse(self, config: DictConfig) -> None:
         refuse_foreign_targets(config)
         for key in map(str, config):
-            require(key in {*KEYS, *PARTS}, key, config[key], "is no part of a study", "leave it out, or name its part")
+            require(
+                key in {*KEYS, *PARTS},
+                key,
+                config[key],
+                "is no part of a study",
+                "leave it out, or name its part",
+            )
 
     def inputs(self, settings: Settings) -> list[Path]:
         # By its name: building the data to ask them would import what a finished run does without.
@@ -50,13 +67,18 @@ class Study(Task["Specification"]):
         return files_of(settings)
 
     def check(self, settings: Settings) -> "Specification":
-        """Raises `BadRequest` for whatever can be known beforehand; recorded data are read for it."""
+        """Raises `BadRequest` for whatever can be known beforehand; recorded data are read for
+        it."""
         from ssm_study.data.simulated import SimulatedData, TrainingAlone
-        from ssm_study.study.specification import Specification  # what finds itself finished needs no parts
+        from ssm_study.study.specification import (
+            Specification,
+        )  # what finds itself finished needs no parts
 
         specification = Specification.from_config(settings)
         if not isinstance(specification.data, SimulatedData):
-            found = specification.data.build(specification.seed)  # wrong columns are known only by reading
+            found = specification.data.build(
+                specification.seed
+            )  # wrong columns are known only by reading
             specification.refuse_limits(found.scale.input_equilibrium)
             if isinstance(specification.refine, list):
                 from ssm_study.study.trials import read_logs
@@ -64,7 +86,11 @@ class Study(Task["Specification"]):
                 read_logs(specification.refine, specification.data, found.step_s)
         elif specification.plant and specification.excitation.amplitude is not None:
             others = "validation, test and trials are at the plant's own amplitude"
-            warnings.warn(f"excitation.amplitude moves the training records alone; {others}.", TrainingAlone, 2)
+            warnings.warn(
+                f"excitation.amplitude moves the training records alone; {others}.",
+                TrainingAlone,
+                2,
+            )
         if self.trains_here(specification, settings):
             from ssm_study.training.saving import trainer_of
 
@@ -73,20 +99,27 @@ class Study(Task["Specification"]):
 
     def trains_here(self, request: "Specification", settings: Settings) -> bool:
         """False for a plan, for jobs that a cluster gets, and where the model is in the store."""
-        launcher = str(HydraConfig.get().launcher._target_) if HydraConfig.initialized() else LOCAL[0]
-        if request.training.accelerator == "cpu" or settings.get("dry_run") or not launcher.endswith(LOCAL):
+        launcher = (
+            str(HydraConfig.get().launcher._target_) if HydraConfig.initialized() else LOCAL[0]
+        )
+        if (
+            request.training.accelerator == "cpu"
+            or settings.get("dry_run")
+            or not launcher.endswith(LOCAL)
+        ):
             return False
         self.stages(request, planned := PlannedStages(store_of(settings)))
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
     def stages(self, request: "Specification", stages: Stages) -> None:
-        """A baseline is scored, and there it ends. With `refine` the design is tried before it is chosen again."""
+        """A baseline is scored, and there it ends. With `refine` the design is tried before it is
+        chosen again."""
         from ssm_study.study.trials import LOGS, TRIALS  # a refusal does without
 
         data, _, bounded = self.identified(request, stages)
         if not request.model.gives_ssm:
             return
-        known, tried, aside = data, list[Kept[Any]](), stages.aside()
+        known, tried, aside = data, list[StageOutput[Any]](), stages.aside()
         for left in reversed(range(request.refine if isinstance(request.refine, int) else 0)):
             tried += self.designed(request, aside, known, bounded)
             known = (aside if left else stages).take(TRIALS, {}, {}, data, *tried)
@@ -95,8 +128,12 @@ class Study(Task["Specification"]):
         self.designed(request, stages, known, bounded)
 
     def designed(
-        self, request: "Specification", stages: Stages, data: Kept["DataSet"], bounded: Kept["Simulated"]
-    ) -> tuple[Kept["Design"], Kept[Any]]:
+        self,
+        request: "Specification",
+        stages: Stages,
+        data: StageOutput["DataSet"],
+        bounded: StageOutput["ModelRun"],
+    ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
         """Controller and observer by what these records show, and the loop that they close."""
         from ssm_study.study.stages import EVIDENCE, LOOP, MISMATCH, SYNTHESIS
 
@@ -105,16 +142,21 @@ class Study(Task["Specification"]):
         judged = stages.take(EVIDENCE, {}, {}, data, bounded, shown)
         settings, parts = request.select("synthesis")
         limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
-        bounded_law = request.plant is None or request.synthesis.invert_input  # to what the records visited
+        bounded_law = (
+            request.plant is None or request.synthesis.invert_input
+        )  # to what the records visited
         limits["applied"] = bounded_law or any(end is not None for end in limits.values())
         settings, parts = settings | {"limits": limits}, parts | {"limits": limits}
         design = stages.take(SYNTHESIS, settings, parts, data, bounded, shown, judged)
-        return design, stages.take(LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design)
+        return design, stages.take(
+            LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design
+        )
 
     def identified(
         self, request: "Specification", stages: Stages
-    ) -> tuple[Kept["DataSet"], Kept["Trained"], Kept["Simulated"]]:
-        """The data, the model as trained, and as it goes on: what is proved of it, or how well a baseline simulates."""
+    ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
+        """The data, the model as trained, and as it goes on: what is proved of it, or how well a
+        baseline simulates."""
         from ssm_study.study.stages import BOUNDS, DATASET, MODEL, SCORE
 
         plant = ("plant", "excitation") if request.plant else ()
@@ -130,22 +172,31 @@ class Study(Task["Specification"]):
     def run(self, request: "Specification", run: Run) -> Facts:
         """Infeasible where controller or observer is missing."""
         del request
-        missing = run.facts.get("controller_feasible") is False or run.facts.get("observer_feasible") is False
+        missing = (
+            run.facts.get("controller_feasible") is False
+            or run.facts.get("observer_feasible") is False
+        )
         seconds = run.facts.get("stage_synthesis_seconds")
         facts = {} if seconds is None else {"synthesis_seconds": seconds}
         return facts | {"status": INFEASIBLE if missing else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        """What a study is read by: a number where the configuration has it (`Column.setting`), a part by its kind."""
+        """What a study is read by: a number where the configuration has it (`Column.setting`), a
+        part by its kind."""
         from ssm_study.study.trials import lineage
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
         model = request.configuration["model"]
         asked = {column.name: entry(request.configuration, column.setting) for column in SETTINGS}
         auto = asked["rates_chosen"] == "auto"
-        chosen = [side for side in ("controller", "observer") if auto and asked[f"rate_{side}"] == "auto"]
-        return {name: value for name, value in asked.items() if isinstance(value, int | float | None)} | {
-            "model": model.get("cell") or (kind_of(model) or "").removesuffix("spec"),  # gru and lstm share a class
+        chosen = [
+            side for side in ("controller", "observer") if auto and asked[f"rate_{side}"] == "auto"
+        ]
+        return {
+            name: value for name, value in asked.items() if isinstance(value, int | float | None)
+        } | {
+            "model": model.get("cell")
+            or (kind_of(model) or "").removesuffix("spec"),  # gru and lstm share a class
             "scaffold_in": kind_of(model.get("scaffold_in")),
             "scaffold_out": kind_of(model.get("scaffold_out")),
             "plant": type(request.plant).__name__ if request.plant else None,
@@ -169,7 +220,9 @@ STUDY = Study()
 
 def study_folder(config: DictConfig) -> Path:
     """`results_dir/study`; raises `BadRequest` for a name that leaves the results folder."""
-    return folder_of({"results_dir": config.results_dir, "study": config.study, "run": "any"}).parent
+    return folder_of(
+        {"results_dir": config.results_dir, "study": config.study, "run": "any"}
+    ).parent
 
 
 def check_retry(config: DictConfig, run: str = "*") -> None:
@@ -181,7 +234,8 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
 
 
 def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """What the configuration has at `plant.step_s`, as `plant__step_s`; no key of which a column is declared.
+    """What the configuration has at `plant.step_s`, as `plant__step_s`; no key of which a column is
+    declared.
 
     Of a part, `training/optimiser` or `peer@loop.peer`, its kind.
     """
@@ -189,7 +243,9 @@ def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
 
     paths = {key.lstrip("+~").rpartition("@")[-1].replace("/", ".") for key in keys}
     facts: Facts = {}
-    for path in sorted(path for path in paths - {column.setting for column in SETTINGS} if "." in path):
+    for path in sorted(
+        path for path in paths - {column.setting for column in SETTINGS} if "." in path
+    ):
         value = entry(configuration, path)
         facts[path.replace(".", "__")] = (
             value if isinstance(value, int | float | None) else kind_of(value) or str(value)

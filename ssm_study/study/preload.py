@@ -1,6 +1,8 @@
-"""What every job of a sweep would find out for itself: imported once by the server its processes are forked from.
+"""What every job of a sweep would find out for itself: imported once by the server its processes
+are forked from.
 
-The code versions are those of the modules as they are in memory now: a file edited while a sweep runs changes neither
+The code versions are those of the modules as they are in memory now: a file edited while a sweep
+runs changes neither
 what its jobs compute nor the keys under which they keep it.
 """
 
@@ -19,16 +21,20 @@ from ssm_study.plants.dc_motor import MotorConstants
 from ssm_study.plants.dc_motor_kernel import advance_batch
 from ssm_study.study.allow_list import ROOMS
 
-# By the stage that takes it: torch and Lightning, then CVXPY. Together 5 s of a processor, and three quarters of the
+# By the stage that takes it: torch and Lightning, then CVXPY. Together 5 s of a processor, and
+# three quarters of the
 # memory whose page table every fork copies.
 HEAVY = {
     "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
-    "synthesis": re.compile(r"ssm_study\.(bounds\.lipsdp|synthesis\.\w*lmi|loop\.(comparison|peers))"),
+    "synthesis": re.compile(
+        r"ssm_study\.(bounds\.lipsdp|synthesis\.\w*lmi|loop\.(comparison|peers))"
+    ),
 }
 
 
 def modules_for(again: Set[str]) -> Iterator[str]:
-    """The modules of our rooms that jobs import, without what only stages other than `again` take."""
+    """The modules of our rooms that jobs import, without what only stages other than `again`
+    take."""
     left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
@@ -40,9 +46,12 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 def warm(again: Set[str]) -> None:
     """Import for all jobs, in the process that they are forked from; `again` as in `Task.warm`."""
     for name in modules_for(again):
-        with suppress(Exception):  # a broken module matters to the runs that name it, and they will say so
+        with suppress(
+            Exception
+        ):  # a broken module matters to the runs that name it, and they will say so
             importlib.import_module(name)
-    # The motor's compiled step, from its cache on disk: a third of a second that each job would spend on its own.
+    # The motor's compiled step, from its cache on disk: a third of a second that each job would
+    # spend on its own.
     constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
     advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)
     Plugins.instance()  # Hydra looks for them once per process

@@ -1,4 +1,5 @@
-"""The recordings of a run folder, written and read back: simulated beside measured output, and every closed loop."""
+"""The recordings of a run folder, written and read back: simulated beside measured output, and
+every closed loop."""
 
 import json
 import re
@@ -17,28 +18,39 @@ from ssm_study.loop.rollout import STAYED, Rollouts
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
-from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
 from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
 LOOPS = "trials_in_loop.mcap"  # the same of trials in closed loop
 MISMATCH = "mismatch.json"
-NOISE_FREE = "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
+NOISE_FREE = (
+    "closed_loop_noise_free.mcap"  # in runs where measurement noise alone crosses the settling band
+)
 
 Case = dict[str, SignalGroup]
 Outputs = Sequence[Float[np.ndarray, "T p"]]
 Shown = dict[str, tuple[tuple[Channel, ...], Float[np.ndarray, "T c"]]]
 # What is recorded of each closed loop, topic by field of `Rollouts`.
-TOPICS = {"u": "input", "y": "output", "measured": "measured", "estimate": "estimate", "states": "states"}
+TOPICS = {
+    "u": "input",
+    "y": "output",
+    "measured": "measured",
+    "estimate": "estimate",
+    "states": "states",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCases:
     """A recording by signal, `loop["output"] (N, T, c)` over its N cases; `about` is its metadata.
 
-    Cases are named by what stands before the last `/` of their topics, in the order of its number: `/case_3/output` is
-    the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name. A closed loop has
-    reference, input, output, uncontrolled (the plant left alone); a record has input, measured, simulated.
+    Cases are named by what stands before the last `/` of their topics, in the order of its number:
+    `/case_3/output` is
+    the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name. A
+    closed loop has
+    reference, input, output, uncontrolled (the plant left alone); a record has input, measured,
+    simulated.
     Raises `BadRequest` for a signal that a case lacks.
     """
 
@@ -55,7 +67,9 @@ class RecordedCases:
             prefix, _, name = group.topic.rpartition("/")
             cases[prefix][name] = group
         # By number, not by text: case 10 comes after case 9.
-        numbered = sorted(cases.items(), key=lambda case: int((re.findall(r"\d+$", case[0]) or ["0"])[0]))
+        numbered = sorted(
+            cases.items(), key=lambda case: int((re.findall(r"\d+$", case[0]) or ["0"])[0])
+        )
         return cls(path=path, cases=dict(numbered), about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
@@ -85,18 +99,29 @@ class RecordedCases:
 
     @property
     def rest_s(self) -> float:
-        """A little after the last response of a closed loop has come to rest in the band, else the whole horizon."""
-        time_s, responses = self.time_s("output"), np.concatenate([self["output"], self["uncontrolled"]])[:, :, 0]
+        """A little after the last response of a closed loop has come to rest in the band, else the
+        whole horizon."""
+        time_s, responses = (
+            self.time_s("output"),
+            np.concatenate([self["output"], self["uncontrolled"]])[:, :, 0],
+        )
         outside = (np.abs(responses - self["reference"][0, :, 0]) > self.settling_band).any(axis=0)
-        last = int(np.flatnonzero(outside).max(initial=0))  # the last sample at which any of them is outside
+        last = int(
+            np.flatnonzero(outside).max(initial=0)
+        )  # the last sample at which any of them is outside
         return float(min(1.4 * time_s[last] + 5 * self.step_s("output"), time_s[-1]))
 
     @property
     def records(self) -> Trajectories:
         """Input and measured output of every case."""
-        step_s, names = float(self.about["step_s"]), (prefix or self.path.stem for prefix in self.cases)
+        step_s, names = (
+            float(self.about["step_s"]),
+            (prefix or self.path.stem for prefix in self.cases),
+        )
         parts = zip(names, self.signals("input"), self.signals("measured"), strict=True)
-        return tuple(Trajectory(u=u.values, y=y.values, step_s=step_s, name=name) for name, u, y in parts)
+        return tuple(
+            Trajectory(u=u.values, y=y.values, step_s=step_s, name=name) for name, u, y in parts
+        )
 
 
 def groups(prefix: str, time_s: Float[np.ndarray, "T"], shown: Shown) -> list[SignalGroup]:
@@ -108,9 +133,16 @@ def groups(prefix: str, time_s: Float[np.ndarray, "T"], shown: Shown) -> list[Si
 
 
 def write_records(
-    path: Path, data: DataSet, records: Trajectories, *, outputs: bool = True, simulated: Outputs = (), **about: str
+    path: Path,
+    data: DataSet,
+    records: Trajectories,
+    *,
+    outputs: bool = True,
+    simulated: Outputs = (),
+    **about: str,
 ) -> None:
-    """`/record_<i>/` input, measured output where `outputs`, and what the model `simulated` (free run), physical."""
+    """`/record_<i>/` input, measured output where `outputs`, and what the model `simulated` (free
+    run), physical."""
     written: list[SignalGroup] = []
     for i, record in enumerate(records):
         shown: Shown = {"input": (data.inputs, record.u)}
@@ -133,11 +165,18 @@ def read_simulation(path: Path) -> Simulation:
     """Raises `BadRequest` if the file lacks a topic."""
     kept = RecordedCases.of(path)
     simulated = tuple(signal.values for signal in kept.signals("simulated"))
-    return Simulation(records=kept.records, simulated=simulated, start_up_samples=int(kept.about["start_up_samples"]))
+    return Simulation(
+        records=kept.records,
+        simulated=simulated,
+        start_up_samples=int(kept.about["start_up_samples"]),
+    )
 
 
-def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]) -> None:
-    """`/case_<i>/` reference, input, true and measured output, estimate (scaled), states; the output left alone."""
+def write_rollouts(
+    path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]
+) -> None:
+    """`/case_<i>/` reference, input, true and measured output, estimate (scaled), states; the
+    output left alone."""
     estimates = tuple(Channel(name=f"x{i + 1}", unit="1") for i in range(run.estimate.shape[2]))
     channels = {"u": plant.inputs, "estimate": estimates, "states": plant.states}
     written: list[SignalGroup] = []
@@ -159,7 +198,8 @@ def write_rollouts(path: Path, run: Rollouts, alone: Rollouts | None, plant: Pla
 
 
 def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
-    """The loops, and the recording that they were read from. Raises `BadRequest` if the file lacks a topic."""
+    """The loops, and the recording that they were read from. Raises `BadRequest` if the file lacks
+    a topic."""
     kept = RecordedCases.of(path)
     signals: dict[str, Any] = {name: kept[topic] for name, topic in TOPICS.items()}
     run = Rollouts(
@@ -173,11 +213,14 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
 
 
 def closed_on(plant: Plant | None) -> str:
-    """The word of a recording for what its loop was closed on; without a plant on the identified model."""
+    """The word of a recording for what its loop was closed on; without a plant on the identified
+    model."""
     return "identified model" if plant is None else "device" if plant.real else "plant"
 
 
-def write_experiment(folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]) -> None:
+def write_experiment(
+    folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]
+) -> None:
     """Every closed loop of a run into its file; `on` is the plant, `twin` the identified model."""
     about = about | {"plant": type(on).__name__}
     write_rollouts(folder / "closed_loop.mcap", closed.controlled, closed.uncontrolled, on, about)
@@ -188,13 +231,18 @@ def write_experiment(folder: Path, closed: LoopRuns, on: Plant, twin: Plant, abo
 
 
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
-    """What `write_experiment` kept, and what the loop was closed on. Raises `BadRequest` if a file lacks a topic."""
-    path, on_model, noise_free = (folder / name for name in ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE))
+    """What `write_experiment` kept, and what the loop was closed on. Raises `BadRequest` if a file
+    lacks a topic."""
+    path, on_model, noise_free = (
+        folder / name for name in ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE)
+    )
     run, kept = read_rollouts(path)
     alone = kept["uncontrolled"]
     closed = LoopRuns(
         controlled=run,
-        uncontrolled=replace(run, y=alone, left_at_sample=np.full(len(alone), STAYED)),  # left alone, none is stopped
+        uncontrolled=replace(
+            run, y=alone, left_at_sample=np.full(len(alone), STAYED)
+        ),  # left alone, none is stopped
         on_model=read_rollouts(on_model)[0] if on_model.is_file() else None,
         settling_band=kept.settling_band,
         input_equilibrium=np.array(json.loads(kept.about["input_equilibrium"]), dtype=float),
@@ -205,7 +253,9 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
 
 def write_mismatch(folder: Path, shown: Mismatch) -> None:
     """Every number as the text that reads back to the same float; a complex one as two."""
-    told = json.dumps(asdict(shown), default=lambda array: np.ascontiguousarray(array).view(float).tolist())
+    told = json.dumps(
+        asdict(shown), default=lambda array: np.ascontiguousarray(array).view(float).tolist()
+    )
     (folder / MISMATCH).write_text(told, encoding="utf-8")
 
 
@@ -213,31 +263,43 @@ def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
     told = json.loads((folder / MISMATCH).read_text(encoding="utf-8"))
     views, loop = tuple(map(_view, told.pop("views"))), told.pop("loop")
-    others: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in told.items()}
+    others: dict[str, Any] = {
+        name: tuple(one) if isinstance(one, list) else one for name, one in told.items()
+    }
     return Mismatch(views=views, loop=loop and _view(loop), **others)
 
 
 def _view(told: dict[str, Any]) -> View:
-    parts: dict[str, Any] = {name: np.array(one) if isinstance(one, list) else one for name, one in told.items()}
+    parts: dict[str, Any] = {
+        name: np.array(one) if isinstance(one, list) else one for name, one in told.items()
+    }
     return View(**parts | {"linear": parts["linear"].view(complex)})
 
 
-def of_records(kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]) -> dict[str, tuple[Any, Any]]:
+def of_records(
+    kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]
+) -> dict[str, tuple[Any, Any]]:
     """The signals of two sets of records, and their sampling times, side by side."""
     names, both = ("u", "y", "step_s", "closed_loop"), enumerate(zip(kept, made, strict=False))
-    pairs = {f"{name} {i}": (getattr(one, name), getattr(other, name)) for i, (one, other) in both for name in names}
+    pairs = {
+        f"{name} {i}": (getattr(one, name), getattr(other, name))
+        for i, (one, other) in both
+        for name in names
+    }
     return {"records": (len(kept), len(made))} | pairs
 
 
 def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """The signals of two sets of closed loops side by side; those that left their bound count up to there."""
+    """The signals of two sets of closed loops side by side; those that left their bound count up to
+    there."""
     if kept is None or made is None:
         return {"recording": (kept is not None, made is not None)}
     return {name: (stored, getattr(made, name)) for name, stored in vars(kept).items()}
 
 
 def distance(stored: Any, made: Any) -> float:
-    """`max |stored - made| / max |made|`; infinite for another shape, a missing side or a number that is none."""
+    """`max |stored - made| / max |made|`; infinite for another shape, a missing side or a number
+    that is none."""
     if stored is None or made is None:
         return 0.0 if stored is made else float("inf")
     one, other = np.asarray(stored, dtype=float), np.asarray(made, dtype=float)
@@ -245,4 +307,6 @@ def distance(stored: Any, made: Any) -> float:
         return float("inf")
     apart = float(np.abs(one - other).max(initial=0.0))
     largest = float(np.abs(other).max(initial=0.0))
-    return apart / largest if largest > 0 and apart > 0 else apart  # NaN passes through, and agrees with nothing
+    return (
+        apart / largest if largest > 0 and apart > 0 else apart
+    )  # NaN passes through, and agrees with nothing

@@ -1,4 +1,5 @@
-"""What `verify` goes by: the files of a run folder, each read once, and the parts that its configuration describes."""
+"""What `verify` goes by: the files of a run folder, each read once, and the parts that its
+configuration describes."""
 
 import json
 from contextlib import chdir
@@ -11,27 +12,30 @@ import numpy as np
 from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.engine.durable import contents
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
+from ssm_study.robustness.mismatch import mismatch
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
-from ssm_study.study.stages import Simulated
+from ssm_study.study.stages import ModelRun
 from ssm_study.study.trials import repeated
-from ssm_study.certificates.certificate import Design
-from ssm_study.robustness.mismatch import mismatch
 
-LEFT_AT_REST = 0.02  # share of the summed impulse response that is left when a plant counts as at rest
+LEFT_AT_REST = (
+    0.02  # share of the summed impulse response that is left when a plant counts as at rest
+)
 CONFIGURATION, OVERRIDES = ".hydra/config.yaml", ".hydra/overrides.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFiles:
-    """A run folder. A damaged or absent file raises when it is first read, whatever its reader raises."""
+    """A run folder. A damaged or absent file raises when it is first read, whatever its reader
+    raises."""
 
     path: Path
     record: dict[str, Any]
@@ -39,10 +43,19 @@ class RunFiles:
     @cached_property
     def config(self) -> DictConfig:
         """The resolved configuration that the run was made from."""
-        there, remedy = (self.path / CONFIGURATION).is_file(), "give a run folder that the study made"
+        there, remedy = (
+            (self.path / CONFIGURATION).is_file(),
+            "give a run folder that the study made",
+        )
         require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
         config = OmegaConf.create(contents(self.path / CONFIGURATION).decode())
-        require(isinstance(config, DictConfig), CONFIGURATION, "a list", "is no configuration", "run the study again")
+        require(
+            isinstance(config, DictConfig),
+            CONFIGURATION,
+            "a list",
+            "is no configuration",
+            "run the study again",
+        )
         assert isinstance(config, DictConfig)
         return config
 
@@ -54,7 +67,8 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Simulated or read anew: paths are relative to where the run was made, or to where the command is given."""
+        """Simulated or read anew: paths are relative to where the run was made, or to where the
+        command is given."""
         try:
             with chdir(self.made_in):
                 return self._data()
@@ -63,22 +77,33 @@ class RunFiles:
 
     @property
     def made_in(self) -> Path:
-        """The folder that `results_dir` of the configuration is relative to; the present one if it lies elsewhere."""
+        """The folder that `results_dir` of the configuration is relative to; the present one if it
+        lies elsewhere."""
         below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
         spec, real = self.specification, getattr(self.specification.plant, "real", False)
-        require(not real, "plant", type(spec.plant).__name__, "is a device, which is not run again", "keep its records")
+        require(
+            not real,
+            "plant",
+            type(spec.plant).__name__,
+            "is a device, which is not run again",
+            "keep its records",
+        )
         build: Any = spec.data.build
-        records: DataSet = build(spec.seed) if spec.plant is None else build(spec.plant, spec.excitation, spec.seed)
+        records: DataSet = (
+            build(spec.seed)
+            if spec.plant is None
+            else build(spec.plant, spec.excitation, spec.seed)
+        )
         return replace(records, trials=(*records.trials, *repeated(spec, self.path)))
 
     @cached_property
-    def simulated(self) -> Simulated:
+    def simulated(self) -> ModelRun:
         """The stored model beside its free runs, each read when first asked for."""
-        return Simulated(self.path)
+        return ModelRun(self.path)
 
     @property
     def model(self) -> Any:
@@ -92,13 +117,21 @@ class RunFiles:
     @cached_property
     def judgement(self) -> Judgement:
         """What data and model allow to be said of the plant."""
-        shown = mismatch(self.model, self.data.validation, self.data.start_up_samples, self.data.trials)
+        shown = mismatch(
+            self.model, self.data.validation, self.data.start_up_samples, self.data.trials
+        )
         return judge(self.data, self.model, self.simulated.validation, self.simulated.test, shown)
 
     def stored(self, name: str) -> dict[str, Any]:
         """The object in a file of the run, each of its keys said once."""
         content = json.loads(contents(self.path / name), object_pairs_hook=partial(said_once, name))
-        require(isinstance(content, dict), name, type(content).__name__, "is no object", "run the study again")
+        require(
+            isinstance(content, dict),
+            name,
+            type(content).__name__,
+            "is no object",
+            "run the study again",
+        )
         return dict(content)
 
     @cached_property
@@ -112,7 +145,10 @@ class RunFiles:
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
         """What the training records applied, as `excitation.mcap` has it."""
-        return [signal.values for signal in RecordedCases.of(self.path / "excitation.mcap").signals("input")]
+        return [
+            signal.values
+            for signal in RecordedCases.of(self.path / "excitation.mcap").signals("input")
+        ]
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
@@ -121,20 +157,31 @@ class RunFiles:
 
     @property
     def excitation(self) -> dict[str, float]:
-        """What a next record (`OwnPlantRecord`) takes, by this one: its inputs with rest, its model's response, s."""
+        """What a next record (`OwnPlantRecord`) takes, by this one: its inputs with rest, its
+        model's response, s."""
         problem, remedy = "has several inputs", "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
         (lower,), (upper,) = input_limits(None, None, self.applied)
         lasts = self.model.linear.response_samples(remainder=LEFT_AT_REST) * self.model.step_s
         rest = float(self.model.scale.input_equilibrium[0])
-        found = {"lower": lower, "upper": upper, "rest": rest, "step_s": self.model.step_s, "settle_s": lasts}
+        found = {
+            "lower": lower,
+            "upper": upper,
+            "rest": rest,
+            "step_s": self.model.step_s,
+            "settle_s": lasts,
+        }
         return {name: float(value) for name, value in found.items()}
 
     @property
     def loop(self) -> Loop:
         """The experiment; without a plant within the limits of the log."""
         loop = self.specification.loop
-        return loop if self.specification.plant and not self.design.inverts else loop.within(self.applied)
+        return (
+            loop
+            if self.specification.plant and not self.design.inverts
+            else loop.within(self.applied)
+        )
 
     @property
     def plant(self) -> Plant:
@@ -147,13 +194,15 @@ class RunFiles:
 
     @property
     def closes_loop(self) -> bool:
-        """Whether a controller and an observer are there, certified or not, and what they can be closed on."""
+        """Whether a controller and an observer are there, certified or not, and what they can be
+        closed on."""
         can = self.claims_certificate and self.design.feasible
         return can and (self.specification.plant is not None or not answers_at_once(self.model))
 
 
 def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object; `BadRequest` where a key stands twice, for one reader takes the first and another the last."""
+    """The object; `BadRequest` where a key stands twice, for one reader takes the first and another
+    the last."""
     keys = [key for key, _ in pairs]
     twice = next((key for key in keys if keys.count(key) > 1), None)
     require(twice is None, file, twice, "stands twice in one object", "run the study again")
@@ -161,7 +210,8 @@ def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def unknown(stored: Any, written: Any, at: str = "") -> list[str]:
-    """Entries of a stored object that its reader does not write, by their dotted paths: nobody checks them."""
+    """Entries of a stored object that its reader does not write, by their dotted paths: nobody
+    checks them."""
     if isinstance(stored, list) and isinstance(written, list):
         return [path for pair in zip(stored, written, strict=False) for path in unknown(*pair, at)]
     found = []

@@ -1,4 +1,5 @@
-"""From a composed configuration to the frozen parts of one run; whatever is wrong is said here, before any work."""
+"""From a composed configuration to the frozen parts of one run; whatever is wrong is said here,
+before any work."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,13 +35,16 @@ if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
 MOST = 10_000_000  # samples of one kind, and any whole number of a part: more is said before memory runs out
 WIDEST = {"model.order": 512, "model": 4096}  # what matrices and networks are as wide as
 PART = "a part of the configuration"
-_PARTS: dict[tuple[str, str], Any] = {}  # the runs of a sweep share the parts in which they do not differ
+_PARTS: dict[
+    tuple[str, str], Any
+] = {}  # the runs of a sweep share the parts in which they do not differ
 NUMBERS = BeartypeConf(is_pep484_tower=True)  # a whole number is a number
 
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """Everything one run depends on. `plant` is None when the data are recorded: the loop then runs on the model."""
+    """Everything one run depends on. `plant` is None when the data are recorded: the loop then runs
+    on the model."""
 
     plant: "Plant | None"
     excitation: "Excitation"
@@ -85,48 +89,78 @@ class Specification:
         return found
 
     def refuse_feedthrough(self) -> None:
-        """Raise `BadRequest` for a model that no loop on the plant can be closed with, before it is trained.
+        """Raise `BadRequest` for a model that no loop on the plant can be closed with, before it is
+        trained.
 
         Without a plant it is scored and certified, and no loop is closed.
         """
         loops = self.model.gives_ssm and self.plant is not None
-        problem, remedy = "the loop samples the output before the input acts", "identify with model.feedthrough=false"
+        problem, remedy = (
+            "the loop samples the output before the input acts",
+            "identify with model.feedthrough=false",
+        )
         asked = self.configuration["model"].get("feedthrough")
         require(not (loops and asked), "model.feedthrough", True, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
-        """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is known beforehand."""
-        words, step_s = getattr(self.synthesis, "modes", ()), getattr(self.plant or self.data, "step_s", None)
+        """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is
+        known beforehand."""
+        words, step_s = (
+            getattr(self.synthesis, "modes", ()),
+            getattr(self.plant or self.data, "step_s", None),
+        )
         if words and step_s:
             from ssm_study.certificates.theorems.integral_action import internal_model
 
             internal_model(words, step_s, outputs=1)
 
     def refuse_sizes(self) -> None:
-        """Raise `BadRequest` for what no memory holds, and for more states than there are, before any is allocated."""
+        """Raise `BadRequest` for what no memory holds, and for more states than there are, before
+        any is allocated."""
         order, kept = self.configuration["model"].get("order"), self.reduction.truncate_to
         fits = kept is None or not isinstance(order, int) or kept <= order
-        require(fits, "reduction.truncate_to", kept, f"the model has {order} states", "give fewer, or null for all")
+        require(
+            fits,
+            "reduction.truncate_to",
+            kept,
+            f"the model has {order} states",
+            "give fewer, or null for all",
+        )
         if self.plant is None:
             return
         assert isinstance(self.data, SimulatedData)
         one = not self.plant.real or (self.loop.initial_conditions == 1 and not self.data.trials)
-        problem, remedy = "a device runs one case, from where it is", "use loop.initial_conditions=1 +data.trials=false"
+        problem, remedy = (
+            "a device runs one case, from where it is",
+            "use loop.initial_conditions=1 +data.trials=false",
+        )
         require(one, "plant", type(self.plant).__name__, problem, remedy)
         samples = self.loop.initial_conditions * self.loop.samples(self.plant.step_s)
         counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
-        for field, count in (counts | {"loop.initial_conditions * horizon_s / step_s": samples}).items():
+        for field, count in (
+            counts | {"loop.initial_conditions * horizon_s / step_s": samples}
+        ).items():
             require(count <= MOST, field, count, f"more than {MOST} samples", "use fewer")
 
     def refuse_limits(self, rest: Float[np.ndarray, "m"]) -> None:
-        """Raise `BadRequest` for limits that do not fit the inputs, or that this rest of plant or log lies beyond.
+        """Raise `BadRequest` for limits that do not fit the inputs, or that this rest of plant or
+        log lies beyond.
 
         The loop of a log whose reference begins elsewhere need not hold its rest.
         """
         ends = [np.asarray(end) for end in self.loop.limits]
         names, shown = "loop.input_lower, loop.input_upper", tuple(end.tolist() for end in ends)
-        fits, whose = all(end.shape in ((), rest.shape) for end in ends), "plant" if self.plant else "log"
-        require(fits, names, shown, f"the {whose}'s inputs number {len(rest)}", "give one number, or one for each")
+        fits, whose = (
+            all(end.shape in ((), rest.shape) for end in ends),
+            "plant" if self.plant else "log",
+        )
+        require(
+            fits,
+            names,
+            shown,
+            f"the {whose}'s inputs number {len(rest)}",
+            "give one number, or one for each",
+        )
         inside = bool(np.all((ends[0] <= rest) & (rest <= ends[1])))
         elsewhere = self.plant is None and bool(self.loop.reference.signal(np.zeros(1)).any())
         problem = f"the {whose} rests at the input {', '.join(f'{u:g}' for u in rest)}"
@@ -135,7 +169,11 @@ class Specification:
     def select(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """What a stage depends on: the settings of these parts, and the parts themselves."""
         settings = Settings({name: self.configuration[name] for name in names})
-        sums = {"files": [sha256_of_file(path) for path in found]} if (found := files_of(settings)) else {}
+        sums = (
+            {"files": [sha256_of_file(path) for path in found]}
+            if (found := files_of(settings))
+            else {}
+        )
         return Settings(settings | sums), {name: getattr(self, name) for name in names}
 
 
@@ -148,18 +186,32 @@ def files_of(settings: Mapping[str, Any]) -> list[Path]:
     recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
     read = part("data", data).files() if recorded else ()
     given = [
-        value for _, key, value in nodes(settings) if key == "path" or (key == "refine" and isinstance(value, list))
+        value
+        for _, key, value in nodes(settings)
+        if key == "path" or (key == "refine" and isinstance(value, list))
     ]
-    paths = [Path(one) for value in given for one in (value if isinstance(value, list) else [value]) if one is not None]
+    paths = [
+        Path(one)
+        for value in given
+        for one in (value if isinstance(value, list) else [value])
+        if one is not None
+    ]
     return sorted({*read, *(path for path in paths if path.is_file())})
 
 
 def _refine(asked: Any, recorded: bool) -> int | list[str] | None:
-    """How often the choice is made again by the closed loop on the plant, or logs of trials, where there is none."""
+    """How often the choice is made again by the closed loop on the plant, or logs of trials, where
+    there is none."""
     if recorded and asked is not None:
         logs = [asked] if isinstance(asked, str) else asked
         named = isinstance(logs, list) and bool(logs) and all(isinstance(log, str) for log in logs)
-        require(named, "refine", asked, "there is no plant to try the controller on", "name the log of a trial")
+        require(
+            named,
+            "refine",
+            asked,
+            "there is no plant to try the controller on",
+            "name the log of a trial",
+        )
         missing = next((log for log in logs if not Path(log).is_file()), None)
         require(missing is None, "refine", missing, "no such file", "check the spelling")
         return list(logs)
@@ -169,23 +221,30 @@ def _refine(asked: Any, recorded: bool) -> int | list[str] | None:
 
 
 def part(name: str, settings: Mapping[str, Any]) -> Any:
-    """One group of the configuration as the object it describes; refuses fields that its constructor does not take."""
+    """One group of the configuration as the object it describes; refuses fields that its
+    constructor does not take."""
     key = name, repr(settings)  # unlike `==`, it tells 1 from 1.0 and from True
     if key not in _PARTS:
         try:
             _PARTS[key] = built(name, settings)
         except BadRequest:
             raise
-        except Exception as error:  # whatever a constructor raises for values that have the right types
+        except (
+            Exception
+        ) as error:  # whatever a constructor raises for values that have the right types
             cause = " ".join(str(error).split()).rstrip(".")
-            raise BadRequest(name, settings.get("_target_"), cause, f"see conf/{name}/ for its fields") from error
+            raise BadRequest(
+                name, settings.get("_target_"), cause, f"see conf/{name}/ for its fields"
+            ) from error
     return _PARTS[key]
 
 
 def built(path: str, node: Any) -> Any:
-    """The tree with every `_target_` called on its fields, inner ones first: the constructor is the schema.
+    """The tree with every `_target_` called on its fields, inner ones first: the constructor is the
+    schema.
 
-    Raises `BadRequest` for unknown or mistyped fields. A whole number given where any number is wanted is made a float.
+    Raises `BadRequest` for unknown or mistyped fields. A whole number given where any number is
+    wanted is made a float.
     """
     if isinstance(node, list):
         return [built(f"{path}[{i}]", item) for i, item in enumerate(node)]
@@ -204,12 +263,22 @@ def built(path: str, node: Any) -> Any:
         elif key in hints:
             fits = is_bearable(value, hints[key], conf=NUMBERS)
             words = _words(hints[key])
-            remedy = "choose it by its group, as in training/optimiser=lbfgs" if PART in words else "correct the value"
+            remedy = (
+                "choose it by its group, as in training/optimiser=lbfgs"
+                if PART in words
+                else "correct the value"
+            )
             require(fits, field, value, f"is not {words}", remedy)
             given[key] = value if is_bearable(value, hints[key]) else float(value)
             if type(given[key]) is int:
                 most = WIDEST.get(field) or WIDEST.get(path.split(".")[0], MOST)
-                require(key == "seed" or value <= most, field, value, f"more than {most}", "use a smaller number")
+                require(
+                    key == "seed" or value <= most,
+                    field,
+                    value,
+                    f"more than {most}",
+                    "use a smaller number",
+                )
     return kind(**given)
 
 
@@ -221,7 +290,13 @@ def fields_of(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 def _words(hint: Any) -> str:
     """A type as a reader would say it."""
-    said = {float: "a number", int: "a whole number", bool: "true or false", str: "a text", type(None): "null"}
+    said = {
+        float: "a number",
+        int: "a whole number",
+        bool: "true or false",
+        str: "a text",
+        type(None): "null",
+    }
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     other = (PART if isinstance(part, type) else str(part).replace("typing.", "") for part in parts)
     return " or ".join(said.get(part, word) for part, word in zip(parts, other, strict=True))

@@ -1,7 +1,9 @@
 """Trials in closed loop: records of the loop itself, by which the mismatch is measured again.
 
-With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is made again; twice. With
-`refine=[first.csv,second.csv]` the records are the user's logs of trials, columns and clock as in the run's own data.
+With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
+made again; twice. With
+`refine=[first.csv,second.csv]` the records are the user's logs of trials, columns and clock as in
+the run's own data.
 What such a record shows: `synthesis.mismatch`. Source: docs/trust.md, "The loop as a record".
 """
 
@@ -12,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.data.recording import AGREEMENT, Columns, listed
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
@@ -20,7 +23,6 @@ from ssm_study.refusal import at_least, require
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 from ssm_study.study import recordings
 from ssm_study.study.stages import read_dataset, read_json, read_model, write_dataset, write_json
-from ssm_study.certificates.certificate import Design
 
 if TYPE_CHECKING:
     from ssm_study.data.recorded import RecordedSource
@@ -32,13 +34,23 @@ FEWEST = 30  # samples of a trial: a third of them tell its initial state
 
 
 def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | None") -> None:
-    """The records with those of every loop in `tried`: design, its loops, the next design, its loops, ..."""
-    write_json(folder / TRIED, [design.to_json() for design in tried[::2] if isinstance(design, Design)])
-    loops = [trial for found in tried[1::2] if isinstance(found, tuple) for trial in of_loops(found[0].controlled)]
+    """The records with those of every loop in `tried`: design, its loops, the next design, its
+    loops, ..."""
+    write_json(
+        folder / TRIED, [design.to_json() for design in tried[::2] if isinstance(design, Design)]
+    )
+    loops = [
+        trial
+        for found in tried[1::2]
+        if isinstance(found, tuple)
+        for trial in of_loops(found[0].controlled)
+    ]
     _write(folder, data, tuple(loops))
 
 
-def compute_logged(folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource") -> None:
+def compute_logged(
+    folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
+) -> None:
     """The records with the user's logs of trials."""
     _write(folder, records, read_logs(refine, data, records.step_s))
 
@@ -49,7 +61,8 @@ def _write(folder: Path, data: DataSet, loops: Trajectories) -> None:
 
 
 def of_loops(run: Rollouts) -> Trajectories:
-    """Input and measured output of every case, up to where it left its bound; none of cases below `FEWEST` samples."""
+    """Input and measured output of every case, up to where it left its bound; none of cases below
+    `FEWEST` samples."""
     ends = np.where(run.stayed, run.y.shape[1], run.left_at_sample)
     return tuple(
         Trajectory(u=u[:end], y=y[:end], step_s=run.step_s, name=f"case_{i}", closed_loop=True)
@@ -59,37 +72,63 @@ def of_loops(run: Rollouts) -> Trajectories:
 
 
 def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
-    """Logs of trials, read as the run's data are. Raises `BadRequest` as they do, and for another sampling time."""
+    """Logs of trials, read as the run's data are. Raises `BadRequest` as they do, and for another
+    sampling time."""
     columns: Columns = data if isinstance(data, Columns) else data.training[0]  # type: ignore[attr-defined]
     found: list[Trajectory] = []
     both = set(listed(columns.input)) & set(listed(columns.output))
-    problem, remedy = "names an input and an output, in files of their own", "give the two columns different names"
+    problem, remedy = (
+        "names an input and an output, in files of their own",
+        "give the two columns different names",
+    )
     require(not both, "data.output", sorted(both), problem, remedy)
     for path in paths:
         record = columns.read_from(Path(path))
-        problem, remedy = f"the model's sampling time is {step_s:g} s", "log the trial at that sampling time"
-        require(abs(record.step_s - step_s) <= AGREEMENT * step_s, f"{path} (step_s)", record.step_s, problem, remedy)
+        problem, remedy = (
+            f"the model's sampling time is {step_s:g} s",
+            "log the trial at that sampling time",
+        )
+        require(
+            abs(record.step_s - step_s) <= AGREEMENT * step_s,
+            f"{path} (step_s)",
+            record.step_s,
+            problem,
+            remedy,
+        )
         at_least(FEWEST, f"{path} (samples)", len(record), "log a longer trial")
-        problem, remedy = "the input never moves, so nothing was tried", "log the controller's own input"
-        require(bool(np.ptp(record.u, axis=0).any()), f"{path} (input)", float(record.u[0, 0]), problem, remedy)
+        problem, remedy = (
+            "the input never moves, so nothing was tried",
+            "log the controller's own input",
+        )
+        require(
+            bool(np.ptp(record.u, axis=0).any()),
+            f"{path} (input)",
+            float(record.u[0, 0]),
+            problem,
+            remedy,
+        )
         found.append(replace(record, step_s=step_s, closed_loop=True))
     return tuple(found)
 
 
 def repeated(request: "Specification", run: Path) -> Trajectories:
-    """The trials of a finished run, made again: its logs read, or the designs that were tried simulated."""
+    """The trials of a finished run, made again: its logs read, or the designs that were tried
+    simulated."""
     if request.refine is None:
         return ()
     model, plant = read_model(run), request.plant
     if isinstance(request.refine, list) or plant is None:
         return read_logs(request.refine, request.data, model.step_s)  # type: ignore[arg-type]  # recorded, as checked
     designs = [Design.from_json(content) for content in read_json(run / TRIED)]
-    loops = [request.loop.fitted(model).run(plant, model, one, request.loop_seed) for one in designs]
+    loops = [
+        request.loop.fitted(model).run(plant, model, one, request.loop_seed) for one in designs
+    ]
     return tuple(trial for closed in loops for trial in of_loops(closed.controlled))
 
 
 def lineage(settings: Any) -> Facts:
-    """How often a run refines, and the run that it refines: the same with one iteration, or one log, less."""
+    """How often a run refines, and the run that it refines: the same with one iteration, or one
+    log, less."""
     refine = settings.get("refine")
     if refine is None:
         return {}
@@ -98,7 +137,8 @@ def lineage(settings: Any) -> Facts:
 
 
 def named(settings: Any, refine: int | list[str] | None) -> str:
-    """The name of the run of these settings with another `refine`; what stands before its hash stays."""
+    """The name of the run of these settings with another `refine`; what stands before its hash
+    stays."""
     shown = str(settings["run"]).removesuffix(run_name(settings))
     return shown + run_name(type(settings)({**settings, "refine": refine}))
 

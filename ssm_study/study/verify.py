@@ -1,6 +1,8 @@
-"""`verify`: derive every claim of a run again from its files, and say of every column what was found.
+"""`verify`: derive every claim of a run again from its files, and say of every column what was
+found.
 
-A column of the record is derived and compared, or listed as not checked with its reason; one that nothing gives is a
+A column of the record is derived and compared, or listed as not checked with its reason; one that
+nothing gives is a
 claim that does not hold. What is derived from what: `study.claims`.
 """
 
@@ -39,8 +41,16 @@ class Verification:
     def demand(self, field: str, value: Any) -> None:
         """Raise `BadRequest` that names the claims which do not hold."""
         wrong = [str(finding) for finding in self.findings if not finding.holds]
-        problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {'; '.join(wrong)[:300]}"
-        require(not wrong, field, value, problem, "run the study again; `ssm-study verify` names every claim")
+        problem = (
+            f"{len(wrong)} of {len(self.findings)} claims do not hold: {'; '.join(wrong)[:300]}"
+        )
+        require(
+            not wrong,
+            field,
+            value,
+            problem,
+            "run the study again; `ssm-study verify` names every claim",
+        )
 
     def summary(self) -> str:
         """`54 of 54 claims hold; 3 not checked: ...`."""
@@ -55,28 +65,45 @@ class Verification:
         reasons: dict[str, list[str]] = {}
         for name, reason in self.unchecked.items():
             reasons.setdefault(reason, []).append(name)
-        skipped = [f"not checked  {', '.join(names)}: {reason}" for reason, names in reasons.items()]
+        skipped = [
+            f"not checked  {', '.join(names)}: {reason}" for reason, names in reasons.items()
+        ]
         return [*map(str, self.findings), *skipped, self.summary()]
 
     def to_json(self) -> str:
         claims = [asdict(finding) for finding in self.findings]
-        return json.dumps({"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}, indent=1)
+        return json.dumps(
+            {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}, indent=1
+        )
 
 
 def verify(run: Path) -> Verification:
     """Every claim of the run, derived again.
 
-    Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted here.
+    Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
+    here.
     """
     record = read_record(run) or {}
     require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
     state = record.get("status")
-    require(state != FAILED, "run", run, "the run failed and claims nothing", f"see {run / 'traceback.txt'}")
+    require(
+        state != FAILED,
+        "run",
+        run,
+        "the run failed and claims nothing",
+        f"see {run / 'traceback.txt'}",
+    )
     if state == CORRUPT:
         damaged = Checked(claim=RECORD, holds=False, found="is not as it was written")
         return Verification(findings=(damaged,), unchecked={})
     remedy = "give a run that is ok or infeasible"
-    require(state in (OK, INFEASIBLE), "run", run, f"its status is {state}, so it claims nothing yet", remedy)
+    require(
+        state in (OK, INFEASIBLE),
+        "run",
+        run,
+        f"its status is {state}, so it claims nothing yet",
+        remedy,
+    )
     return _judged(RunFiles(path=run.absolute(), record=record))
 
 
@@ -91,7 +118,9 @@ def _judged(run: RunFiles) -> Verification:
             derived |= found.columns
         else:
             unchecked |= found.reasons
-    for name in dict.fromkeys((*derived, *run.record)):  # also what the record lacks although its files give it
+    for name in dict.fromkeys(
+        (*derived, *run.record)
+    ):  # also what the record lacks although its files give it
         judged = judge(name, run.record, derived, unchecked)
         if isinstance(judged, Checked):
             findings.append(judged)
@@ -101,10 +130,13 @@ def _judged(run: RunFiles) -> Verification:
 
 
 def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
-    """What the sections give; whatever a damaged file makes a reader raise is a claim that does not hold."""
+    """What the sections give; whatever a damaged file makes a reader raise is a claim that does not
+    hold."""
     try:
         sections = SECTIONS if run.claims_certificate else OF_A_BASELINE
-    except Exception as error:  # a configuration that cannot be read: the section that needs it says so
+    except (
+        Exception
+    ) as error:  # a configuration that cannot be read: the section that needs it says so
         if str(getattr(error, "field", "")).endswith("_target_"):
             raise  # without `--with` nothing can be derived, which is no lie of the run
         sections = SECTIONS
@@ -112,13 +144,16 @@ def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
         try:
             yield from section(run)
         except Exception as error:
-            yield Checked(claim=section.__name__, holds=False, found=f"cannot be derived: {one_line(error)}")
+            yield Checked(
+                claim=section.__name__, holds=False, found=f"cannot be derived: {one_line(error)}"
+            )
 
 
 def judge(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """The finding on a column of the record, or why it is not checked; empty where the record claims nothing."""
+    """The finding on a column of the record, or why it is not checked; empty where the record
+    claims nothing."""
     column = declared(name)
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
@@ -135,14 +170,20 @@ def compared(name: str, stored: Any, value: Any) -> Checked:
     column = declared(name) or Column(name, "Float64")
     value = storable(name, value)  # as a record holds it: an infinite margin is the text `inf`
     holds = _agrees(stored, value, column)
-    return Checked(claim=name, holds=holds, found=f"{value}" if holds else f"derived {value}, stored {_short(stored)}")
+    return Checked(
+        claim=name,
+        holds=holds,
+        found=f"{value}" if holds else f"derived {value}, stored {_short(stored)}",
+    )
 
 
 def _agrees(stored: Any, value: Any, column: Column) -> bool:
     """Equal, or finite numbers as near as two machines' roundings."""
     if isinstance(value, float) and type(stored) in (int, float):
         try:
-            return bool(abs(float(stored) - value) <= column.tolerance * abs(value) + column.resolution)
+            return bool(
+                abs(float(stored) - value) <= column.tolerance * abs(value) + column.resolution
+            )
         except OverflowError:  # an integer of hundreds of digits
             return False
     return type(stored) is type(value) and bool(stored == value)  # True is not 1

@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 
 from ssm_study.certificates.problem import Solution
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Pair
+from ssm_study.systems import Gains
 
-Found = tuple[RiccatiSynthesis, Solution]
+GainCandidate = tuple[RiccatiSynthesis, Solution]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +25,12 @@ class Candidates:
     internal: Float[np.ndarray, "z z"] | None = None
     unsolved: int = 0
 
-    def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Pair:
+    def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
         """The gains of one pair, or of many."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
-        return Pair(k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
+        return Gains(
+            k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal
+        )
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
         feedback, observing = self.feedback[pair[0]], self.observing[pair[1]]

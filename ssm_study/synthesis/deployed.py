@@ -1,6 +1,8 @@
-"""What is proved of a pair of gains once it is chosen: the largest rates, the mismatch tolerated, limited inputs.
+"""What is proved of a pair of gains once it is chosen: the largest rates, the mismatch tolerated,
+limited inputs.
 
-All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`, `limited_input.py`,
+All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`,
+`limited_input.py`,
 `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
 """
 
@@ -13,14 +15,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.identified import SSM
-from ssm_study.models.structured import Model
-from ssm_study.refusal import BadRequest, require
 from ssm_study.certificates.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
-from ssm_study.synthesis.input_inversion import of_commands
-from ssm_study.robustness.mismatch import ANGLES, Mismatch
 from ssm_study.certificates.problem import NoSolution, within_floats
-from ssm_study.certificates.theorem import Known, Theorem
+from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.limited_input import LimitedFeedback, from_everywhere
 from ssm_study.certificates.theorems.noise_gain import NoiseGain
@@ -30,22 +27,34 @@ from ssm_study.certificates.theorems.structured_observer import StructuredObserv
 from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.certificates.theorems.unlimited_start import unlimited
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import Model
+from ssm_study.refusal import BadRequest, require
+from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.synthesis.input_inversion import of_commands
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]
 Outputs = Float[np.ndarray, "p"]
 EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 
-# Weights of first order that are tried: gain at the highest frequency over that at rest, and the corner (rad/sample).
+# Weights of first order that are tried: gain at the highest frequency over that at rest, and the
+# corner (rad/sample).
 RATIOS = np.geomspace(1e-3, 1e3, 61)
 CORNERS = np.geomspace(1e-3, 3.0, 40)
 
 
-def as_deployed(
-    design: Design, model: Model, balls: Balls, shown: Mismatch, limits: tuple[Inputs, Inputs] | None = None
+def with_gain_certificates(
+    design: Design,
+    model: Model,
+    balls: Balls,
+    shown: Mismatch,
+    limits: tuple[Inputs, Inputs] | None = None,
 ) -> Design:
-    """The design with what is proved of its very gains beside it: rates, tolerances and what input `limits` (physical)
-    leave, each exactly verified. Of a law that undoes the input map no limits: they are not those of what it commands.
+    """The design with what is proved of its very gains beside it: rates, tolerances and what input
+    `limits` (physical)
+    leave, each exactly verified. Of a law that undoes the input map no limits: they are not those
+    of what it commands.
     """
     model, balls = of_commands(design, model, balls)
     limits = None if design.inverts else limits
@@ -57,42 +66,64 @@ def as_deployed(
     linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
     if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
         controlled = controlled_system(model, feedback)
-        known = Known(system=model.system, controlled=controlled, balls=balls, gains=design.gains)
+        known = VerificationContext(
+            system=model.system, controlled=controlled, balls=balls, gains=design.gains
+        )
         weights = {"tolerance": np.eye(len(feedback.k))}
         gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
         if shown.rests and np.isfinite(gains).all():  # else no weight covers what is shown
-            weights["tolerance_by_frequency"] = covering_weight(ANGLES, gains, channels=len(feedback.k))
-        asked = {name: (weight, Tolerance if linear else StructuredTolerance) for name, weight in weights.items()}
+            weights["tolerance_by_frequency"] = covering_weight(
+                ANGLES, gains, channels=len(feedback.k)
+            )
+        asked = {
+            name: (weight, Tolerance if linear else StructuredTolerance)
+            for name, weight in weights.items()
+        }
         if linear and not model.linear.d.any():
             asked["noise"] = weights["tolerance"], NoiseGain
         for name, (weight, theorem) in asked.items():
             found[name] = within_reach(partial(largest_tolerance, known, weight, theorem=theorem))
     beside = {name: part for name, part in found.items() if part is not None}
     design = replace(design, beside=beside)
-    return replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
+    return (
+        replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
+    )
 
 
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
-    """What is proved with limited inputs; nothing of neurons, without a certificate, or of limits not around rest."""
-    parts = (design.state_feedback, *(design.beside.get(f"state_feedback_{more}") for more in ("deployed", "limited")))
+    """What is proved with limited inputs; nothing of neurons, without a certificate, or of limits
+    not around rest."""
+    parts = (
+        design.state_feedback,
+        *(design.beside.get(f"state_feedback_{more}") for more in ("deployed", "limited")),
+    )
     known = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
     limits = np.stack([model.scale.scaled_input(end) for end in (lower, upper)], axis=1)
-    if not known or not isinstance(model, SSM) or not ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all():
+    if (
+        not known
+        or not isinstance(model, SSM)
+        or not ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all()
+    ):
         return {}
     found = {EVERYWHERE: within_reach(partial(from_everywhere, known[0]))}
     known += [part for part in found.values() if isinstance(part, StateFeedbackOfBall)]
     rest, _, gain = model.linear.held()
     signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=len(gain) - 1)])
-    corners = rest @ np.linalg.pinv(gain) @ signs.T  # states at rest where every scaled output is one or minus one
+    corners = (
+        rest @ np.linalg.pinv(gain) @ signs.T
+    )  # states at rest where every scaled output is one or minus one
     corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
-    if not model.linear.d.any():  # else the law moves the output of a start at once: no range of outputs tells starts
+    if (
+        not model.linear.d.any()
+    ):  # else the law moves the output of a start at once: no range of outputs tells starts
         found[SETS] = within_reach(partial(unlimited, known, corners, limits))
     return {label: part for label, part in found.items() if part is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class WithinLimits:
-    """No limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`: cut at them, or None."""
+    """No limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`: cut at them, or
+    None."""
 
     lower: Outputs
     upper: Outputs
@@ -108,28 +139,37 @@ class WithinLimits:
 
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Both, for limits in physical units; `BadRequest` for an infeasible design, limits without room around rest, and
-    where nothing is proved: without a certificate, or of an output that no input holds or that answers it at once.
+    """Both, for limits in physical units; `BadRequest` for an infeasible design, limits without
+    room around rest, and
+    where nothing is proved: without a certificate, or of an output that no input holds or that
+    answers it at once.
     """
     design.parts()
     rest, limits = model.scale.input_equilibrium, (lower.tolist(), upper.tolist())
-    problem, remedy = "do not enclose the input at rest", "widen them or choose another operating point"
+    problem, remedy = (
+        "do not enclose the input at rest",
+        "widen them or choose another operating point",
+    )
     require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
     found = WithinLimits.of(model, with_limits(model, design, lower, upper))
     if found is None:
-        raise BadRequest("input limits", limits, "nothing is proved within them", "request lower rates")
+        raise BadRequest(
+            "input limits", limits, "nothing is proved within them", "request lower rates"
+        )
     return found
 
 
 def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """The least and the greatest output between the starts and their mirror images, physical units."""
+    """The least and the greatest output between the starts and their mirror images, physical
+    units."""
     read = (model.linear.c @ starts[: model.order]).T
     ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))
     return ends.min(axis=0), ends.max(axis=0)
 
 
 def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """What is found; None where floats do not hold what it takes: nothing is claimed then, and the design stands."""
+    """What is found; None where floats do not hold what it takes: nothing is claimed then, and the
+    design stands."""
     try:
         with within_floats():
             return find()
@@ -140,11 +180,15 @@ def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
 def covering_weight(
     angles: Float[np.ndarray, "F"], gains: Float[np.ndarray, "F"], channels: int
 ) -> Float[np.ndarray, "v v"]:
-    """`[A_W, B_W; C_W, D_W]` of the tightest first-order filter, stable with its inverse, that covers what is shown.
+    """`[A_W, B_W; C_W, D_W]` of the tightest first-order filter, stable with its inverse, that
+    covers what is shown.
 
-    `w(z) = (g_1 t (z - 1) + g_0 (z + 1)) / (t (z - 1) + z + 1)` has gain `g_0` at rest, `g_1` at the highest frequency,
-    and `|w|^2 = (g_0^2 + (g_1 t tan)^2) / (1 + (t tan)^2)` with `tan = tan(angle / 2)`, `t = 1 / tan(corner / 2)`.
-    Of a grid of ratios and corners the one that exceeds the shown gain by the least mean logarithm; channels alike.
+    `w(z) = (g_1 t (z - 1) + g_0 (z + 1)) / (t (z - 1) + z + 1)` has gain `g_0` at rest, `g_1` at
+    the highest frequency,
+    and `|w|^2 = (g_0^2 + (g_1 t tan)^2) / (1 + (t tan)^2)` with `tan = tan(angle / 2)`, `t = 1 /
+    tan(corner / 2)`.
+    Of a grid of ratios and corners the one that exceeds the shown gain by the least mean logarithm;
+    channels alike.
     """
     known = gains > 0
     if not known.any():
@@ -153,7 +197,9 @@ def covering_weight(
     turn = 1 / np.tan(CORNERS / 2)
     swept = (turn[:, None] * half) ** 2
     shapes = np.log((1 + RATIOS[:, None, None] ** 2 * swept) / (1 + swept)) / 2
-    lacking = (np.log(gains) - shapes).max(axis=2)  # log of the least gain at rest at which each covers
+    lacking = (np.log(gains) - shapes).max(
+        axis=2
+    )  # log of the least gain at rest at which each covers
     cost = lacking + (shapes - np.log(gains)).mean(axis=2)
     ratio, corner = np.unravel_index(int(np.argmin(cost)), cost.shape)
     rest, t = float(np.exp(lacking[ratio, corner])), float(turn[corner])

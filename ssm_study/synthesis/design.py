@@ -13,28 +13,47 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ssm_study.refusal import BadRequest, at_least, positive, require
-from ssm_study.signals import Trajectories
-from ssm_study.certificates.certificate import SIDES, Design, Infeasible, Observer, Side, StateFeedback, digest
-from ssm_study.synthesis.input_inversion import designed
-from ssm_study.synthesis.frontier import Frontier, controller_frontier
-from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual, within_floats
-from ssm_study.certificates.theorem import Known, Theorem, theorem_named
+from ssm_study.certificates.certificate import (
+    SIDES,
+    Design,
+    Infeasible,
+    Observer,
+    Side,
+    StateFeedback,
+    digest,
+)
+from ssm_study.certificates.problem import (
+    Neurons,
+    NoSolution,
+    Problem,
+    Solution,
+    dual,
+    within_floats,
+)
+from ssm_study.certificates.theorem import Theorem, VerificationContext, theorem_named
 from ssm_study.certificates.theorems.integral_action import frequencies, with_modes
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
+from ssm_study.refusal import BadRequest, at_least, positive, require
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import Trajectories
+from ssm_study.synthesis.frontier import Frontier, controller_frontier
+from ssm_study.synthesis.input_inversion import designed
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 
 ILL = 1e6  # a metric of a smaller condition number gains nothing from fewer states
-MOST_CONDITION = 1 / np.finfo(float).eps  # of a metric scaled to unit diagonal: beyond it, rounding alone decides
-FRONTIER_ROUNDING = 1e-8  # the frontier is recomputed from eigenvalues, which differ by rounding on another machine
+MOST_CONDITION = (
+    1 / np.finfo(float).eps
+)  # of a metric scaled to unit diagonal: beyond it, rounding alone decides
+FRONTIER_ROUNDING = (
+    1e-8  # the frontier is recomputed from eigenvalues, which differ by rounding on another machine
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request:
+class DesignAttempt:
     """One part that is being designed: what was asked, what is possible, who tries, since when."""
 
     theorem: type[Side]
@@ -45,7 +64,8 @@ class Request:
     started: float
 
     def refused(self) -> Infeasible | None:
-        """What no method can do, with the number that decides; None if the request lies inside the frontier."""
+        """What no method can do, with the number that decides; None if the request lies inside the
+        frontier."""
         ball, limit = self.ball, self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
             reason = (
@@ -57,27 +77,40 @@ class Request:
             by = self.frontier.decided_by
             floor = ", raise the slope floor (model.slope_lower)" * (by == "the slopes")
             reason = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (by != 'the slopes')} only rates below "
-            reason += f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
+            reason += (
+                f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
+            )
             return self.nothing(reason, "not asked", proved=True)
         return None
 
     def nothing(self, reason: str, status: str, proved: bool = False) -> Infeasible:
         """The request without a certificate."""
-        asked: Any = {"theorem": self.theorem.name(), "rate": self.rate, "rate_limit": self.frontier.rate_limit}
+        asked: Any = {
+            "theorem": self.theorem.name(),
+            "rate": self.rate,
+            "rate_limit": self.frontier.rate_limit,
+        }
         asked |= {"alpha": self.ball.alpha, "beta": self.ball.beta, "method": self.method}
         seconds = time.perf_counter() - self.started
-        return Infeasible(**asked, proved=proved, reason=reason, solver_status=status, seconds=seconds)
+        return Infeasible(
+            **asked, proved=proved, reason=reason, solver_status=status, seconds=seconds
+        )
 
     def verified(self, problem: Problem, solution: Solution) -> Any:
-        """The certificate, a `Side`; `problem` is in Theorem 1's form, transposed for an observer."""
+        """The certificate, a `Side`; `problem` is in Theorem 1's form, transposed for an
+        observer."""
         numbers = self.theorem.numbers_of(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
-        return self.theorem.proved(numbers, rate_limit=self.frontier.rate_limit, status=solution.status, **told)
+        return self.theorem.proved(
+            numbers, rate_limit=self.frontier.rate_limit, status=solution.status, **told
+        )
 
     def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
-        """The first attempt that is certified; else what the last one with matrices comes to; else why none did.
+        """The first attempt that is certified; else what the last one with matrices comes to; else
+        why none did.
 
-        Matrices that floats could have held are handed on as found, not certified; hopeless ones are refused.
+        Matrices that floats could have held are handed on as found, not certified; hopeless ones
+        are refused.
         """
         best: Side | None = None
         status = "no attempt"
@@ -103,20 +136,28 @@ class Request:
         return replace(best, solver_status=f"{best.solver_status}; {told}")
 
 
-def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None) -> list[str]:
+def failed_checks(
+    content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None
+) -> list[str]:
     """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
 
-    `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback acts on where that
-    is not the model itself (integral action). Claims are each part's digest, the model's fields and ball, products,
+    `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
+    acts on where that
+    is not the model itself (integral action). Claims are each part's digest, the model's fields and
+    ball, products,
     rate limits, and `certified`, or that an infeasible rate is excluded.
     """
     try:
         design = Design.from_json(content)
     except BadRequest as malformed:
         return [str(malformed)]
-    if design.inverts and balls.input.relative_radius < 1:  # S_u has an inverse, and the law applies it
+    if (
+        design.inverts and balls.input.relative_radius < 1
+    ):  # S_u has an inverse, and the law applies it
         balls = replace(balls, input=JacobianBall(alpha=1.0, beta=0.0))
-    known = Known(system=linear, controlled=controlled or linear, balls=balls, gains=design.gains)
+    known = VerificationContext(
+        system=linear, controlled=controlled or linear, balls=balls, gains=design.gains
+    )
     broken = [
         f"{part}.digest: the stored numbers are not those that were written"
         for part, fields in content.items()
@@ -124,7 +165,10 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
     ]
     for label, part in design.content.items():
         broken += [f"{label}{claim}" for claim in _of_part(part, known)]
-    for label, again in design.beside.items():  # what is proved beside a side is of the gains that are deployed
+    for (
+        label,
+        again,
+    ) in design.beside.items():  # what is proved beside a side is of the gains that are deployed
         own = again.gains.items() if isinstance(again, Side) else ()
         if not all(np.array_equal(gain, design.gains.get(letter, np.nan)) for letter, gain in own):
             broken.append(f"{label}: the gain is not the one that is deployed")
@@ -135,25 +179,35 @@ def broken_claims(content: dict[str, Any], linear: Any, balls: Balls, controlled
     return broken
 
 
-def _of_part(part: Theorem | Infeasible, known: Known) -> list[str]:
+def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str]:
     theorem = theorem_named(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball, limit = theorem.ball(known), theorem.rate_limit_of(known)
     broken, stated = [], getattr(part, "rate_limit", np.nan)
     if limit is not None and not abs(stated - limit) <= FRONTIER_ROUNDING:
         broken.append(f".rate_limit = {stated!r}: the frontier is {limit!r}")
     if isinstance(part, Infeasible):
-        excluded = abs(ball.alpha) <= ball.beta or (limit is not None and part.rate >= limit - FRONTIER_ROUNDING)
+        excluded = abs(ball.alpha) <= ball.beta or (
+            limit is not None and part.rate >= limit - FRONTIER_ROUNDING
+        )
         if part.proved and not excluded:
             broken.append(f".proved: the rate {part.rate:g} is inside the frontier {limit:g}")
         return broken
     if Fraction(ball.beta) + abs(Fraction(ball.alpha) - Fraction(part.alpha)) > Fraction(part.beta):
         stated, filled = f"{part.alpha!r}, {part.beta!r}", f"{ball.alpha!r}, {ball.beta!r}"
-        broken.append(f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which is not inside")
+        broken.append(
+            f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which is not inside"
+        )
     return broken + part.broken(known)
 
 
-REPAIRS = (0.03, 0.3, 0.8)  # a near miss is solved again at these shares of the way (in log r) to the frontier
-REPAIR_FLOOR = 0.5  # or to this share of r where the frontier is nearer to zero (r = 0 for a linear output)
+REPAIRS = (
+    0.03,
+    0.3,
+    0.8,
+)  # a near miss is solved again at these shares of the way (in log r) to the frontier
+REPAIR_FLOOR = (
+    0.5  # or to this share of r where the frontier is nearer to zero (r = 0 for a linear output)
+)
 FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be told from 1
 
 
@@ -165,12 +219,17 @@ def contraction_rate(field: str, rate: Any, remedy: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Synthesis(ABC):
-    """Controller and observer at the asked contraction rates (distances shrink by `sqrt(1 - rate)` per sample).
+    """Controller and observer at the asked contraction rates (distances shrink by `sqrt(1 - rate)`
+    per sample).
 
-    The weights of the controller's guaranteed cost and the variances the observer is tuned for, in scaled units:
-    conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)` (`synthesis.commanded`). With an
-    `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the controller is that of the model with these modes z
-    (`theorems.integral_action`) and `integral_weight |z|^2` in its cost: larger removes errors sooner.
+    The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
+    scaled units:
+    conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
+    (`synthesis.commanded`). With an
+    `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the controller is that of the model with these
+    modes z
+    (`theorems.integral_action`) and `integral_weight |z|^2` in its cost: larger removes errors
+    sooner.
     """
 
     rate_controller: float
@@ -192,7 +251,13 @@ class Synthesis(ABC):
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
             contraction_rate(f"synthesis.{name}", getattr(self, name), "try 0.1")
-        for name in ("state_weight", "input_weight", "state_noise", "output_noise", "integral_weight"):
+        for name in (
+            "state_weight",
+            "input_weight",
+            "state_noise",
+            "output_noise",
+            "integral_weight",
+        ):
             positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
             at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
@@ -205,32 +270,51 @@ class Synthesis(ABC):
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
-        """Matrices of Theorem 1 for the problem. Raises `NoSolution` when the method ends without any."""
+        """Matrices of Theorem 1 for the problem. Raises `NoSolution` when the method ends without
+        any."""
 
-    def design(self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None) -> Design:
-        """Both parts, independently; of the model's `system` where it has one, else of its linear recurrence."""
+    def design(
+        self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
+    ) -> Design:
+        """Both parts, independently; of the model's `system` where it has one, else of its linear
+        recurrence."""
         if self.invert_input:
             return designed(replace(self, invert_input=False), model, validation, shown)
         system = getattr(model, "system", model.linear)
         controlled = with_modes(model, self.modes, self.integral_weight) if self.modes else system
-        feedback, observer = self.state_feedback(controlled, balls.input), self.observer(system, balls.output)
+        feedback, observer = (
+            self.state_feedback(controlled, balls.input),
+            self.observer(system, balls.output),
+        )
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
         """Theorem 1 for `x+ = A x + B S_u(u)`, or its like with neurons."""
         neurons = isinstance(system, StructuredSystem)
-        return self._certified(StructuredStateFeedback if neurons else self.feedback_theorem, system, ball)
+        return self._certified(
+            StructuredStateFeedback if neurons else self.feedback_theorem, system, ball
+        )
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
-        """Theorem 2 for `y = S_y(C x + D S_u(u))`: Theorem 1 for `(A^T, C^T)`, transposed and verified as itself."""
+        """Theorem 2 for `y = S_y(C x + D S_u(u))`: Theorem 1 for `(A^T, C^T)`, transposed and
+        verified as itself."""
         neurons = isinstance(system, StructuredSystem)
-        return self._certified(StructuredObserver if neurons else self.observer_theorem, system, ball)
+        return self._certified(
+            StructuredObserver if neurons else self.observer_theorem, system, ball
+        )
 
     def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual(system) if theorem.observes else system, ball)
         started = time.perf_counter()
-        request = Request(theorem=theorem, rate=rate, ball=ball, frontier=limit, method=self.method, started=started)
+        request = DesignAttempt(
+            theorem=theorem,
+            rate=rate,
+            ball=ball,
+            frontier=limit,
+            method=self.method,
+            started=started,
+        )
         if refused := request.refused():
             return refused
         problem = self.problem(system, ball, theorem.observes)
@@ -243,14 +327,20 @@ class Synthesis(ABC):
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
             system = dual(system)
         on_output, on_state, on_input, rate = weights
-        weight = on_output * system.c.T @ system.c + on_state * np.eye(system.order)  # of |C x|^2, and of x itself
+        weight = on_output * system.c.T @ system.c + on_state * np.eye(
+            system.order
+        )  # of |C x|^2, and of x itself
         data: Any = {"a": system.a, "b": system.b, "state_weight": weight, "input_weight": on_input}
         if isinstance(system, StructuredSystem):
             data["neurons"] = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
         return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate with room."""
-        r, floor = problem.contraction, max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
+        """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate
+        with room."""
+        r, floor = (
+            problem.contraction,
+            max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction),
+        )
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
         return [partial(self.solve, problem.at(rate)) for rate in rates]

@@ -1,7 +1,10 @@
-"""What is possible: the exact largest rate any certificate of [Z26] Theorems 1 and 2 can reach, without a solver.
+"""What is possible: the exact largest rate any certificate of [Z26] Theorems 1 and 2 can reach,
+without a solver.
 
-Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy; Theorem 2 is the
-same for `(A^T, C^T)`. Derivation: docs/theory.md, "The frontier"; cf. Elia & Mitter 2001, Fu & Xie 2005.
+Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy;
+Theorem 2 is the
+same for `(A^T, C^T)`. Derivation: docs/theory.md, "The frontier"; cf. Elia & Mitter 2001, Fu & Xie
+2005.
 """
 
 from dataclasses import dataclass
@@ -10,14 +13,15 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import require
 from ssm_study.certificates.problem import NoSolution
+from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, StateSpace, System
 
 REACH_FLOOR = 1e-12  # a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14
 REPEATED = 1e-7  # eigenvalues closer than this share of the largest count as repeated: a defective pair splits by 1e-8
 ON_CIRCLE = 1e-10  # a mode this near to `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`: its metric is infinite
-# After k steps 2^k samples are summed: where 60 do not suffice a closed loop is on the unit circle for floats.
+# After k steps 2^k samples are summed: where 60 do not suffice a closed loop is on the unit circle
+# for floats.
 MOST_STEPS = 60
 NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^j G G^T F^jT
 
@@ -26,7 +30,8 @@ NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^
 class Frontier:
     """A certificate exists for every `rate < rate_limit`, and for none from there on.
 
-    `contraction_limit = sqrt(1 - rate_limit)` is the smallest certifiable factor per step; above one (a negative
+    `contraction_limit = sqrt(1 - rate_limit)` is the smallest certifiable factor per step; above
+    one (a negative
     `rate_limit`) nothing is certifiable at all. `decided_by` names what sets the limit.
     """
 
@@ -39,26 +44,40 @@ class Frontier:
 
 
 def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
-    """The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual system's (`problem.dual`).
+    """The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual system's
+    (`problem.dual`).
 
-    With neurons it is the worst over frozen slopes, which no certificate goes beyond and few attain. Raises
+    With neurons it is the worst over frozen slopes, which no certificate goes beyond and few
+    attain. Raises
     `BadRequest` for matrices that are not finite.
     """
     if isinstance(system, StateSpace):
         return frontier(system.a, system.b, ball)
-    frozen = (system.at_slopes(slopes) for slopes in system.corners())  # each neuron at slope zero or one
+    frozen = (
+        system.at_slopes(slopes) for slopes in system.corners()
+    )  # each neuron at slope zero or one
     found = (frontier(one.a, one.b, ball) for one in frozen)
     return max(found, key=lambda one: one.contraction_limit)
 
 
-def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall) -> Frontier:
+def frontier(
+    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
+) -> Frontier:
     """Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
-    A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the input does not reach
-    keep theirs. In between several inputs need a scalar search within closed-form brackets, which meet for one input.
+    A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the
+    input does not reach
+    keep theirs. In between several inputs need a scalar search within closed-form brackets, which
+    meet for one input.
     """
     for label, matrix in (("a", a), ("b", b)):
-        require(bool(np.isfinite(matrix).all()), label, "NaN or infinity", "not finite", "identify the model again")
+        require(
+            bool(np.isfinite(matrix).all()),
+            label,
+            "NaN or infinity",
+            "not finite",
+            "identify the model again",
+        )
     moduli = np.sort(np.abs(np.linalg.eigvals(a)))[::-1]
     if ball.relative_radius >= 1 or not b.any():
         return Frontier(contraction_limit=float(moduli[0]), decided_by="the open loop")
@@ -68,16 +87,23 @@ def frontier(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: Jac
         return Frontier(contraction_limit=unreached, decided_by="a mode out of reach")
     high, least = product, _product_limit(moduli, ball.relative_radius ** b.shape[1])
     low = max(unreached, least, np.finfo(float).tiny)
-    while low < (middle := float(np.sqrt(low * high))) < high:  # the largest ball grows with r: until doubles run out
+    while (
+        low < (middle := float(np.sqrt(low * high))) < high
+    ):  # the largest ball grows with r: until doubles run out
         feasible = 1 / np.sqrt(1 + largest_energy(a, b, middle)) > ball.relative_radius
         low, high = (low, middle) if feasible else (middle, high)
-    return Frontier(contraction_limit=high, decided_by="the slopes" if low > unreached else "a mode out of reach")
+    return Frontier(
+        contraction_limit=high,
+        decided_by="the slopes" if low > unreached else "a mode out of reach",
+    )
 
 
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
-    """The largest `|lambda|` of a mode the input does not reach (Popov-Belevitch-Hautus, left eigenvectors); 0 if none.
+    """The largest `|lambda|` of a mode the input does not reach (Popov-Belevitch-Hautus, left
+    eigenvectors); 0 if none.
 
-    A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]` decides.
+    A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]`
+    decides.
     """
     values, left = np.linalg.eig(a.T)  # columns are left eigenvectors of A
     reach = np.linalg.norm(left.T @ b, axis=1) / max(np.linalg.norm(b, 2), np.finfo(float).tiny)
@@ -88,18 +114,24 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
     return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
 
 
-def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k k"]:
-    """Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
+def energy_root(
+    a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]
+) -> Float[np.ndarray, "k k"]:
+    """Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| >
+    1`.
 
     Summed in factored form by doubling, so that small directions of W keep their relative accuracy.
-    Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of reach).
+    Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of
+    reach).
     """
     f = np.linalg.inv(a)
     root = f @ b
     for _ in range(MOST_STEPS):
         root = np.hstack([root, f @ root])
         if root.shape[1] > len(root):
-            root = np.asarray(np.linalg.qr(root.T, mode="r")).T  # R^T R = root root^T: as narrow as W again
+            root = np.asarray(
+                np.linalg.qr(root.T, mode="r")
+            ).T  # R^T R = root root^T: as narrow as W again
         f = f @ f  # F^(2^j): each round doubles the terms summed
         size = np.abs(f).max()
         if not np.isfinite(size):
@@ -111,14 +143,20 @@ def energy_root(a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]) -> Flo
     return root
 
 
-def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> float:
-    """`lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of reach.
+def largest_energy(
+    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
+) -> float:
+    """`lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of
+    reach.
 
-    Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T` has orthogonal
+    Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T`
+    has orthogonal
     coordinates of it, so no eigenvector basis is ever inverted.
     """
     edge = contraction * (1 + ON_CIRCLE)
-    t, z, order = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge)
+    t, z, order = scipy.linalg.schur(
+        a.T, output="real", sort=lambda re, im: np.hypot(re, im) > edge
+    )
     if not order:
         return 0.0
     bh = z[:, :order].T @ b / contraction
@@ -132,7 +170,8 @@ def largest_energy(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], con
 def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
     """The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending order.
 
-    With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the one whose r lies
+    With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
+    one whose r lies
     between its neighbours, and the largest candidate is that one.
     """
     with np.errstate(divide="ignore"):

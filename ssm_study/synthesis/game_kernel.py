@@ -1,9 +1,11 @@
 """The saddle point of the game Riccati equation and the gradient at it, compiled.
 
-Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one kind of array, few
+Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one
+kind of array, few
 instances, a compiler that is done in seconds. A step that has no solution raises `LinAlgError`.
 
-Source: docs/theory.md, "With neurons" (`structured_riccati` has the equation); doubling: Chu, Fan, Lin & Wang 2004.
+Source: docs/theory.md, "With neurons" (`structured_riccati` has the equation); doubling: Chu, Fan,
+Lin & Wang 2004.
 """
 
 from math import exp, log
@@ -110,7 +112,8 @@ def log_det(a):
 @compiled
 @no_type_check
 def _grown(total, step):
-    """Adds the step, made symmetric; 1 where it no longer counts, -1 where the sum has no limit (or is NaN), else 0."""
+    """Adds the step, made symmetric; 1 where it no longer counts, -1 where the sum has no limit (or
+    is NaN), else 0."""
     largest = change = 0.0
     for i in range(len(total)):
         for j in range(i + 1):
@@ -125,7 +128,8 @@ def _grown(total, step):
 @compiled
 @no_type_check
 def doubled(a, g, h):
-    """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises where there is none. G and H are used up."""
+    """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises where there is none. G and H are used
+    up."""
     n, ended = len(a), 0
     for _ in range(DOUBLINGS):
         # One elimination serves both: the closed-loop matrix, and what it adds to G.
@@ -135,7 +139,9 @@ def doubled(a, g, h):
         if ended:
             break
         _grown(g, times(times(a, right), across))
-        a = times(a, left)  # the closed-loop matrix is squared: after k steps 2^k samples are summed
+        a = times(
+            a, left
+        )  # the closed-loop matrix is squared: after k steps 2^k samples are summed
     if ended != 1:
         raise np.linalg.LinAlgError("the doubling has no limit")
     return h
@@ -167,7 +173,11 @@ def _costs(f, moved, state_weight, input_weight, m, r, logs):
     for i in range(q):
         for j in range(inputs + n):
             weighted[i, j] = rows[i, j] * exp(logs[i]) / 2
-    every, own, s = times(turned(rows), weighted), np.zeros((inputs + q, inputs + q)), np.zeros((inputs + q, n))
+    every, own, s = (
+        times(turned(rows), weighted),
+        np.zeros((inputs + q, inputs + q)),
+        np.zeros((inputs + q, n)),
+    )
     for i in range(inputs):
         for j in range(inputs):
             own[i, j] = every[i, j] / r**2
@@ -186,7 +196,8 @@ def _costs(f, moved, state_weight, input_weight, m, r, logs):
 @compiled
 @no_type_check
 def _constraint(h, m, inputs, injects):
-    """`T` with `T'H T < 0` the order of play: (p, v) after u; or, where the gain answers v, v, then u, then p."""
+    """`T` with `T'H T < 0` the order of play: (p, v) after u; or, where the gain answers v, v, then
+    u, then p."""
     size = len(h)
     t = np.zeros((size, size - m))
     for i in range(m, size):
@@ -203,9 +214,11 @@ def _constraint(h, m, inputs, injects):
 @compiled
 @no_type_check
 def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
-    """The goal's gradient, from the saddle point `(u, p, v)`, the loop's Gramian and `T (T'(-H)T)^{-1} T'`.
+    """The goal's gradient, from the saddle point `(u, p, v)`, the loop's Gramian and `T
+    (T'(-H)T)^{-1} T'`.
 
-    At a saddle point the players' own changes count only in second order: the multipliers act on the cost alone.
+    At a saddle point the players' own changes count only in second order: the multipliers act on
+    the cost alone.
     """
     (q, n), inputs = f.shape, moved.shape[1]
     z = plus(f, times(moved, saddle[:inputs].copy()), 1.0)  # what drives each neuron there
@@ -238,7 +251,9 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
     across = turned(b)
     inverse = solved(own, beside(s, across))
     first, second = inverse[:, :n].copy(), inverse[:, n:].copy()
-    x = doubled(plus(a, times(b, first), -1.0), times(b, second), plus(cost, times(turned(s), first), -1.0))
+    x = doubled(
+        plus(a, times(b, first), -1.0), times(b, second), plus(cost, times(turned(s), first), -1.0)
+    )
     log_det(x)
     into = times(across, x)
     h, toward = plus(own, times(into, b), 1.0), plus(s, times(into, a), 1.0)

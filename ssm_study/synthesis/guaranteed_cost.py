@@ -1,25 +1,34 @@
-"""Guaranteed-cost gains from Riccati equations: O(n^3), and the weights choose a good one among the certified.
+"""Guaranteed-cost gains from Riccati equations: O(n^3), and the weights choose a good one among the
+certified.
 
-Problem. As in `state_feedback` (and, transposed, `observer`): among the certified gains, the one for which
+Problem. As in `state_feedback` (and, transposed, `observer`): among the certified gains, the one
+for which
 `sum r^{-2k} (x^T Q_x x + u^T R u)` is small whatever S_u does.
 
-Hypotheses. Those of `state_feedback`, `Q_x >= 0`, `R > 0`; for some `tau > 0`, `kappa = alpha^2/Rt - 1/tau > 0` with
-`Rt = R + tau beta^2`, and the stabilising solution of `S = Ah^T (S^{-1} + kappa Bh Bh^T)^{-1} Ah + Q_x` has
+Hypotheses. Those of `state_feedback`, `Q_x >= 0`, `R > 0`; for some `tau > 0`, `kappa = alpha^2/Rt
+- 1/tau > 0` with
+`Rt = R + tau beta^2`, and the stabilising solution of `S = Ah^T (S^{-1} + kappa Bh Bh^T)^{-1} Ah +
+Q_x` has
 `Bh^T S Bh < tau I`, where `Ah = A/r`, `Bh = B/r`.
 
-Statement. `K = -(alpha/Rt) Bh^T (I + kappa S Bh Bh^T)^{-1} S Ah` satisfies, with `P = S^{-1}` and `sigma = 1/tau`,
+Statement. `K = -(alpha/Rt) Bh^T (I + kappa S Bh Bh^T)^{-1} S Ah` satisfies, with `P = S^{-1}` and
+`sigma = 1/tau`,
 
     [ r^2 P - sigma B B^T   (A + alpha B K) P   0           ]
     [ *                     P                   beta P K^T  ]  > 0,
     [ *                     *                   sigma I     ]
 
-and `x0^T S x0` bounds the cost for every S_u in the ball. All is divided by tau, so that large tau is harmless.
+and `x0^T S x0` bounds the cost for every S_u in the ball. All is divided by tau, so that large tau
+is harmless.
 
-When not to use it. Within a share of a percent of the frontier the weights have no room: `minimum_energy`.
+When not to use it. Within a share of a percent of the frontier the weights have no room:
+`minimum_energy`.
 
-Reference. [Z26] Theorem 1, eq. (11), solved with a cost: docs/theory.md; cf. Petersen & Hollot 1986.
+Reference. [Z26] Theorem 1, eq. (11), solved with a cost: docs/theory.md; cf. Petersen & Hollot
+1986.
 
-Example. Without a radius it is the linear-quadratic regulator: `x+ = x + u`, `Q_x = R = 1`, r near one: golden ratio.
+Example. Without a radius it is the linear-quadratic regulator: `x+ = x + u`, `Q_x = R = 1`, r near
+one: golden ratio.
 
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
@@ -37,17 +46,22 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric, within_floats
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier
-from ssm_study.synthesis.modes import solve_riccati
-from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric, within_floats
 from ssm_study.synthesis.minimum_energy import minimum_energy_attempts
+from ssm_study.synthesis.modes import solve_riccati
 
-# tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer matter.
+# tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer
+# matter.
 TAU_SPAN = (1e-3, 1e9)
 COARSE_STEPS = 9
-LOG_TAU_TOLERANCE = 0.01  # the cost is flat at its minimum: tau to one percent changes it by far less
-WEIGHTED_ATTEMPTS = 3  # the asked rate and two faster ones; a request that needs more room is the closed form's
+LOG_TAU_TOLERANCE = (
+    0.01  # the cost is flat at its minimum: tau to one percent changes it by far less
+)
+WEIGHTED_ATTEMPTS = (
+    3  # the asked rate and two faster ones; a request that needs more room is the closed form's
+)
 FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search can compare
 
 
@@ -67,12 +81,15 @@ class GuaranteedCost:
 
 @within_floats()
 def guaranteed_cost(problem: Problem) -> Solution:
-    """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is admissible."""
+    """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is
+    admissible."""
     alpha, beta = problem.ball.alpha, problem.ball.beta
     if abs(alpha) <= beta:
         raise NoSolution("the slopes include zero, so no input is sure to have an effect")
     tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
-    best = at_tau(problem, tau_min * TAU_SPAN[1]) if beta == 0 else None  # the cost only falls with tau
+    best = (
+        at_tau(problem, tau_min * TAU_SPAN[1]) if beta == 0 else None
+    )  # the cost only falls with tau
     best = best or _search(problem, tau_min)
     # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
     p = symmetric(np.linalg.inv(best.s_over_tau))
@@ -80,7 +97,8 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
-    """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if inadmissible."""
+    """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if
+    inadmissible."""
     ball, ah, bh = problem.ball, problem.a_hat, problem.b_hat
     rt_over_tau = problem.input_weight / tau + ball.beta**2  # all over tau, see the statement
     kappa_times_tau = ball.alpha**2 / rt_over_tau - 1
@@ -93,7 +111,9 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     m, energy = bh.shape[1], bh.T @ s @ bh
     if not np.linalg.eigvalsh(energy)[-1] < 1:  # Bh^T S Bh < tau I, the hypothesis
         return None
-    k = -(ball.alpha / rt_over_tau) * np.linalg.solve(np.eye(m) + kappa_times_tau * energy, bh.T @ s @ ah)
+    k = -(ball.alpha / rt_over_tau) * np.linalg.solve(
+        np.eye(m) + kappa_times_tau * energy, bh.T @ s @ ah
+    )
     return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
 
 
@@ -111,7 +131,9 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
     if tried[index][1] is None:
         raise NoSolution("no admissible tau")
     span = float(grid[max(index - 1, 0)]), float(grid[min(index + 1, COARSE_STEPS - 1)])
-    scipy.optimize.minimize_scalar(cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE})
+    scipy.optimize.minimize_scalar(
+        cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
+    )
     best = min(tried, key=lambda point: point[0])[1]
     assert best is not None  # one of the grid is
     return best
@@ -121,7 +143,8 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
 class RiccatiSynthesis(Synthesis):
     """The certified gains of least guaranteed cost for the given weights.
 
-    With neurons the search starts from what is `near`: a neighbour's solution for the controller (under False) or for
+    With neurons the search starts from what is `near`: a neighbour's solution for the controller
+    (under False) or for
     the observer (under True).
     """
 
@@ -132,15 +155,23 @@ class RiccatiSynthesis(Synthesis):
     def solve(self, problem: Problem) -> Solution:
         if problem.neurons is None:
             return guaranteed_cost(problem)
-        from ssm_study.synthesis.structured_riccati import least_cost  # compiles: only where there are neurons
+        from ssm_study.synthesis.structured_riccati import (
+            least_cost,
+        )  # compiles: only where there are neurons
 
         return least_cost(problem, self.near.get(problem.neurons.observes))
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """The weights first; where the frontier leaves no room, the minimum-energy gain, with neurons the LMI's."""
+        """The weights first; where the frontier leaves no room, the minimum-energy gain, with
+        neurons the LMI's."""
         weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-            return [*weighted, lambda: StructuredLmi(problem=problem, objective="largest_margin").solve(problem.rate)]
+            return [
+                *weighted,
+                lambda: StructuredLmi(problem=problem, objective="largest_margin").solve(
+                    problem.rate
+                ),
+            ]
         return [*weighted, *minimum_energy_attempts(problem)]

@@ -1,6 +1,8 @@
-"""`u = S_u^{-1}(K xh)`: the input map is known and strictly monotone, so the law can command what is behind it.
+"""`u = S_u^{-1}(K xh)`: the input map is known and strictly monotone, so the law can command what
+is behind it.
 
-A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the law asks for several
+A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the
+law asks for several
 times the input. Source: docs/theory.md, "With neurons".
 """
 
@@ -11,22 +13,28 @@ import numpy as np
 
 from ssm_study.bounds.network import inverse_of
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design, Infeasible
+from ssm_study.certificates.theorem import theorem_named
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.signals import DataSet, Scale, Trajectories
-from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.robustness.mismatch import Mismatch, mismatch
-from ssm_study.certificates.theorem import theorem_named
+from ssm_study.signals import DataSet, Scale, Trajectories
 from ssm_study.systems import Balls
 
 # Theorems of a state feedback, and those of the same gain behind `S_u^{-1}`.
-INVERTED = {"state_feedback": "inverted_input", "structured_state_feedback": "structured_inverted_input"}
+INVERTED = {
+    "state_feedback": "inverted_input",
+    "structured_state_feedback": "structured_inverted_input",
+}
 
 
 def commanded(model: Model) -> Model:
     """The model with input v. Raises `BadRequest` where `S_u` has no inverse by channel."""
-    problem, remedy = "is not strictly monotone in each channel", "use scaffold@model.scaffold_in=monotone"
+    problem, remedy = (
+        "is not strictly monotone in each channel",
+        "use scaffold@model.scaffold_in=monotone",
+    )
     kind, known = model.scaffold_in.kind, inverse_of(model.scaffold_in.portable()) is not None
     require(known, "synthesis.invert_input", kind, problem, remedy)
     channels = model.scaffold_in.outputs
@@ -40,22 +48,37 @@ def behind(model: Model, records: Trajectories) -> Trajectories:
     return tuple(replace(record, u=model.lift(record.u)) for record in records)
 
 
-def shown_behind(model: Model, records: Trajectories, start_up_samples: int, trials: Trajectories) -> Mismatch:
+def shown_behind(
+    model: Model, records: Trajectories, start_up_samples: int, trials: Trajectories
+) -> Mismatch:
     """What the records show, relative to v."""
-    return mismatch(commanded(model), behind(model, records), start_up_samples, behind(model, trials))
+    return mismatch(
+        commanded(model), behind(model, records), start_up_samples, behind(model, trials)
+    )
 
 
 def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch:
-    """What the records show relative to what a design, or a specification, commands; `shown` is relative to u."""
+    """What the records show relative to what a design, or a specification, commands; `shown` is
+    relative to u."""
     undone = law.inverts if isinstance(law, Design) else law.invert_input
-    return shown_behind(model, data.validation, data.start_up_samples, data.trials) if undone else shown
+    return (
+        shown_behind(model, data.validation, data.start_up_samples, data.trials)
+        if undone
+        else shown
+    )
 
 
 def inverting(design: Design) -> Design:
     """The same gains, found for the model with input v, as those of a law that undoes `S_u`."""
     part = design.state_feedback
     name = part.theorem if isinstance(part, Infeasible) else part.name()
-    require(name in INVERTED, "synthesis.invert_input", name, "is no theorem that it is stated for", "use riccati")
+    require(
+        name in INVERTED,
+        "synthesis.invert_input",
+        name,
+        "is no theorem that it is stated for",
+        "use riccati",
+    )
     if isinstance(part, Infeasible):
         return replace(design, state_feedback=replace(part, theorem=INVERTED[name]))
     kind: Any = theorem_named(INVERTED[name])
@@ -71,8 +94,13 @@ def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Ball
 
 
 def designed(plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None) -> Design:
-    """The design of `plain`, a specification without the option, for the model with input v; marked as such."""
+    """The design of `plain`, a specification without the option, for the model with input v; marked
+    as such."""
     made = commanded(model)
-    if getattr(plain, "limits", None) is not None:  # scaled inputs; a falling S_u exchanges the ends
-        plain = replace(plain, limits=tuple(np.sort([model.scaffold_in(end) for end in plain.limits], axis=0)))
+    if (
+        getattr(plain, "limits", None) is not None
+    ):  # scaled inputs; a falling S_u exchanges the ends
+        plain = replace(
+            plain, limits=tuple(np.sort([model.scaffold_in(end) for end in plain.limits], axis=0))
+        )
     return inverting(plain.design(made, certified_balls(made), behind(model, validation), shown))

@@ -1,6 +1,8 @@
-"""How fast a design is on the model itself: area under its response and time to settle, for hundreds at once.
+"""How fast a design is on the model itself: area under its response and time to settle, for
+hundreds at once.
 
-Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in docs/theory.md.
+Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in
+docs/theory.md.
 """
 
 from dataclasses import replace
@@ -11,15 +13,19 @@ from jaxtyping import Float
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.systems import Pair, StateSpace, feed, held
+from ssm_study.systems import Gains, StateSpace, error_input_matrix, held
 
 CASES = 12  # states the model is released from, evenly spaced along the validation record
 LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
 TIME_CONSTANTS = 4.0  # horizon, in time constants of the model's slowest mode
-SAMPLES = (50, 150)  # shortest and longest horizon: a mode slower than that is not what a loop is judged by
+SAMPLES = (
+    50,
+    150,
+)  # shortest and longest horizon: a mode slower than that is not what a loop is judged by
 SETTLED = 0.05  # output scales within which a response has settled
 FAINT = 0.1  # states whose uncontrolled response is below this share of the largest are not counted: they rest already
-# Scaled signals are cut here, so that a design that diverges on the model gets a huge area and not an overflow.
+# Scaled signals are cut here, so that a design that diverges on the model gets a huge area and not
+# an overflow.
 LARGEST = 1e6
 AT_ONCE = 256  # designs simulated together: as many as stay in the processor's cache
 
@@ -29,9 +35,12 @@ def release(
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
     """States `x0` let go at sample 0, the load to be added to `S_u(u)`, and the horizon in samples.
 
-    `CASES` states that the model passes through in the validation record; if `loaded`, also rest under loads. Not
-    states in which a constant input would hold the model: a model may have a mode so slow that no record ever filled
-    it, and a design that looks fast from there leaves the estimate of that mode behind on the plant.
+    `CASES` states that the model passes through in the validation record; if `loaded`, also rest
+    under loads. Not
+    states in which a constant input would hold the model: a model may have a mode so slow that no
+    record ever filled
+    it, and a design that looks fast from there leaves the estimate of that mode behind on the
+    plant.
     """
     linear, visited = at_rest(model), []
     for record in validation:
@@ -40,7 +49,9 @@ def release(
             visited.append(x)
             x = model.advance(x, ubar)
     x0 = np.array(visited)[np.linspace(0, len(visited) - 1, CASES + 2).astype(int)[1:-1]]
-    slowest = -np.log(min(max(linear.spectral_radius, 1e-6), 1 - 1e-6))  # decay per sample of the slowest mode
+    slowest = -np.log(
+        min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)
+    )  # decay per sample of the slowest mode
     horizon = int(np.clip(np.ceil(TIME_CONSTANTS / slowest), *SAMPLES))
     load = _loads(model, linear, horizon) if loaded else np.zeros((0, linear.b.shape[1]))
     still, none = np.zeros((len(load), model.order)), np.zeros((len(x0), linear.b.shape[1]))
@@ -48,14 +59,19 @@ def release(
 
 
 def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
-    """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale; idle ones left out."""
+    """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale;
+    idle ones left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
     else:
         held = linear.held()[0].T
-    reach = np.linalg.norm(model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1)
+    reach = np.linalg.norm(
+        model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1
+    )
     counts = reach > 1e-6 * reach.max()
-    return np.concatenate([level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS])
+    return np.concatenate(
+        [level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS]
+    )
 
 
 def at_rest(model: Model) -> StateSpace:
@@ -66,7 +82,8 @@ def at_rest(model: Model) -> StateSpace:
 
 
 def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:
-    """A load over time, up to one, that the internal model makes: constant, a ramp, sines, or their mean."""
+    """A load over time, up to one, that the internal model makes: constant, a ramp, sines, or their
+    mean."""
     one = modes[::outputs, ::outputs]  # of one output
     if not len(one):
         return np.ones(horizon)
@@ -75,32 +92,44 @@ def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float
 
 
 def relative_areas(
-    model: Model, gains: Pair, validation: Trajectories, limits: Ends | None = None
+    model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> Float[np.ndarray, "P"]:
     """`J / J_uncontrolled`, mean over the released states, of each of the pairs of gains.
 
-    `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the area hardly sees a
-    faint tail, on which the time to settle turns; the time does not see what lies beyond the horizon. Observers start
-    from zero. Gains with an internal model are also judged by how soon they remove loads that it makes, constant ones
-    with integrators. No noise, scaled units, inputs within `limits`, where it is `held`. Below one is faster than none.
+    `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
+    area hardly sees a
+    faint tail, on which the time to settle turns; the time does not see what lies beyond the
+    horizon. Observers start
+    from zero. Gains with an internal model are also judged by how soon they remove loads that it
+    makes, constant ones
+    with integrators. No noise, scaled units, inputs within `limits`, where it is `held`. Below one
+    is faster than none.
     """
     start = *release(model, validation, loaded=len(gains.modes) > 0), limits or (-LARGEST, LARGEST)
     alone = _areas(model, replace(gains, k=0 * gains.k[:1], l=0 * gains.l[:1], l_z=None), *start)[0]
     counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
-    found = [_areas(model, gains.at(some), *start) for some in np.array_split(np.arange(len(gains.k)), parts)]
+    found = [
+        _areas(model, gains.at(some), *start)
+        for some in np.array_split(np.arange(len(gains.k)), parts)
+    ]
     return (np.concatenate(found)[:, counts] / alone[counts]).mean(axis=1)
 
 
 def _areas(
     model: Model,
-    gains: Pair,
+    gains: Gains,
     x0: Float[np.ndarray, "N n"],
     load: Float[np.ndarray, "N k"],
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    n, k, l_, modes = model.order, gains.k.transpose(0, 2, 1), gains.l.transpose(0, 2, 1), gains.modes
-    fed, shape = feed(modes, l_.shape[1]), _shape(modes, l_.shape[1], horizon)
+    n, k, l_, modes = (
+        model.order,
+        gains.k.transpose(0, 2, 1),
+        gains.l.transpose(0, 2, 1),
+        gains.modes,
+    )
+    fed, shape = error_input_matrix(modes, l_.shape[1]), _shape(modes, l_.shape[1], horizon)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
     x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
     x_hat, area, settled = np.zeros_like(x), np.zeros(x.shape[:2]), np.zeros(x.shape[:2])
@@ -118,5 +147,7 @@ def _areas(
         z = np.clip(np.where(free, z @ modes.T + y @ fed.T, z @ held(modes).T), -LARGEST, LARGEST)
         x = model.advance(x, loaded)
         injected = () if l_z is None else (innovation @ l_z,)
-        x_hat = np.clip(model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST)
+        x_hat = np.clip(
+            model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST
+        )
     return area + settled

@@ -1,7 +1,9 @@
 """[Z26] Theorems 1 and 2 as the paper states them: linear matrix inequalities, through CVXPY.
 
-Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves without compiling. The
-solver's status is information: inside the frontier its "infeasible" is often false (docs/theory.md), and the verdict on
+Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves
+without compiling. The
+solver's status is information: inside the frontier its "infeasible" is often false
+(docs/theory.md), and the verdict on
 what it returns is exact arithmetic's.
 """
 
@@ -17,23 +19,26 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import BadRequest, one_of
 from ssm_study.certificates.certificate import Side
-from ssm_study.synthesis.design import Request, Synthesis
-from ssm_study.synthesis.frontier import Frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric
 from ssm_study.certificates.theorem import Blocks, full
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.refusal import BadRequest, one_of
+from ssm_study.synthesis.design import DesignAttempt, Synthesis
+from ssm_study.synthesis.frontier import Frontier
 from ssm_study.systems import JacobianBall, StateSpace
 
 OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")
-# SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact verdict decides.
-# Clarabel's supernodal factorisation is ten times faster than its default from order 28, and no slower below.
+# SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact
+# verdict decides.
+# Clarabel's supernodal factorisation is ten times faster than its default from order 28, and no
+# slower below.
 SOLVERS: dict[str, dict[str, Any]] = {
     "CLARABEL": {"direct_solve_method": "faer", "max_threads": 1},
     "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0},
 }
-# The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its strictness by this.
+# The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its
+# strictness by this.
 STRICTNESS = 1e-6
 
 Matrix = Float[np.ndarray, "_ _"]
@@ -43,18 +48,30 @@ Goal = tuple[cp.Expression, list[cp.Constraint]]
 class CompiledLmi:
     """Theorem 1 for one pair `a (n, n)`, `b (n, m)`, ready to be solved at any rate and ball.
 
-    `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights matter for
+    `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights
+    matter for
     `guaranteed_cost` only, whose cost is that of the Riccati route.
     """
 
     def __init__(
-        self, *, a: Matrix, b: Matrix, objective: str, full: bool, state_weight: Matrix, input_weight: float
+        self,
+        *,
+        a: Matrix,
+        b: Matrix,
+        objective: str,
+        full: bool,
+        state_weight: Matrix,
+        input_weight: float,
     ) -> None:
         n, m = b.shape
         p, x = cp.Variable((n, n), symmetric=True), cp.Variable((m, n))
         y = cp.Variable((n, n)) if full else p
         self.parts: dict[str, Any] = {"p": p, "y": y, "x": x, "sigma": cp.Variable(nonneg=True)}
-        self.parts |= {"rate": cp.Parameter(), "alpha": cp.Parameter(), "beta": cp.Parameter(nonneg=True)}
+        self.parts |= {
+            "rate": cp.Parameter(),
+            "alpha": cp.Parameter(),
+            "beta": cp.Parameter(nonneg=True),
+        }
         upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=a, b=b, **self.parts))
         if objective == "smallest_gain":
             goal, constraints = _smallest_gain(upper, p, y, x)
@@ -65,7 +82,10 @@ class CompiledLmi:
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
         """Raises `NoSolution` with the solver's status when it returns no matrices."""
-        parts, known = self.parts, {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}
+        parts, known = (
+            self.parts,
+            {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta},
+        )
         for name, value in known.items():
             parts[name].value = value
         status = solved(self.problem, solver)
@@ -78,11 +98,16 @@ class CompiledLmi:
         return Solution(p=p, y=y, k=k, sigma=float(parts["sigma"].value), status=status)
 
 
-def aim(objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]) -> Goal:
-    """Goal and constraints of an inequality with this upper triangle, linear in P and other unknowns.
+def aim(
+    objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
+) -> Goal:
+    """Goal and constraints of an inequality with this upper triangle, linear in P and other
+    unknowns.
 
-    `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace, deepest inside.
-    `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance` coupled to block `at`.
+    `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
+    deepest inside.
+    `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance` coupled to block
+    `at`.
     Source: [Z26]; docs/theory.md, "With neurons".
     """
     if objective != "guaranteed_cost":
@@ -107,10 +132,13 @@ def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expr
 
 
 def solved(program: cp.Problem, solver: str) -> str:
-    """Solve in place; the status, as information. Raises `NoSolution` when the solver returns no matrices."""
+    """Solve in place; the status, as information. Raises `NoSolution` when the solver returns no
+    matrices."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the exact verdict says whether it matters
+            warnings.simplefilter(
+                "ignore"
+            )  # "may be inaccurate": the exact verdict says whether it matters
             program.solve(solver=solver, **SOLVERS[solver])
     except (cp.error.SolverError, ArithmeticError, ValueError) as error:
         raise NoSolution(f"{solver.lower()}: {error}") from error
@@ -121,9 +149,13 @@ def solved(program: cp.Problem, solver: str) -> str:
 
 
 @lru_cache(maxsize=4)
-def _compiled(data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float) -> Any:
+def _compiled(
+    data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float
+) -> Any:
     a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in data)
-    return CompiledLmi(a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight)
+    return CompiledLmi(
+        a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,16 +186,27 @@ class LmiSynthesis(Synthesis):
         return StructuredLmi(problem=problem, objective=objective).solve(problem.rate, self.solver)
 
 
-def paper_lmi(linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall) -> Any:
-    """[Z26] Theorem 1 (2) as printed: all its unknowns (P, Y, X, sigma), any solution with the block matrix `>= I`.
+def paper_lmi(
+    linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
+) -> Any:
+    """[Z26] Theorem 1 (2) as printed: all its unknowns (P, Y, X, sigma), any solution with the
+    block matrix `>= I`.
 
-    One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for every record. A
+    One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
+    every record. A
     certificate, certified or not; `Infeasible` without matrices.
     """
-    asked: Any = {"rate_controller": rate, "rate_observer": rate, "objective": "feasibility", "full": True}
+    asked: Any = {
+        "rate_controller": rate,
+        "rate_observer": rate,
+        "objective": "feasibility",
+        "full": True,
+    }
     method, started = LmiSynthesis(**asked), time.perf_counter()
     limit = Frontier(contraction_limit=0.0, decided_by="not asked")
-    request = Request(theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started)
+    request = DesignAttempt(
+        theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started
+    )
     try:
         problem = method.problem(linear, ball, theorem.observes)
         return request.verified(problem, method.solve(problem))

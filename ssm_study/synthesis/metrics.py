@@ -1,19 +1,20 @@
-"""The numbers of a record that describe the design: feasible, certified, how far from the limit, what is predicted.
+"""The numbers of a record that describe the design: feasible, certified, how far from the limit,
+what is predicted.
 
 Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 """
 
 from typing import Any
 
-from ssm_study.columns import EIGENVALUE, ITERATED, Column
-from ssm_study.models.structured import Model
 from ssm_study.certificates.certificate import Design, Infeasible, Observer, StateFeedback
-from ssm_study.synthesis.input_inversion import of_commands
-from ssm_study.synthesis.deployed import SETS, WithinLimits
-from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import predict
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.columns import EIGENVALUE, ITERATED, Column
+from ssm_study.models.structured import Model
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.synthesis.deployed import SETS, WithinLimits
+from ssm_study.synthesis.input_inversion import of_commands
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
@@ -23,14 +24,43 @@ def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
     said = side.capitalize()
     setting, reason = f"synthesis.rate_{side}", f"Why there is no {side}"
     return (
-        Column(f"rate_{side}", "Float64", "", f"r {short}", f"{said} rate, ρ", "1/sample", ITERATED, setting=setting),
+        Column(
+            f"rate_{side}",
+            "Float64",
+            "",
+            f"r {short}",
+            f"{said} rate, ρ",
+            "1/sample",
+            ITERATED,
+            setting=setting,
+        ),
         Column(f"{side}_feasible", "boolean", "high", word=f"{said} feasible"),
         Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{said} certified"),
         Column(f"{side}_reason", "string", word=reason),
-        Column(f"{side}_margin", "Float64", "high", "", f"{said} LMI margin", "", ITERATED, EIGENVALUE),
-        Column(f"{side}_rate_limit", "Float64", "high", "", f"{said} rate limit, ρ", "1/sample", ITERATED),
-        Column(f"{side}_certified_rate", "Float64", "high", "", f"{said} rate proved", "1/sample", ITERATED),
-        Column(f"{side}_gain_norm", "Float64", "low", "", f"{said} gain ‖{gain}‖", "scaled", ITERATED),
+        Column(
+            f"{side}_margin", "Float64", "high", "", f"{said} LMI margin", "", ITERATED, EIGENVALUE
+        ),
+        Column(
+            f"{side}_rate_limit",
+            "Float64",
+            "high",
+            "",
+            f"{said} rate limit, ρ",
+            "1/sample",
+            ITERATED,
+        ),
+        Column(
+            f"{side}_certified_rate",
+            "Float64",
+            "high",
+            "",
+            f"{said} rate proved",
+            "1/sample",
+            ITERATED,
+        ),
+        Column(
+            f"{side}_gain_norm", "Float64", "low", "", f"{said} gain ‖{gain}‖", "scaled", ITERATED
+        ),
     )
 
 
@@ -43,31 +73,141 @@ COLUMNS = (
     *_of_side("observer", "obs", "L"),
     Column("infeasible_reason", "string", word="Why it is infeasible"),
     Column("uncertified_reason", "string", word="Why it is not certified"),
-    Column("synthesis_seconds", "Float64", "low", word="Synthesis time", unit="s", unchecked="depends on when it ran"),
-    Column("certified_tolerance", "Float64", "high", "", "Mismatch gain tolerated, proved", "", ITERATED),
-    Column("certified_tolerance_resolved", "Float64", "high", "", "Tolerance over what records show", "–", ITERATED),
-    Column("limit_lower", "Float64", word="Input limited from", unit="unit of the input", tolerance=ITERATED),
-    Column("limit_upper", "Float64", word="Input limited to", unit="unit of the input", tolerance=ITERATED),
-    Column("limited_rate", "Float64", "high", "", "Rate proved from everywhere, input limited", "1/sample", ITERATED),
-    Column("unlimited_from", "Float64", "low", "", "Full rates from outputs above", "output unit", ITERATED),
-    Column("unlimited_to", "Float64", "high", "", "Full rates from outputs below", "output unit", ITERATED),
-    Column("noise_gain", "Float64", "low", "", "Sensor noise on the output, at most", "share of the noise", ITERATED),
+    Column(
+        "synthesis_seconds",
+        "Float64",
+        "low",
+        word="Synthesis time",
+        unit="s",
+        unchecked="depends on when it ran",
+    ),
+    Column(
+        "certified_tolerance",
+        "Float64",
+        "high",
+        "",
+        "Mismatch gain tolerated, proved",
+        "",
+        ITERATED,
+    ),
+    Column(
+        "certified_tolerance_resolved",
+        "Float64",
+        "high",
+        "",
+        "Tolerance over what records show",
+        "–",
+        ITERATED,
+    ),
+    Column(
+        "limit_lower",
+        "Float64",
+        word="Input limited from",
+        unit="unit of the input",
+        tolerance=ITERATED,
+    ),
+    Column(
+        "limit_upper",
+        "Float64",
+        word="Input limited to",
+        unit="unit of the input",
+        tolerance=ITERATED,
+    ),
+    Column(
+        "limited_rate",
+        "Float64",
+        "high",
+        "",
+        "Rate proved from everywhere, input limited",
+        "1/sample",
+        ITERATED,
+    ),
+    Column(
+        "unlimited_from",
+        "Float64",
+        "low",
+        "",
+        "Full rates from outputs above",
+        "output unit",
+        ITERATED,
+    ),
+    Column(
+        "unlimited_to",
+        "Float64",
+        "high",
+        "",
+        "Full rates from outputs below",
+        "output unit",
+        ITERATED,
+    ),
+    Column(
+        "noise_gain",
+        "Float64",
+        "low",
+        "",
+        "Sensor noise on the output, at most",
+        "share of the noise",
+        ITERATED,
+    ),
     Column("mismatch_gain", "Float64", "low", word="Model mismatch gain", tolerance=ITERATED),
-    Column("mismatch_seen", "Float64", "low", word="Largest mismatch gain of any record", tolerance=ITERATED),
-    Column("mismatch_in_loop", "Float64", "low", word="Mismatch gain of trials in closed loop", tolerance=ITERATED),
-    Column("mismatch_spread", "Float64", "low", word="Uncertainty of the mismatch", tolerance=ITERATED),
-    Column("mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED),
-    Column("resolved_margin", "Float64", "high", "margin", "Prediction margin", "–", ITERATED, shown=True),
-    Column("controller_radius", "Float64", "low", "ctl radius", "Controller's own spectral radius", "–", ITERATED),
-    Column("noise_peak", "Float64", "low", word="Sensor noise at rest, its peak", unit="bands", tolerance=ITERATED),
-    Column("predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True),
+    Column(
+        "mismatch_seen",
+        "Float64",
+        "low",
+        word="Largest mismatch gain of any record",
+        tolerance=ITERATED,
+    ),
+    Column(
+        "mismatch_in_loop",
+        "Float64",
+        "low",
+        word="Mismatch gain of trials in closed loop",
+        tolerance=ITERATED,
+    ),
+    Column(
+        "mismatch_spread", "Float64", "low", word="Uncertainty of the mismatch", tolerance=ITERATED
+    ),
+    Column(
+        "mismatch_margin", "Float64", "high", "in total", "Mismatch margin in total", "–", ITERATED
+    ),
+    Column(
+        "resolved_margin",
+        "Float64",
+        "high",
+        "margin",
+        "Prediction margin",
+        "–",
+        ITERATED,
+        shown=True,
+    ),
+    Column(
+        "controller_radius",
+        "Float64",
+        "low",
+        "ctl radius",
+        "Controller's own spectral radius",
+        "–",
+        ITERATED,
+    ),
+    Column(
+        "noise_peak",
+        "Float64",
+        "low",
+        word="Sensor noise at rest, its peak",
+        unit="bands",
+        tolerance=ITERATED,
+    ),
+    Column(
+        "predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True
+    ),
     Column("lmi_*_status", "string", unchecked=OPINION),
     Column("lmi_*_certified", "boolean", unchecked=OPINION),
 )
 
 
 def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) -> dict[str, Any]:
-    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair on the plant.
+    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair
+    on the plant.
 
     `shown` is relative to what the law commands (`synthesis.commanded.shown_behind`).
     """
@@ -84,43 +224,70 @@ def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) ->
         missed = (f"{side}: {part.solver_status}" for side, part in sides if not part.certified)
         facts["uncertified_reason"] = "; ".join(missed)
     predicted = predict(model, design.pair, balls, shown)
-    tolerated = {"tolerance": "certified_tolerance", "tolerance_by_frequency": "certified_tolerance_resolved"}
-    facts |= {column: getattr(design.beside.get(part), "s", None) for part, column in tolerated.items()}
+    tolerated = {
+        "tolerance": "certified_tolerance",
+        "tolerance_by_frequency": "certified_tolerance_resolved",
+    }
+    facts |= {
+        column: getattr(design.beside.get(part), "s", None) for part, column in tolerated.items()
+    }
     facts |= limit_facts(design, model)
     facts["noise_gain"] = 1 / design.beside["noise"].s if "noise" in design.beside else None  # type: ignore[attr-defined]
-    seen = {"mismatch_gain": shown.gain, "mismatch_seen": shown.seen, "mismatch_spread": shown.spread}
+    seen = {
+        "mismatch_gain": shown.gain,
+        "mismatch_seen": shown.seen,
+        "mismatch_spread": shown.spread,
+    }
     seen |= {} if shown.loop is None else {"mismatch_in_loop": shown.loop.gain}
-    return facts | seen | vars(predicted) | {"predicted_stable": predicted.keeps_the_plant()}
+    return facts | seen | vars(predicted) | {"predicted_stable": predicted.predicts_stability()}
 
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
-    """What is proved within input limits; of several inputs or outputs what all share. Empty where nothing is."""
+    """What is proved within input limits; of several inputs or outputs what all share. Empty where
+    nothing is."""
     if (found := WithinLimits.of(model, design.beside)) is None:
         return {}
     limits: Any = design.beside[SETS]
     lower, upper = model.scale.physical_input(limits.limits.T)
-    ranges = ("limit_lower", "limit_upper", lower, upper), ("unlimited_from", "unlimited_to", found.lower, found.upper)
+    ranges = (
+        ("limit_lower", "limit_upper", lower, upper),
+        ("unlimited_from", "unlimited_to", found.lower, found.upper),
+    )
     facts: dict[str, Any] = {"limited_rate": found.everywhere and found.everywhere.rate}
-    for start, end, least, most in ranges:  # channels that rest far apart share nothing; the exported header has each
+    for (
+        start,
+        end,
+        least,
+        most,
+    ) in ranges:  # channels that rest far apart share nothing; the exported header has each
         shared = float(least.max()), float(most.min())
         facts |= dict(zip((start, end), shared, strict=True)) if shared[0] < shared[1] else {}
     return facts
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """What the two LMIs of [Z26], solved by Clarabel at the same rates, have to say: information, not the verdict."""
+    """What the two LMIs of [Z26], solved by Clarabel at the same rates, have to say: information,
+    not the verdict."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = of_commands(design, model, balls)
     feedback, observer = design.state_feedback, design.observer
-    neurons = isinstance(getattr(model, "system", None), StructuredSystem)  # of which [Z26] says nothing
+    neurons = isinstance(
+        getattr(model, "system", None), StructuredSystem
+    )  # of which [Z26] says nothing
     if neurons or isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
         return {}
-    asked: Any = (("controller", feedback, StateFeedbackOfBall), ("observer", observer, ObserverOfBall))
+    asked: Any = (
+        ("controller", feedback, StateFeedbackOfBall),
+        ("observer", observer, ObserverOfBall),
+    )
     facts: dict[str, Any] = {}
     for (side, part, theorem), ball in zip(asked, (balls.input, balls.output), strict=True):
         opinion = paper_lmi(model.linear, ball, part.rate, theorem)
-        facts |= {f"lmi_{side}_status": opinion.solver_status, f"lmi_{side}_certified": opinion.certified}
+        facts |= {
+            f"lmi_{side}_status": opinion.solver_status,
+            f"lmi_{side}_certified": opinion.certified,
+        }
     return facts
 
 

@@ -1,27 +1,37 @@
-"""The minimum-energy gain: a certified controller for every rate inside the frontier, without any iteration.
+"""The minimum-energy gain: a certified controller for every rate inside the frontier, without any
+iteration.
 
-Problem. As in `state_feedback` (and, transposed, `observer`): a gain at the asked rate, with the least effort.
+Problem. As in `state_feedback` (and, transposed, `observer`): a gain at the asked rate, with the
+least effort.
 
-Hypotheses. Those of `state_feedback`; the modes of A with `|lambda| > r` are in the input's reach, and none lies on the
-circle of radius r. With `Ah = A/r`, `Bh = B/r` and `S = Ah^T (S^{-1} + Bh Bh^T)^{-1} Ah`, the ball is inside the
+Hypotheses. Those of `state_feedback`; the modes of A with `|lambda| > r` are in the input's reach,
+and none lies on the
+circle of radius r. With `Ah = A/r`, `Bh = B/r` and `S = Ah^T (S^{-1} + Bh Bh^T)^{-1} Ah`, the ball
+is inside the
 frontier: `delta = beta/alpha < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
 Statement. `K = K0 / ((1 - delta^2) alpha)` with `K0 = -(I + Bh^T S Bh)^{-1} Bh^T S Ah` satisfies
 
     [ r^2 P - B B^T   (A + alpha B K) P   0           ]
-    [ *               P                   beta P K^T  ]  >= 0,        P = (1/delta^2 - 1) S^{-1},   sigma = 1
+    [ *               P                   beta P K^T  ]  >= 0,        P = (1/delta^2 - 1) S^{-1},
+    sigma = 1
     [ *               *                   I           ]
 
-on the modes with `|lambda| > r`, which it mirrors at the circle; the others it leaves. At a slightly faster rate and a
-wider ball the inequality is strict at the asked ones, and what room there is pays for the slow modes.
+on the modes with `|lambda| > r`, which it mirrors at the circle; the others it leaves. At a
+slightly faster rate and a
+wider ball the inequality is strict at the asked ones, and what room there is pays for the slow
+modes.
 
-When not to use it. Where the plant differs from the model: no weight says what matters (`guaranteed_cost`). Close to
+When not to use it. Where the plant differs from the model: no weight says what matters
+(`guaranteed_cost`). Close to
 the frontier the gain is as large as it has to be.
 
-Reference. [Z26] Theorem 1, eq. (11), solved: docs/theory.md, "The gain in closed form"; for one input
+Reference. [Z26] Theorem 1, eq. (11), solved: docs/theory.md, "The gain in closed form"; for one
+input
 cf. Elia & Mitter 2001, Fu & Xie 2005 (the coarsest quantiser that stabilises).
 
-Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrored to 1/2, `K0 = -1.5`.
+Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrored to 1/2, `K0 =
+-1.5`.
 
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
@@ -39,16 +49,31 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
+from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.frontier import Frontier, frontier
-from ssm_study.synthesis.modes import FastGain, Modes, energy_root, split_modes, whole_metric, with_slow_modes
-from ssm_study.certificates.problem import Problem, Solution
+from ssm_study.synthesis.modes import (
+    FastGain,
+    Modes,
+    energy_root,
+    split_modes,
+    whole_metric,
+    with_slow_modes,
+)
 from ssm_study.systems import JacobianBall
 
 FASTEST = 0.5  # where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most
-SHARES = (0.5, 0.2, 0.8, 0.05, 0.95)  # of the room (in log r) to the frontier at which the gain is built, in order
-# The same with the metric of the whole model, where the block-diagonal one needs more digits than floats have. The
-# theorem is homogeneous in (P, Y, X, sigma): each scale rounds the same matrices to other floats, and where one in five
+SHARES = (
+    0.5,
+    0.2,
+    0.8,
+    0.05,
+    0.95,
+)  # of the room (in log r) to the frontier at which the gain is built, in order
+# The same with the metric of the whole model, where the block-diagonal one needs more digits than
+# floats have. The
+# theorem is homogeneous in (P, Y, X, sigma): each scale rounds the same matrices to other floats,
+# and where one in five
 # of these is positive definite, the exact verdict picks it.
 WHOLE_SHARES = (0.5, 0.8, 0.35, 0.65, 0.9)
 SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
@@ -66,7 +91,9 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
     root = energy_root(ah, bh)
     b_balanced = scipy.linalg.solve_triangular(root, bh, lower=True)
     energy = b_balanced.T @ b_balanced
-    k0_root = -np.linalg.solve(np.eye(m) + energy, b_balanced.T @ scipy.linalg.solve_triangular(root, ah, lower=True))
+    k0_root = -np.linalg.solve(
+        np.eye(m) + energy, b_balanced.T @ scipy.linalg.solve_triangular(root, ah, lower=True)
+    )
     delta, widest = ball.relative_radius, 1 / np.sqrt(1 + np.linalg.eigvalsh(energy)[-1])
     if widen:
         delta = max(np.sqrt(delta * widest), widest / 2)
@@ -77,24 +104,32 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
     """Every share of the room with the cheap metric, then with the metric of the whole model."""
     cheap = [partial(minimum_energy_solution, problem, share) for share in SHARES]
-    whole = [partial(whole_solution, problem, share, scale) for scale in SCALES for share in WHOLE_SHARES]
+    whole = [
+        partial(whole_solution, problem, share, scale) for scale in SCALES for share in WHOLE_SHARES
+    ]
     return [*cheap, *whole]
 
 
 def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
-    """Gain and metric of the problem at a faster rate, `share` of the room to the frontier away (in log r).
+    """Gain and metric of the problem at a faster rate, `share` of the room to the frontier away (in
+    log r).
 
-    At the faster rate and wider ball the fast part of the inequality is an equality; the room in between makes it
-    strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue with `|lambda| = r`, or where floats
+    At the faster rate and wider ball the fast part of the inequality is an equality; the room in
+    between makes it
+    strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue with `|lambda| = r`,
+    or where floats
     run out.
     """
     modes, fast, faster = _gain_at(problem, share)
     p = with_slow_modes(problem, modes, fast)
-    return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=f"minimum energy at rate {1 - faster**2:.6g}")
+    return Solution(
+        p=p, y=p, k=fast.k, sigma=1.0, status=f"minimum energy at rate {1 - faster**2:.6g}"
+    )
 
 
 def whole_solution(problem: Problem, share: float, scale: float) -> Solution:
-    """The same gain with the least metric of the whole model, `scale` times: see `modes.whole_metric`."""
+    """The same gain with the least metric of the whole model, `scale` times: see
+    `modes.whole_metric`."""
     modes, fast, faster = _gain_at(problem, share)
     p = scale * whole_metric(problem, modes, fast, faster)
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"

@@ -1,6 +1,8 @@
-"""Which of several trained models is kept: of those that fit about as well, the one that can be controlled fastest.
+"""Which of several trained models is kept: of those that fit about as well, the one that can be
+controlled fastest.
 
-Models that fit as well differ much in the rate that can be certified: one of them may let a neuron cut off the input.
+Models that fit as well differ much in the rate that can be certified: one of them may let a neuron
+cut off the input.
 """
 
 from collections.abc import Sequence
@@ -20,10 +22,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FastestCertified:
-    """The largest certifiable rate of a state feedback among those within `within_percent` of the best validation fit.
+class LargestCertifiableRate:
+    """The largest certifiable rate of a state feedback among those within `within_percent` of the
+    best validation fit.
 
-    One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md, "The frontier".
+    One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md,
+    "The frontier".
     """
 
     within_percent: float = 0.3
@@ -35,29 +39,51 @@ class FastestCertified:
         for name in ("within_percent", "one_layer_within_percent"):
             at_least(0, f"model.among_starts.{name}", getattr(self, name), remedy)
         if (rate := self.rate_enough) is not None:
-            between = "must lie between 0 and 1", "use 0.135 for a factor of 0.93, or null for the largest rate"
+            between = (
+                "must lie between 0 and 1",
+                "use 0.135 for a factor of 0.93, or null for the largest rate",
+            )
             require(0 < rate < 1, "model.among_starts.rate_enough", rate, *between)
 
     def __call__(self, found: "Sequence[Identification]") -> "Identification":
         """One of `found`."""
         fits = [one.fit_validation_percent for one in found]
-        near = [one for one, fit in zip(found, fits, strict=True) if fit >= max(fits) - self._within(one.model)]
+        near = [
+            one
+            for one, fit in zip(found, fits, strict=True)
+            if fit >= max(fits) - self._within(one.model)
+        ]
         if len(near) == 1:
             return near[0]
 
         models: list[Any] = [one.model for one in near]
         rates = [fastest(model.system, certified_balls(model).input) for model in models]
-        enough = [one for one, rate in zip(near, rates, strict=True) if rate >= (self.rate_enough or 1.0)]
-        return max(enough, key=lambda one: one.fit_validation_percent) if enough else near[int(np.argmax(rates))]
+        enough = [
+            one for one, rate in zip(near, rates, strict=True) if rate >= (self.rate_enough or 1.0)
+        ]
+        return (
+            max(enough, key=lambda one: one.fit_validation_percent)
+            if enough
+            else near[int(np.argmax(rates))]
+        )
 
     def _within(self, model: Any) -> float:
-        return self.one_layer_within_percent if isinstance(model.system, StateSpace) else self.within_percent
+        return (
+            self.one_layer_within_percent
+            if isinstance(model.system, StateSpace)
+            else self.within_percent
+        )
 
 
 def fastest(system: System, ball: JacobianBall) -> float:
-    """The largest rate of any state feedback: exact for a linear recurrence, with neurons as bisection finds it."""
+    """The largest rate of any state feedback: exact for a linear recurrence, with neurons as
+    bisection finds it."""
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
-    from ssm_study.synthesis.structured_lmi import largest_rate  # CVXPY: only where there are neurons
+    from ssm_study.synthesis.structured_lmi import (
+        largest_rate,
+    )  # CVXPY: only where there are neurons
 
-    return largest_rate(RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).problem(system, ball))
+    return largest_rate(
+        RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).problem(system, ball)
+    )

@@ -1,6 +1,8 @@
-"""Riccati equations by doubling, and metrics of a minimum-energy gain: by fast and slow modes, and of the whole model.
+"""Riccati equations by doubling, and metrics of a minimum-energy gain: by fast and slow modes, and
+of the whole model.
 
-Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join through a Lyapunov
+Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join
+through a Lyapunov
 equation. Derivation: docs/theory.md, "The gain in closed form".
 """
 
@@ -10,20 +12,24 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.frontier import MOST_STEPS, energy_root
 from ssm_study.certificates.problem import NoSolution, Problem, symmetric
 from ssm_study.certificates.theorem import margin
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.frontier import MOST_STEPS, energy_root
 
 CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
-RESIDUAL_SHARE = 1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows
-# E in coordinates where the reachable metric is about the identity; the faster rate gives the slack itself.
+RESIDUAL_SHARE = (
+    1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows
+)
+# E in coordinates where the reachable metric is about the identity; the faster rate gives the slack
+# itself.
 SLACK = 1e-6
 Square = Float[np.ndarray, "n n"]
 
 
 def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: float) -> Square:
-    """The stabilising `S` of `S = A^T (S^{-1} + kappa B B^T)^{-1} A + Q`, by doubling, else by SciPy's QZ.
+    """The stabilising `S` of `S = A^T (S^{-1} + kappa B B^T)^{-1} A + Q`, by doubling, else by
+    SciPy's QZ.
 
     Raises `NoSolution` when neither gives one.
     """
@@ -31,7 +37,9 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
     if s is not None:
         sb = s @ b
         inner = s - kappa * sb @ np.linalg.solve(np.eye(b.shape[1]) + kappa * b.T @ sb, sb.T)
-        residual = np.abs(s - a.T @ inner @ a - q).max() / max(np.abs(s).max(), np.finfo(float).tiny)
+        residual = np.abs(s - a.T @ inner @ a - q).max() / max(
+            np.abs(s).max(), np.finfo(float).tiny
+        )
         if residual < RESIDUAL_SHARE:
             return s
     try:
@@ -42,10 +50,12 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
 
 
 def doubled(a: Square, g: Square, q: Square) -> Square | None:
-    """The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None without a limit.
+    """The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None
+    without a limit.
 
     From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`,
-    `G' = G + A (I + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S, quadratically. A few matrix
+    `G' = G + A (I + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S,
+    quadratically. A few matrix
     products a step instead of a QZ decomposition. Source: Chu, Fan, Lin & Wang 2004, Algorithm 2.1.
     """
     n, h = len(a), q
@@ -68,11 +78,18 @@ def doubled(a: Square, g: Square, q: Square) -> Square | None:
 
 
 def least_metric(
-    problem: Problem, k: Float[np.ndarray, "m n"], contraction: float, right: Square, left: Square, slack: float = SLACK
+    problem: Problem,
+    k: Float[np.ndarray, "m n"],
+    contraction: float,
+    right: Square,
+    left: Square,
+    slack: float = SLACK,
 ) -> Square:
-    """The least `P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`, for a given gain.
+    """The least `P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`,
+    for a given gain.
 
-    Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`. Raises `NoSolution` if
+    Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`.
+    Raises `NoSolution` if
     floats find none.
     """
     b, k = left @ problem.b / contraction, k @ right
@@ -84,16 +101,21 @@ def least_metric(
     return symmetric(right @ p @ right.T)
 
 
-SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)  # of the slow modes' metric: from dominating to negligible beside the fast
+SLOW_WEIGHTS = np.geomspace(
+    1e4, 1e-14, 19
+)  # of the slow modes' metric: from dominating to negligible beside the fast
 GOOD_SHARE = 0.3
 BETWEEN = 0.3  # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
-SLOW_FLOOR = 1e-8  # directions of the slow modes that the input hardly reaches keep this share of the mean
+SLOW_FLOOR = (
+    1e-8  # directions of the slow modes that the input hardly reaches keep this share of the mean
+)
 ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Modes:
-    """`x = right [z_fast; z_slow]`, `[z_fast; z_slow] = left x`, and the two parts do not see each other."""
+    """`x = right [z_fast; z_slow]`, `[z_fast; z_slow] = left x`, and the two parts do not see each
+    other."""
 
     right: Float[np.ndarray, "n n"]
     left: Float[np.ndarray, "n n"]
@@ -115,13 +137,19 @@ class FastGain:
     p: Float[np.ndarray, "k k"]
 
 
-def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float) -> Modes:
-    """Ordered real Schur form of `A^T` (the fast part drives the slow one), then a Sylvester equation decouples them.
+def split_modes(
+    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
+) -> Modes:
+    """Ordered real Schur form of `A^T` (the fast part drives the slow one), then a Sylvester
+    equation decouples them.
 
-    Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts cannot be told apart.
+    Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
+    cannot be told apart.
     """
     try:
-        t, z, k = scipy.linalg.schur(a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction)
+        t, z, k = scipy.linalg.schur(
+            a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction
+        )
     except np.linalg.LinAlgError as error:
         raise NoSolution("fast and slow modes cannot be separated") from error
     lower = t.T  # z^T A z, block lower triangular
@@ -132,11 +160,14 @@ def split_modes(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contra
         left[k:] -= x @ left[:k]
         right[:, :k] += right[:, k:] @ x
     b_z = left @ b
-    return Modes(right=right, left=left, a_fast=a_fast, b_fast=b_z[:k], a_slow=a_slow, b_slow=b_z[k:])
+    return Modes(
+        right=right, left=left, a_fast=a_fast, b_fast=b_z[:k], a_slow=a_slow, b_slow=b_z[k:]
+    )
 
 
 def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
-    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with `GOOD_SHARE` of the best margin: a
+    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with `GOOD_SHARE` of the
+    best margin: a
     smaller one would only spread the entries of P over more digits than floats have.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
@@ -149,30 +180,48 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     slow = symmetric(np.linalg.inv(scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))))
     k, a, b = fast.k @ modes.right, modes.left @ problem.a @ modes.right, modes.left @ problem.b
     candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
-    told = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate, "sigma": 1.0}
-    conditions = [StateFeedbackOfBall.in_floats(a=a, b=b, k=k, p=p, y=p, **told) for p in candidates]
+    told = {
+        "alpha": problem.ball.alpha,
+        "beta": problem.ball.beta,
+        "rate": problem.rate,
+        "sigma": 1.0,
+    }
+    conditions = [
+        StateFeedbackOfBall.as_floats(a=a, b=b, k=k, p=p, y=p, **told) for p in candidates
+    ]
     margins = [margin(found["inequality"]) for found in conditions]
     if not max(margins) > 0:
         raise NoSolution("no metric of this form holds in floats")
-    chosen = next(p for p, reached in zip(candidates, margins, strict=True) if reached >= max(margins) * GOOD_SHARE)
+    chosen = next(
+        p
+        for p, reached in zip(candidates, margins, strict=True)
+        if reached >= max(margins) * GOOD_SHARE
+    )
     return symmetric(modes.right @ chosen @ modes.right.T)
 
 
-def whole_metric(problem: Problem, modes: Modes, fast: FastGain, faster: float) -> Float[np.ndarray, "n n"]:
-    """The least `P` of the gain built at `r = faster`, fast and slow modes together: where diagonal needs more digits.
+def whole_metric(
+    problem: Problem, modes: Modes, fast: FastGain, faster: float
+) -> Float[np.ndarray, "n n"]:
+    """The least `P` of the gain built at `r = faster`, fast and slow modes together: where diagonal
+    needs more digits.
 
-    The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises `NoSolution` without
+    The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
+    `NoSolution` without
     fast modes, or without a solution in floats.
     """
     if modes.fast == 0:
         raise NoSolution("no fast modes: nothing to couple")
     scale = _scale(problem, modes, faster)
     between = float(faster * (problem.contraction / faster) ** BETWEEN)
-    return least_metric(problem, fast.k, between, modes.right @ scale, np.linalg.solve(scale, modes.left))
+    return least_metric(
+        problem, fast.k, between, modes.right @ scale, np.linalg.solve(scale, modes.left)
+    )
 
 
 def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
-    """Roots of what the input reaches: the minimum energy of the fast modes, the Gramian of the slow ones."""
+    """Roots of what the input reaches: the minimum energy of the fast modes, the Gramian of the
+    slow ones."""
     root = energy_root(modes.a_fast / faster, modes.b_fast / faster)
     slow = len(modes.left) - modes.fast
     if slow == 0:

@@ -1,7 +1,10 @@
-"""The inequalities of a structured model, solved as they stand by CVXPY: the oracle of the game Riccati route.
+"""The inequalities of a structured model, solved as they stand by CVXPY: the oracle of the game
+Riccati route.
 
-Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer; `Y = P`, `U = Q`. For
-a ball without radius the rows of its multiplier are left out. Source: docs/theory.md; the inequalities stand in
+Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer;
+`Y = P`, `U = Q`. For
+a ball without radius the rows of its multiplier are left out. Source: docs/theory.md; the
+inequalities stand in
 `theorems.structured_state_feedback` and `theorems.structured_observer`.
 """
 
@@ -17,17 +20,21 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import LETTERS, Side
-from ssm_study.synthesis.lmi import aim, solved
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
-from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
+from ssm_study.synthesis.lmi import aim, solved
+from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 
 Rows = Float[np.ndarray, "_ _"]
 
 FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
-LEAST_BALL = 1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
-INSIDE = 1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
+LEAST_BALL = (
+    1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
+)
+INSIDE = (
+    1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
+)
 INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
@@ -35,8 +42,10 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 class StructuredLmi:
     """One problem with neurons, ready to be solved at any rate.
 
-    `objective` as in `lmi.aim`; a state feedback's cost stands beside the state, an observer's noise where the step
-    arrives. With `fixed` the gains are that solution's, and only the metric and the multipliers are sought; `of.k`
+    `objective` as in `lmi.aim`; a state feedback's cost stands beside the state, an observer's
+    noise where the step
+    arrives. With `fixed` the gains are that solution's, and only the metric and the multipliers are
+    sought; `of.k`
     holds the gain, so that one program proves many.
     """
 
@@ -60,13 +69,21 @@ class StructuredLmi:
             upper = [[upper[i][j - i] for j in rows if j >= i] for i in rows]
         root = np.real(scipy.linalg.sqrtm(problem.state_weight))
         weighted = [root @ p, np.sqrt(problem.input_weight) * of.x]
-        goal, constraints = aim(objective, upper, p, len(upper) - 1 if neurons.observes else 0, weighted)
+        goal, constraints = aim(
+            objective, upper, p, len(upper) - 1 if neurons.observes else 0, weighted
+        )
         self.program = cp.Problem(cp.Minimize(goal), constraints)
 
     def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
         """The theorem's, and the rows of the ball's multiplier."""
         (q, m), t = neurons.g.shape, cp.diag(of.t)
-        data = {"a": self.problem.a, "b": self.problem.b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
+        data = {
+            "a": self.problem.a,
+            "b": self.problem.b,
+            "e": neurons.e,
+            "f": neurons.f,
+            "g": neurons.g,
+        }
         if not neurons.observes:
             named = SimpleNamespace(**vars(of), **data, y=of.p)
             return structured_state_feedback.inequality(named, (np.eye(q), t, t)), [1, 4]
@@ -84,11 +101,20 @@ class StructuredLmi:
         status = solved(self.program, solver)
         p = symmetric(of.p.value)
         k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T if fixed is None else of.k.value
-        weights, k_w = of.t.value if neurons.observes else 1 / of.t.value, np.zeros((len(k), len(of.t.value)))
+        weights, k_w = (
+            of.t.value if neurons.observes else 1 / of.t.value,
+            np.zeros((len(k), len(of.t.value))),
+        )
         if fixed is None and neurons.injects:
             k_w = (of.n.value / weights[:, None]).T
-        sigma = float(of.sigma.value) if self.problem.ball.beta > 0 else without_ball(self.problem, p, k)
-        found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status).of_neurons(neurons)
+        sigma = (
+            float(of.sigma.value)
+            if self.problem.ball.beta > 0
+            else without_ball(self.problem, p, k)
+        )
+        found = Solution(
+            p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status
+        ).of_neurons(neurons)
         return found if fixed is None else replace(found, k_w=fixed.k_w)
 
     @classmethod
@@ -110,18 +136,23 @@ class StructuredLmi:
 
 def holds(problem: Problem, found: Solution) -> bool:
     """The verdict of the theorem in exact arithmetic."""
-    kinds = (structured_state_feedback.StructuredStateFeedback, structured_observer.StructuredObserver)
+    kinds = (
+        structured_state_feedback.StructuredStateFeedback,
+        structured_observer.StructuredObserver,
+    )
     theorem: type[Side] = kinds[problem.of_neurons.observes]
     return theorem.holds(**theorem.numbers_of(problem, found))
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """The largest rate over all gains (or `fixed` ones) as far as the solver finds it; 0 if there is none."""
+    """The largest rate over all gains (or `fixed` ones) as far as the solver finds it; 0 if there
+    is none."""
     return fastest(problem, fixed)[0]
 
 
 def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
-    """That rate, by bisection on the exact verdict, and its matrices, from which a search may start."""
+    """That rate, by bisection on the exact verdict, and its matrices, from which a search may
+    start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
     low, high, best = 0.0, 1.0, None
     for _ in range(RATE_STEPS):
@@ -136,32 +167,56 @@ def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Sol
 
 
 def at_largest_rate(part: Any) -> Side | None:
-    """The part's gains with matrices at the largest rate; None where that is no more than is certified already."""
+    """The part's gains with matrices at the largest rate; None where that is no more than is
+    certified already."""
     started, (problem, gains) = time.perf_counter(), part.posed()
     rate = largest_rate(problem, gains) * (1 - INSIDE)
     if rate <= part.rate:
         return None
     try:
-        again = StructuredLmi(problem=problem.at(rate), objective="largest_margin", fixed=gains).solve(rate)
+        again = StructuredLmi(
+            problem=problem.at(rate), objective="largest_margin", fixed=gains
+        ).solve(rate)
     except NoSolution:
         return None
-    numbers, told = part.numbers_of(problem.at(rate), again), {"rate_limit": part.rate_limit, "method": part.method}
+    numbers, told = (
+        part.numbers_of(problem.at(rate), again),
+        {"rate_limit": part.rate_limit, "method": part.method},
+    )
     status = f"{again.status}, {INSIDE:.1%} inside the largest rate"
     proved: Side = part.proved(numbers, status=status, started=started, **told)
     return proved if proved.certified else None
 
 
-def largest_mismatch(loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float) -> Iterator[dict[str, Any]]:
-    """`s, lambda_p, p, lambda_` of `theorems.structured_tolerance` from its matrices, each `INSIDE_LARGEST` of s.
+def largest_mismatch(
+    loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
+) -> Iterator[dict[str, Any]]:
+    """`s, lambda_p, p, lambda_` of `theorems.structured_tolerance` from its matrices, each
+    `INSIDE_LARGEST` of s.
 
-    In coordinates where every signal has unit size while all slopes are one half: the loop's own Gramian. Raises
-    `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop that does not rest at these slopes.
+    In coordinates where every signal has unit size while all slopes are one half: the loop's own
+    Gramian. Raises
+    `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop that does not rest
+    at these slopes.
     """
-    (order, width), m, enter = loop.shape, len(into_u), seen.shape[1]  # (xi, p, e) enter, neurons stand beside
-    right, moved, w, z = _unit_sizes(loop[:, :enter] + loop[:, enter:] @ seen / 2, into_u, seen, into_w, beta)
-    scale = scipy.linalg.block_diag(right, np.diag([*np.full(m, moved), *np.ones(enter - order - m), *z]))
+    (order, width), m, enter = (
+        loop.shape,
+        len(into_u),
+        seen.shape[1],
+    )  # (xi, p, e) enter, neurons stand beside
+    right, moved, w, z = _unit_sizes(
+        loop[:, :enter] + loop[:, enter:] @ seen / 2, into_u, seen, into_w, beta
+    )
+    scale = scipy.linalg.block_diag(
+        right, np.diag([*np.full(m, moved), *np.ones(enter - order - m), *z])
+    )
     one = np.eye(width)
-    state, disturbed, known, neurons = one[:order], one[order : order + m], one[order + m : enter], one[enter:]
+    state, disturbed, known, neurons = (
+        one[:order],
+        one[order : order + m],
+        one[order + m : enter],
+        one[enter:],
+    )
     step, met = np.linalg.solve(right, loop @ scale), (seen @ scale[:enter]) / z[:, None]
     drawn, read = beta / moved * into_u @ scale[:order], into_w @ scale[:order] / w
     p, weights = cp.Variable((order, order), symmetric=True), cp.Variable(len(z))
@@ -169,7 +224,11 @@ def largest_mismatch(loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: f
 
     def room(mu: Any) -> cp.Expression:
         sectors = neurons.T @ cp.diag(weights) @ (neurons - met)
-        supply = lambda_p * (disturbed.T @ disturbed - drawn.T @ drawn) - mu * (read.T @ read) + known.T @ known
+        supply = (
+            lambda_p * (disturbed.T @ disturbed - drawn.T @ drawn)
+            - mu * (read.T @ read)
+            + known.T @ known
+        )
         return state.T @ p @ state - step.T @ p @ step + sectors + sectors.T + supply
 
     solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
@@ -180,20 +239,32 @@ def largest_mismatch(loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: f
         given.value = np.asarray(mu.value) * (1 - share) ** 2
         solved(deepest, "CLARABEL")
         numbers = {"p": symmetric(left.T @ p.value @ left), "lambda_": weights.value / z**2}
-        sizes = {"s": float(np.sqrt(given.value)) / w, "lambda_p": float(np.asarray(lambda_p.value)) / moved**2}
+        sizes = {
+            "s": float(np.sqrt(given.value)) / w,
+            "lambda_p": float(np.asarray(lambda_p.value)) / moved**2,
+        }
         yield numbers | sizes
 
 
 def _unit_sizes(
     middle: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
 ) -> tuple[Rows, float, float, Float[np.ndarray, "_"]]:
-    """A root of the Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the neurons see in it."""
-    (order, width), m, moved = middle.shape, len(into_u), 0.0  # p: none at first, then what e alone makes of u
+    """A root of the Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the
+    neurons see in it."""
+    (order, width), m, moved = (
+        middle.shape,
+        len(into_u),
+        0.0,
+    )  # p: none at first, then what e alone makes of u
     for _ in range(2):
         into = middle[:, order:] * np.repeat([moved, 1.0], [m, width - order - m])
         gramian = scipy.linalg.solve_discrete_lyapunov(middle[:, :order], into @ into.T)
-        right = np.linalg.cholesky(symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order))
-        u, w, z = (np.linalg.norm(rows[:, :order] @ right, axis=1) for rows in (into_u, into_w, seen))
+        right = np.linalg.cholesky(
+            symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order)
+        )
+        u, w, z = (
+            np.linalg.norm(rows[:, :order] @ right, axis=1) for rows in (into_u, into_w, seen)
+        )
         moved = float(u.max()) * max(beta, LEAST_BALL)
         if not moved > 0:
             raise NoSolution("the mismatch does not reach the input")

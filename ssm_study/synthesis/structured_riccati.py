@@ -1,17 +1,25 @@
-"""Guaranteed-cost gains of a structured model from game Riccati equations, multipliers found by a gradient search.
+"""Guaranteed-cost gains of a structured model from game Riccati equations, multipliers found by a
+gradient search.
 
-With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = Delta u`, the inequality of
+With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = Delta u`, the
+inequality of
 `theorems.structured_state_feedback` at given `Lambda` and `lambda_p = 1 / sigma` is the equation
 
-    X = A'X A + Q - (A'X B + S)(R + B'X B)^{-1}(B'X A + S'),     inputs (u, p, v),  Bg = B + E G/2,  C = G' Lambda G/2,
+    X = A'X A + Q - (A'X B + S)(R + B'X B)^{-1}(B'X A + S'),     inputs (u, p, v),  Bg = B + E G/2,
+    C = G' Lambda G/2,
     A = (A + E F/2)/r,  B = [alpha Bg, beta Bg, E/2]/r,  Q = (Q_x + F' Lambda F/2)/r^2,
     S = [alpha F' Lambda G/2, beta F' Lambda G/2, 0]/r^2,
-    R = diag([R_u + lambda_p I + alpha^2 C, alpha beta C; ., -lambda_p I + beta^2 C], -Lambda/2)/r^2.
+    R = diag([R_u + lambda_p I + alpha^2 C, alpha beta C; ., -lambda_p I + beta^2 C],
+    -Lambda/2)/r^2.
 
-It holds if `X > 0` and the (p, v) block of `H = R + B'X B` is negative definite: then `P = X^{-1}` and K is the first
-row of the saddle point. An observer is the same for transposed data. One that injects plays after v and before p: the p
-block is negative, and what v has left once (u, p), block 1, answer it; then u is positive. With `g = B'X A + S'` the
-u rows of `-H_11^{-1} (g_1 - H_12 E')` and `-2 H_11^{-1} H_12` are `L'` and `L_z'`. The gradient costs one Lyapunov
+It holds if `X > 0` and the (p, v) block of `H = R + B'X B` is negative definite: then `P = X^{-1}`
+and K is the first
+row of the saddle point. An observer is the same for transposed data. One that injects plays after v
+and before p: the p
+block is negative, and what v has left once (u, p), block 1, answer it; then u is positive. With `g
+= B'X A + S'` the
+u rows of `-H_11^{-1} (g_1 - H_12 E')` and `-2 H_11^{-1} H_12` are `L'` and `L_z'`. The gradient
+costs one Lyapunov
 equation, because the saddle point stays put to first order: in the norm of the loop's Gramian it is
 `(|z_i|^2 - |v_i|^2) / 2 r^2` for `Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`.
 
@@ -26,19 +34,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.synthesis.game_kernel import saddle_point
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
+from ssm_study.synthesis.game_kernel import saddle_point
 
 Matrix = Float[np.ndarray, "_ _"]
 Vector = Float[np.ndarray, "_"]
-SLOWER, SLOWEST = 1.5, 1e3  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
-# Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r, below which the
+SLOWER, SLOWEST = (
+    1.5,
+    1e3,
+)  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
+# Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r,
+# below which the
 # search has come to its end; each where the one before gets stuck.
 TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
-# The same at the asked rate, where the cost decides. In steps: straight to the last one the search gets stuck at the
+# The same at the asked rate, where the cost decides. In steps: straight to the last one the search
+# gets stuck at the
 # edge of what is admissible, at up to seventeen times the cost.
 LAST = ((0.3, 10), (0.03, 10), (1e-3, 30))
-ROOM = np.arange(0.0, 40.0, 2.0)  # by how much known multipliers may have to grow, log, to cover the weights
+ROOM = np.arange(
+    0.0, 40.0, 2.0
+)  # by how much known multipliers may have to grow, log, to cover the weights
 BALL_SLACK = 1e-9  # of the metric: what a multiplier without effect may take of it, where the ball has no radius
 STRIDE = 2.0  # the largest change of a log multiplier in one step
 FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goal
@@ -46,7 +61,8 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 @dataclass(frozen=True, kw_only=True)
 class Game:
-    """A problem with neurons at a factor `r` of its own: the search comes from slower ones, above one too."""
+    """A problem with neurons at a factor `r` of its own: the search comes from slower ones, above
+    one too."""
 
     problem: Problem
     r: float
@@ -58,13 +74,18 @@ class Game:
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
-        """What `saddle_point` takes: `A, B` of the equation, inputs `(u, p, v)`, how u and p enter neurons, weights.
+        """What `saddle_point` takes: `A, B` of the equation, inputs `(u, p, v)`, how u and p enter
+        neurons, weights.
 
-        `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is no p.
+        `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
+        no p.
         """
         of, neurons, half = self.problem, self.neurons, self.neurons.e / 2
         shares = (of.ball.alpha, of.ball.beta)[: 1 + (of.ball.beta > 0)]
-        drive, moved = of.b + neurons.e @ neurons.g / 2, np.hstack([share * neurons.g for share in shares])
+        drive, moved = (
+            of.b + neurons.e @ neurons.g / 2,
+            np.hstack([share * neurons.g for share in shares]),
+        )
         a, b = of.a + half @ neurons.f, np.hstack([*(share * drive for share in shares), half])
         matrices = (a / self.r, b / self.r, neurons.f, moved, of.state_weight)
         # numba would compile everything once more for any other layout or kind of number
@@ -73,7 +94,8 @@ class Game:
 
 
 class Saddle(NamedTuple):
-    """At admissible multipliers: the goal and its gradient, `X`, `H = R + B'X B` and `B'X A + S'`."""
+    """At admissible multipliers: the goal and its gradient, `X`, `H = R + B'X B` and `B'X A +
+    S'`."""
 
     goal: float
     gradient: Vector
@@ -83,9 +105,11 @@ class Saddle(NamedTuple):
 
 
 def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
-    """The saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite where they admit none.
+    """The saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite
+    where they admit none.
 
-    The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the second term keeps
+    The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
+    second term keeps
     the search off the edge of what is admissible, where the gradient of the first one leads.
     """
     try:
@@ -96,7 +120,8 @@ def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
 
 
 def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
-    """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The best logs found."""
+    """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The
+    best logs found."""
     at, metric, left, gained = evaluate(game, logs, barrier), np.eye(len(logs)), evaluations, np.inf
     while np.isfinite(at.goal) and left > 0 and gained >= FLAT:
         step = -(metric @ at.gradient)
@@ -111,17 +136,22 @@ def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vecto
             break
         logs, change, gained = logs + step, there.gradient - at.gradient, at.goal - there.goal
         along, at = step @ change, there
-        if along > 1e-12:  # BFGS's curvature condition: without it the metric would lose definiteness
+        if (
+            along > 1e-12
+        ):  # BFGS's curvature condition: without it the metric would lose definiteness
             turn = np.eye(len(logs)) - np.outer(step, change) / along
             metric = turn @ metric @ turn.T + np.outer(step, step) / along
     return logs
 
 
 def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
-    """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck before the rate.
+    """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck
+    before the rate.
 
-    It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a solution at a
-    faster rate, since smaller weights and a slower rate only relax the inequality. Without any it is the solution.
+    It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
+    solution at a
+    faster rate, since smaller weights and a slower rate only relax the inequality. Without any it
+    is the solution.
     """
     if near is not None and near.logs is None:
         return near  # it is the solution itself
@@ -137,12 +167,17 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
 
 
 def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tuple[Vector, float]:
-    """Log multipliers, and the factor they hold at: from a slow rate to the asked one, centred on the way."""
-    # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's step
+    """Log multipliers, and the factor they hold at: from a slow rate to the asked one, centred on
+    the way."""
+    # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
+    # step
     of, e = game.problem, game.neurons.e
     logs = np.log(2 * np.einsum("nq,nj,jq->q", e, of.state_weight, e) + 1e-9)
     if of.ball.beta > 0:
-        logs = np.append(logs, np.log(1 + 4 * of.ball.beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)))
+        logs = np.append(
+            logs,
+            np.log(1 + 4 * of.ball.beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)),
+        )
     slow, share = game, 1.0
     while np.isinf(evaluate(slow, logs, 0.0).goal):
         slow = replace(slow, r=slow.r * SLOWER)
@@ -166,7 +201,8 @@ def cheapest(game: Game, logs: Vector) -> Vector:
 
 
 def logs_of(problem: Problem, found: Solution) -> Vector:
-    """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of them."""
+    """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of
+    them."""
     assert found.multipliers is not None
     units, r2, beta = problem.of_neurons.units, 1 - problem.rate, problem.ball.beta
     observes = problem.of_neurons.observes
@@ -188,26 +224,37 @@ def solution(game: Game, logs: Vector) -> Solution:
     m, q = problem.b.shape[1], neurons.e.shape[1]
     if neurons.injects:
         inputs = len(h) - q
-        known = np.linalg.solve(h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]]))[:m]
+        known = np.linalg.solve(
+            h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]])
+        )[:m]
         k, k_w = known[:, len(x) :] @ neurons.f - known[:, : len(x)], -2 * known[:, len(x) :]
     else:
         k, k_w = -np.linalg.solve(h, toward)[:m], np.zeros((m, q))
     p, weights, beta = symmetric(np.linalg.inv(x)), np.exp(logs[:q]), problem.ball.beta
     sigma = float(np.exp(-logs[-1])) if beta > 0 else without_ball(problem, p, k)
     if neurons.observes:
-        # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4 divides one by r and
-        # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2 sigma`.
+        # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
+        # divides one by r and
+        # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2
+        # sigma`.
         r2 = 1 - problem.rate
         weights, sigma = r2 / weights, r2 * beta**2 * sigma if beta > 0 else sigma
-    found = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs)
+    found = Solution(
+        p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
+    )
     return found.of_neurons(problem.of_neurons)
 
 
-def without_ball(problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]) -> float:
-    """A sigma so large (of an observer an eta so small) that it takes next to nothing of P: for a ball without radius.
+def without_ball(
+    problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
+) -> float:
+    """A sigma so large (of an observer an eta so small) that it takes next to nothing of P: for a
+    ball without radius.
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """
     if problem.of_neurons.observes:
-        return float(BALL_SLACK * np.linalg.eigvalsh(p)[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300))
+        return float(
+            BALL_SLACK * np.linalg.eigvalsh(p)[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300)
+        )
     return float(np.linalg.norm(k @ p @ k.T, 2) / BALL_SLACK + 1.0)

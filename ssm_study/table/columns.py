@@ -1,6 +1,8 @@
-"""The columns of `runs.parquet`, collected from the rooms that declare them, in the order of the line.
+"""The columns of `runs.parquet`, collected from the rooms that declare them, in the order of the
+line.
 
-First which run it is, then what was requested, then the results, room by room, and last the circumstances.
+First which run it is, then what was requested, then the results, room by room, and last the
+circumstances.
 """
 
 from collections.abc import Iterable, Iterator
@@ -38,27 +40,42 @@ def declared(name: str) -> Column | None:
 
 
 def label(name: str) -> str:
-    """The printed name of a column with its unit, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
+    """The printed name of a column with its unit, e.g. `settling_time_mean_s` -> `Mean settling
+    time (s)`."""
     if column := BY_NAME.get(name):
         return column.label
     return setting_of(name) or name.replace("_", " ")
 
 
 def setting_of(name: str) -> str:
-    """The entry of the configuration that the column repeats, `plant.step_s`; empty where it is none."""
-    return name.replace("__", ".") if FURTHER.covers(name) else BY_NAME[name].setting if name in BY_NAME else ""
+    """The entry of the configuration that the column repeats, `plant.step_s`; empty where it is
+    none."""
+    return (
+        name.replace("__", ".")
+        if FURTHER.covers(name)
+        else BY_NAME[name].setting
+        if name in BY_NAME
+        else ""
+    )
 
 
 def settings(table: pd.DataFrame) -> list[str]:
-    """The columns that repeat settings, those of the command last; not what says who chose a rate."""
-    names = [*(column.name for column in SETTINGS), *sorted(filter(FURTHER.covers, map(str, table)))]
+    """The columns that repeat settings, those of the command last; not what says who chose a
+    rate."""
+    names = [
+        *(column.name for column in SETTINGS),
+        *sorted(filter(FURTHER.covers, map(str, table))),
+    ]
     return [name for name in names if name in table and name != "rates_chosen"]
 
 
 def by_part(names: Iterable[str]) -> dict[str, list[str]]:
-    """The names by the part of the study that they describe: settings first, what no part declares last."""
+    """The names by the part of the study that they describe: settings first, what no part declares
+    last."""
     titles = {FURTHER.name: "Settings"} | {
-        c.name: "Settings" if c.setting else title for title, room in PARTS.items() for c in room.COLUMNS
+        c.name: "Settings" if c.setting else title
+        for title, room in PARTS.items()
+        for c in room.COLUMNS
     }
     found: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
     for name in names:
@@ -68,16 +85,32 @@ def by_part(names: Iterable[str]) -> dict[str, list[str]]:
 
 def nearest(name: str, names: Iterable[str]) -> str:
     """What to do about a misspelt column."""
-    near = get_close_matches(name, list(names), n=3, cutoff=0.5)  # cutoff: half of the letters in order
-    return f"did you mean {' or '.join(near)}?" if near else "`ssm-study show STUDY --columns` lists them"
+    near = get_close_matches(
+        name, list(names), n=3, cutoff=0.5
+    )  # cutoff: half of the letters in order
+    return (
+        f"did you mean {' or '.join(near)}?"
+        if near
+        else "`ssm-study show STUDY --columns` lists them"
+    )
 
 
 def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
-    """Name, printed word, better direction and what `verify` does with it: of all columns, or of those with values."""
+    """Name, printed word, better direction and what `verify` does with it: of all columns, or of
+    those with values."""
     for column in DECLARED:
-        if table is None or any(column.covers(str(name)) and table[name].notna().any() for name in table):
-            yield column.name, column.label, column.better, column.unchecked and f"not checked: {column.unchecked}"
-    undeclared = [] if table is None else [str(name) for name in table if declared(str(name)) is None]
+        if table is None or any(
+            column.covers(str(name)) and table[name].notna().any() for name in table
+        ):
+            yield (
+                column.name,
+                column.label,
+                column.better,
+                column.unchecked and f"not checked: {column.unchecked}",
+            )
+    undeclared = (
+        [] if table is None else [str(name) for name in table if declared(str(name)) is None]
+    )
     yield from ((name, "declared nowhere", "", "") for name in sorted(undeclared))
 
 
@@ -94,12 +127,14 @@ def swept(table: pd.DataFrame) -> list[str]:
     names = [name for name in ("study", *settings(table)) if name in table]
     counts = {name: requested(table, name).nunique() for name in names}
     return sorted(
-        (name for name, count in counts.items() if count > 1), key=lambda name: (name == "seed", -counts[name])
+        (name for name, count in counts.items() if count > 1),
+        key=lambda name: (name == "seed", -counts[name]),
     )
 
 
 def column(table: pd.DataFrame, name: str) -> pd.Series:
-    """The column as numbers, NaN where the table has none: a table of failures can be ranked and drawn too."""
+    """The column as numbers, NaN where the table has none: a table of failures can be ranked and
+    drawn too."""
     if name not in table:
         return pd.Series(float("nan"), index=table.index, name=name, dtype=float)
     return pd.to_numeric(table[name], errors="coerce").astype(float)

@@ -1,6 +1,8 @@
-"""`--where "order == 8 and fit_test_percent > 85"`: comparisons of columns with constants, and nothing else.
+"""`--where "order == 8 and fit_test_percent > 85"`: comparisons of columns with constants, and
+nothing else.
 
-The expression is parsed, never evaluated as Python: names are columns, the rest is numbers, texts, true, false, null.
+The expression is parsed, never evaluated as Python: names are columns, the rest is numbers, texts,
+true, false, null.
 """
 
 import ast
@@ -15,14 +17,23 @@ from ssm_study.table.columns import nearest
 
 REMEDY = "write comparisons of columns with constants, e.g. order == 8 and fit_test_percent > 85"
 COMPARE = {ast.Eq: "eq", ast.NotEq: "ne", ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge"}
-MIRRORED = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE, ast.Eq: ast.Eq, ast.NotEq: ast.NotEq}
+MIRRORED = {
+    ast.Lt: ast.Gt,
+    ast.LtE: ast.GtE,
+    ast.Gt: ast.Lt,
+    ast.GtE: ast.LtE,
+    ast.Eq: ast.Eq,
+    ast.NotEq: ast.NotEq,
+}
 WORDS = {"true": True, "false": False, "null": None, "nan": None, "inf": float("inf")}
 
 
 def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
-    """The rows of `table` for which `expression` holds; a comparison with a missing value does not hold.
+    """The rows of `table` for which `expression` holds; a comparison with a missing value does not
+    hold.
 
-    Grammar: `and`, `or`, `not`, parentheses, `== != < <= > >=` (chains too), `in [..]`, `not in [..]`, `== null`.
+    Grammar: `and`, `or`, `not`, parentheses, `== != < <= > >=` (chains too), `in [..]`, `not in
+    [..]`, `== null`.
     Raises `BadRequest` for anything else and for unknown columns.
     """
     try:
@@ -43,11 +54,15 @@ def _mask(node: ast.expr, table: pd.DataFrame) -> pd.Series:
             return reduce(both, [_mask(value, table) for value in values])
         case ast.UnaryOp(op=ast.Not(), operand=operand):
             return ~_mask(operand, table)
-        case ast.Name() if (column := _column(node, table)) is not None and column.dtype == "boolean":
+        case ast.Name() if (
+            column := _column(node, table)
+        ) is not None and column.dtype == "boolean":
             return column.fillna(False).astype(bool)
         case ast.Compare(left=left, ops=ops, comparators=comparators):
             pairs = zip([left, *comparators], ops, comparators, strict=False)  # a < b < c
-            return reduce(operator.and_, [_compare(one, op, other, table) for one, op, other in pairs])
+            return reduce(
+                operator.and_, [_compare(one, op, other, table) for one, op, other in pairs]
+            )
     _refuse(node, "not a comparison")
 
 
@@ -59,9 +74,13 @@ def _compare(left: ast.expr, op: ast.cmpop, right: ast.expr, table: pd.DataFrame
         _refuse(left, "not a column")
     if isinstance(op, (ast.In, ast.NotIn)):
         if not isinstance(right, (ast.List, ast.Tuple, ast.Set)):
-            raise BadRequest("where", ast.unparse(right), "'in' needs a list", "write e.g. order in [4, 8]")
+            raise BadRequest(
+                "where", ast.unparse(right), "'in' needs a list", "write e.g. order in [4, 8]"
+            )
         among = column.isin([_constant(item) for item in right.elts])
-        return among if isinstance(op, ast.In) else ~among & column.notna()  # missing is in no list and outside none
+        return (
+            among if isinstance(op, ast.In) else ~among & column.notna()
+        )  # missing is in no list and outside none
     value = _constant(right) if other is None else other
     if value is None and isinstance(op, (ast.Eq, ast.Is, ast.NotEq, ast.IsNot)):
         return column.isna() if isinstance(op, (ast.Eq, ast.Is)) else column.notna()
@@ -73,7 +92,9 @@ def _compare(left: ast.expr, op: ast.cmpop, right: ast.expr, table: pd.DataFrame
     except TypeError:  # two columns of different types
         pass
     said = value if other is None else other.name
-    raise BadRequest("where", said, f"does not compare with column {column.name} ({column.dtype})", REMEDY)
+    raise BadRequest(
+        "where", said, f"does not compare with column {column.name} ({column.dtype})", REMEDY
+    )
 
 
 def _column(node: ast.expr, table: pd.DataFrame) -> pd.Series | None:
@@ -90,6 +111,8 @@ def _constant(node: ast.expr) -> bool | int | float | str | None:
             return value
         case ast.Name(id=name) if name.lower() in WORDS:
             return WORDS[name.lower()]
-        case ast.UnaryOp(op=ast.USub(), operand=operand) if isinstance(value := _constant(operand), (int, float)):
+        case ast.UnaryOp(op=ast.USub(), operand=operand) if isinstance(
+            value := _constant(operand), (int, float)
+        ):
             return -value
     _refuse(node, "not a constant")

@@ -1,4 +1,5 @@
-"""Which folder is meant: a study by its path, a run by its path or by the digits that end its name."""
+"""Which folder is meant: a study by its path, a run by its path or by the digits that end its
+name."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,21 +11,30 @@ MANY = 8  # names in a sentence
 
 
 def study_folder(path: Path) -> Path:
-    """`path` if runs may be in it; raises `BadRequest` that names the study nearby that may have been meant."""
+    """`path` if runs may be in it; raises `BadRequest` that names the study nearby that may have
+    been meant."""
     if not path.is_dir():
         names = [folder.name for folder in path.parent.glob("*/")]
         near = [path.parent / name for name in get_close_matches(path.name, names, n=1)]
         near = [Path("results") / path] if (Path("results") / path).is_dir() else near
-        remedy = f"did you mean {near[0]}?" if near else "give the folder that holds the run folders"
+        remedy = (
+            f"did you mean {near[0]}?" if near else "give the folder that holds the run folders"
+        )
         raise BadRequest("study", path, "no such study folder", remedy)
     studies = sorted({table.parent.name for table in path.glob("*/runs.parquet")})
     if studies and not (path / "runs.parquet").exists() and not _runs_of(path):
-        raise BadRequest("study", path, "there is no run in it, but there are studies", f"name one: {_some(studies)}")
+        raise BadRequest(
+            "study",
+            path,
+            "there is no run in it, but there are studies",
+            f"name one: {_some(studies)}",
+        )
     return path
 
 
 def run_folder(path: Path) -> Path:
-    """`path` if it holds a record, else the one run of the study whose name ends so: `results/paper/1a2b3c4d5e`.
+    """`path` if it holds a record, else the one run of the study whose name ends so:
+    `results/paper/1a2b3c4d5e`.
 
     The study itself stands for its only run. Raises `BadRequest` where no run or several are meant.
     """

@@ -1,6 +1,7 @@
 """Which run is best: the one notion that `show`, the page, the figures and the outcome share.
 
-It asks for a certificate first, then for the plant (did every start settle, and was that predicted without the
+It asks for a certificate first, then for the plant (did every start settle, and was that predicted
+without the
 plant?), then for time, and among equals for the fit.
 """
 
@@ -12,11 +13,14 @@ from ssm_study.table.columns import BY_NAME, column, flag, nearest, text
 
 
 def standing(table: pd.DataFrame) -> pd.Series:
-    """What became of each run: 0 certified and settles, 1 certified only, 2 not certified, 3 a baseline, which has no
+    """What became of each run: 0 certified and settles, 1 certified only, 2 not certified, 3 a
+    baseline, which has no
     controller, 4 infeasible, 5 failed, which any other status than ok counts as."""
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
     status = text(table, "status")
-    no_controller = column(table, "controller_feasible").isna() & column(table, "controller_certified").isna()
+    no_controller = (
+        column(table, "controller_feasible").isna() & column(table, "controller_certified").isna()
+    )
     cases = {
         5: ~status.isin(["ok", "infeasible"]),
         4: status == "infeasible",
@@ -28,28 +32,38 @@ def standing(table: pd.DataFrame) -> pd.Series:
 
 
 def predicted(table: pd.DataFrame) -> pd.Series:
-    """Whether the plant was predicted to stay stable, from model and records alone; false where nothing is said."""
+    """Whether the plant was predicted to stay stable, from model and records alone; false where
+    nothing is said."""
     return flag(table, "predicted_stable")
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:
     """By standing, then those predicted to be stable, then by settling time, then by fit.
 
-    The first row is the best run: of the certified ones that settle, the fastest of those that one would have chosen
-    without the plant. Settling times are relative to the plant left alone where that is known, so plants compare.
+    The first row is the best run: of the certified ones that settle, the fastest of those that one
+    would have chosen
+    without the plant. Settling times are relative to the plant left alone where that is known, so
+    plants compare.
     """
     time, alone = column(table, "settling_time_mean_s"), column(table, "settling_time_open_loop_s")
     time = time / alone if alone[time.notna()].notna().all() else time
-    keys = {"standing": standing(table), "unforeseen": ~predicted(table), "time": time.fillna(np.inf)}
+    keys = {
+        "standing": standing(table),
+        "unforeseen": ~predicted(table),
+        "time": time.fillna(np.inf),
+    }
     keys["fit"] = -column(table, "fit_test_percent").fillna(-np.inf)
     return table.loc[pd.DataFrame(keys).sort_values(list(keys), kind="stable").index]
 
 
 def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
-    """Best first, or by the column `by` in its better direction, missing last. Raises `BadRequest` if it is unknown."""
+    """Best first, or by the column `by` in its better direction, missing last. Raises `BadRequest`
+    if it is unknown."""
     if by is None:
         return best_first(table).reset_index(drop=True)
     if by not in table:
         raise BadRequest("by", by, "no such column", nearest(by, map(str, table)))
     low = BY_NAME[by].better != "high" if by in BY_NAME else True
-    return table.sort_values(by, ascending=low, na_position="last", kind="stable", ignore_index=True)
+    return table.sort_values(
+        by, ascending=low, na_position="last", kind="stable", ignore_index=True
+    )

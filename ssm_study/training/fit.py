@@ -1,4 +1,5 @@
-"""The Lightning module: one loss over all windows per step, one free run over whole records per epoch."""
+"""The Lightning module: one loss over all windows per step, one free run over whole records per
+epoch."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,21 +23,26 @@ from ssm_study.training.training import Training
 from ssm_study.training.windows import Cut, Windows
 
 POLISH_STEPS = 20  # they undo the rounding, not the optimum
-UNMOVED = 1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
+UNMOVED = (
+    1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
+)
 
 
 def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
     """Records `(u, y)`, padded with zeros at the end to one length."""
     most = max(len(u) for u, _ in pairs)
     sides = zip(*pairs, strict=True)
-    u, y = (np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in sides)
+    u, y = (
+        np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in sides
+    )
     return u, y
 
 
 class Records(nn.Module):
     """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
 
-    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the `unscored` samples of the cut and in the padding, and
+    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the `unscored` samples of the cut and
+    in the padding, and
     scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then the loss is
     `(1 - fit / 100)^2` for one channel.
     """
@@ -50,7 +56,9 @@ class Records(nn.Module):
     def __init__(self, cut: Cut, data: DataSet, sorts: bool, share: float = 0.0) -> None:
         super().__init__()
         self.integrated_share = share
-        u, y = padded([(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in cut.pieces])
+        u, y = padded(
+            [(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in cut.pieces]
+        )
         scored = np.zeros((*u.shape[:2], 1))
         for e, (piece, unscored) in enumerate(zip(cut.pieces, cut.unscored, strict=True)):
             scored[e, unscored : len(piece)] = 1.0
@@ -58,7 +66,9 @@ class Records(nn.Module):
         spread = float((scored * (y - mean) ** 2).sum())
         for name, values in {"u": u, "y": y, "weight": scored / spread, "scored": scored}.items():
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
-        summed = (self.scored * self.y).cumsum(1) * self.scored  # of y as of its error, see `objective`
+        summed = (self.scored * self.y).cumsum(
+            1
+        ) * self.scored  # of y as of its error, see `objective`
         self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
         self.lift = Lift(self.u, sorts)
 
@@ -80,7 +90,8 @@ class Records(nn.Module):
     def objective(self, y_hat: Signals) -> Float[Tensor, ""]:
         """`(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running sum of y|^2`.
 
-        The running sum is what an integrator behind the output sees: position, where y is a velocity.
+        The running sum is what an integrator behind the output sees: position, where y is a
+        velocity.
         """
         if self.integrated_share == 0.0:
             return self.loss(y_hat)
@@ -89,7 +100,7 @@ class Records(nn.Module):
         return (1 - self.integrated_share) * self.loss(y_hat) + self.integrated_share * drift
 
 
-class Starts(nn.Module):
+class InitialStates(nn.Module):
     """The states `(e, n)` that windows start from: rest, but for the rows that are parameters."""
 
     rows: Tensor
@@ -103,26 +114,34 @@ class Starts(nn.Module):
         self.free = nn.Parameter(values[self.rows].clone())
 
     def forward(self) -> States:
-        return self.free.new_zeros(len(self.cut.pieces), self.free.shape[1]).index_copy(0, self.rows, self.free)
+        return self.free.new_zeros(len(self.cut.pieces), self.free.shape[1]).index_copy(
+            0, self.rows, self.free
+        )
 
     def defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
-        """Those of multiple shooting as residuals whose squared sum is the penalty, see `Windows`."""
+        """Those of multiple shooting as residuals whose squared sum is the penalty, see
+        `Windows`."""
         reached = ends[self.later - 1]  # where the window before ends
         size = (reached.square().sum(0) + UNMOVED) * reached.shape[1] / self.weight
         return (reached - starts[self.later]) / torch.sqrt(size)
 
 
 def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) -> Float[Tensor, ""]:
-    """`roughness_weight (TV(S_u') + TV(S_y')) + hankel_weight sum(sigma) / max(sigma)`; zero for a baseline.
+    """`roughness_weight (TV(S_u') + TV(S_y')) + hankel_weight sum(sigma) / max(sigma)`; zero for a
+    baseline.
 
-    Both terms are free of scale, so a weight of 0.001 means a thousandth of the output's variance. The second is the
-    nuclear norm of the Hankel operator: it drives the singular values of redundant states to zero, one after the other.
+    Both terms are free of scale, so a weight of 0.001 means a thousandth of the output's variance.
+    The second is the
+    nuclear norm of the Hankel operator: it drives the singular values of redundant states to zero,
+    one after the other.
     """
     total = torch.zeros(())
     if not isinstance(model, TorchSSM):
         return total
     if roughness_weight > 0:
-        total = total + roughness_weight * (model.scaffold_in.roughness() + model.scaffold_out.roughness())
+        total = total + roughness_weight * (
+            model.scaffold_in.roughness() + model.scaffold_out.roughness()
+        )
     if hankel_weight > 0:
         sigma = hankel_singular_values(model.lru.modes(), model.lru.reals)
         total = total + hankel_weight * sigma.sum() / sigma.max()
@@ -130,9 +149,11 @@ def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) ->
 
 
 class Fit(pl.LightningModule):
-    """Minimises the training loss of `model`, and with it the states that windows start from where these are free.
+    """Minimises the training loss of `model`, and with it the states that windows start from where
+    these are free.
 
-    `whole` are the records that the windows were cut from: the training fit that is shown is always that of whole
+    `whole` are the records that the windows were cut from: the training fit that is shown is always
+    that of whole
     records. Raises `BadRequest` for settings that this model cannot have.
     """
 
@@ -141,27 +162,51 @@ class Fit(pl.LightningModule):
         self.automatic_optimization = False
         sorts = not isinstance(settings.optimiser, Levenberg)  # which differentiates forward
         able = sorts or model.differentiates_forward
-        require(able, "training.optimiser", "levenberg", "this model has no forward derivatives", "use lbfgs or adam")
+        require(
+            able,
+            "training.optimiser",
+            "levenberg",
+            "this model has no forward derivatives",
+            "use lbfgs or adam",
+        )
         cut = settings.windows.cut(data.training, data.start_up_samples)
-        training, validation = (Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation))
+        training, validation = (
+            Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation)
+        )
         self.model, self.data, self.settings = model, data, settings
         self.training_records = Records(cut, data, sorts, settings.integrated_share)
         self.validation_records = Records(validation, data, sorts)
         self.whole = Records(training, data, sorts) if cut.later else self.training_records
         self.starts = self._free_starts(cut)
 
-    def _free_starts(self, cut: Cut) -> Starts | None:
-        model, weight, how = self.model, self.settings.windows.continuity_weight, self.settings.initial_state
+    def _free_starts(self, cut: Cut) -> InitialStates | None:
+        model, weight, how = (
+            self.model,
+            self.settings.windows.continuity_weight,
+            self.settings.initial_state,
+        )
         moving = how == "estimated" or (how == "auto" and self.data.start_up_samples > 0)
-        moving = moving and isinstance(model, TorchSSM)  # whose stored model estimates it, too (`free_run`)
-        problem, remedy = "this model has no state to start a window from", "use training.windows.washout instead"
-        require(model.states > 0 or not weight, "training.windows.continuity_weight", weight, problem, remedy)
+        moving = moving and isinstance(
+            model, TorchSSM
+        )  # whose stored model estimates it, too (`free_run`)
+        problem, remedy = (
+            "this model has no state to start a window from",
+            "use training.windows.washout instead",
+        )
+        require(
+            model.states > 0 or not weight,
+            "training.windows.continuity_weight",
+            weight,
+            problem,
+            remedy,
+        )
         rows = [*(cut.first if moving else ()), *(cut.later if weight else ())]
         values = simulated_states(model, self.training_records, cut) if rows else None
-        return None if values is None else Starts(cut, sorted(rows), values, weight)
+        return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
-        """An epoch: what Lightning does around each call costs more than a step of a small model."""
+        """An epoch: what Lightning does around each call costs more than a step of a small
+        model."""
         optimiser: Any = self.optimizers()
         for _ in range(self.settings.optimiser.calls_per_epoch):
             optimiser.step(self._evaluate)
@@ -185,14 +230,18 @@ class Fit(pl.LightningModule):
         """The simulated windows, and the defects between them (none without multiple shooting)."""
         x0 = None if self.starts is None else self.starts()
         if self.starts is None or x0 is None or not (self.starts.weight and self.starts.cut.later):
-            return self.training_records.simulate(self.model, x0), self.training_records.y.new_zeros(0, 0)
+            return self.training_records.simulate(
+                self.model, x0
+            ), self.training_records.y.new_zeros(0, 0)
         y_hat, ends = self.training_records.advance(self.model, x0)
         return y_hat, self.starts.defects(ends, x0)
 
     def forward(self) -> Float[Tensor, "N"]:
         """`sqrt(weight) (y_hat - y)`, then the defects."""
         records, (y_hat, defects) = self.training_records, self.run()
-        return torch.cat([(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()])
+        return torch.cat(
+            [(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()]
+        )
 
     def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
         """`forward` as a function of all trainable parameters in a row."""
@@ -205,19 +254,26 @@ class Fit(pl.LightningModule):
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
         """Fits in percent of the model as it is now, minus infinity for a loss that is not finite.
 
-        What an optimiser evaluated last may be a trial that it refused, or the model before its last step.
+        What an optimiser evaluated last may be a trial that it refused, or the model before its
+        last step.
         """
         fitted = None if self.starts is None else self.starts()[list(self.starts.cut.first)]
         moving = self.data.start_up_samples > 0 and isinstance(self.model, TorchSSM)
         estimated = self._validation_starts() if moving else None
-        for name, records, x0 in (("training", self.whole, fitted), ("validation", self.validation_records, estimated)):
+        for name, records, x0 in (
+            ("training", self.whole, fitted),
+            ("validation", self.validation_records, estimated),
+        ):
             loss = float(records.loss(records.simulate(self.model, x0)))
-            self.log(f"fit_{name}_percent", fit_of_error(loss**0.5) if np.isfinite(loss) else -np.inf)
+            self.log(
+                f"fit_{name}_percent", fit_of_error(loss**0.5) if np.isfinite(loss) else -np.inf
+            )
 
     def _validation_starts(self) -> States:
         """The states that `free_run` estimates from the start-up samples of the validation records.
 
-        A record that starts in motion says nothing about a model that simulates it from rest: validation would then
+        A record that starts in motion says nothing about a model that simulates it from rest:
+        validation would then
         stop a training, or choose among several, by the error of the initial state.
         """
         like, records = next(self.model.parameters()), self.data.validation
@@ -231,12 +287,17 @@ class Fit(pl.LightningModule):
         return self.settings.optimiser.build(self)
 
     def concluded(self) -> tuple[Simulator, str]:
-        """The explicit numbers, float32 undone by a few L-BFGS iterations in float64 if they end finite and lower."""
+        """The explicit numbers, float32 undone by a few L-BFGS iterations in float64 if they end
+        finite and lower."""
         single = self.training_records.y.dtype == torch.float32
         self.to("cpu", torch.float64)
-        if single and not isinstance(self.settings.optimiser, Levenberg):  # which leaves the penalties out
+        if single and not isinstance(
+            self.settings.optimiser, Levenberg
+        ):  # which leaves the penalties out
             before = {name: value.clone() for name, value in self.state_dict().items()}
-            optimiser = torch.optim.LBFGS(trainable(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe")
+            optimiser = torch.optim.LBFGS(
+                trainable(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe"
+            )
             first = float(self._evaluate())
             optimiser.step(self._evaluate)
             if not float(self._evaluate()) <= first:  # also where it is NaN
@@ -246,9 +307,11 @@ class Fit(pl.LightningModule):
 
 @torch.no_grad()
 def simulated_states(model: TorchModel, records: Records, cut: Cut) -> States:
-    """The state of a simulation of the whole records from rest at each window's start: shooting begins without defects.
+    """The state of a simulation of the whole records from rest at each window's start: shooting
+    begins without defects.
 
-    Records start at rest too: an estimate by the untrained model is far off in slow modes, and traps the optimiser.
+    Records start at rest too: an estimate by the untrained model is far off in slow modes, and
+    traps the optimiser.
     """
     states = records.u.new_zeros(len(cut.pieces), model.states)
     for later in cut.later:

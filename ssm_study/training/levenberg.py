@@ -1,6 +1,8 @@
-"""Levenberg-Marquardt for the simulation error, its Jacobian by forward differentiation or written out.
+"""Levenberg-Marquardt for the simulation error, its Jacobian by forward differentiation or written
+out.
 
-    (J'J + R + damping diag(J'J + R)) step = -(J'r + R theta),    R the weights of a quadratic penalty, if any
+    (J'J + R + damping diag(J'J + R)) step = -(J'r + R theta),    R the weights of a quadratic
+    penalty, if any
 
 Source: Nocedal & Wright (2006), section 10.3; Marquardt (1963) for the scaling.
 """
@@ -15,12 +17,14 @@ from torch import Tensor
 from torch.func import jacfwd
 
 Residual = Callable[[Float[Tensor, "P"]], Float[Tensor, "N"]]
-# Below the first a step is Gauss-Newton's up to rounding; above the second it is shorter than rounding.
+# Below the first a step is Gauss-Newton's up to rounding; above the second it is shorter than
+# rounding.
 DAMPING_RANGE = (1e-12, 1e12)
 
 
 class Rule(NamedTuple):
-    """`tries` dampings before a step counts as failed, each `grow` times the last; curvatures below `weakest`, relative
+    """`tries` dampings before a step counts as failed, each `grow` times the last; curvatures below
+    `weakest`, relative
     to the largest, are damped as if they had it."""
 
     tries: int
@@ -32,13 +36,15 @@ FORWARD = Rule(tries=8, grow=4.0, weakest=1e-6)
 WRITTEN_OUT = Rule(tries=10, grow=3.0, weakest=1e-8)
 
 
-def damped(
+def levenberg_marquardt_step(
     rule: Rule, loss: float, gradient: Any, normal: Any, damping: float,
     solved: Callable[[float], Any], loss_at: Callable[[Any], float],
 ) -> tuple[Any, float, float]:  # fmt: skip
-    """The first step that gains (None where all fail), the loss there, and the damping of the next step.
+    """The first step that gains (None where all fail), the loss there, and the damping of the next
+    step.
 
-    The damping falls after a step that gains what the quadratic model expects, and grows after others. `solved` gives
+    The damping falls after a step that gains what the quadratic model expects, and grows after
+    others. `solved` gives
     the step of a damping, or None; arrays are NumPy's or torch's.
     """
     for _ in range(rule.tries):
@@ -46,7 +52,9 @@ def damped(
         value = np.inf if step is None else loss_at(step)
         gained = loss - value  # not above zero where the trial is not finite
         if gained > 0:
-            expected = -float(2 * gradient @ step + step @ normal @ step)  # what the quadratic model promises
+            expected = -float(
+                2 * gradient @ step + step @ normal @ step
+            )  # what the quadratic model promises
             damping *= 0.3 if gained > 0.75 * expected else 1.0 if gained > 0.25 * expected else 2.0
             return step, value, min(max(damping, DAMPING_RANGE[0]), DAMPING_RANGE[1])
         damping = min(damping * rule.grow, DAMPING_RANGE[1])
@@ -56,23 +64,35 @@ def damped(
 class LevenbergMarquardt(torch.optim.Optimizer):
     """The optimiser of torch models: `step` takes one accepted step, or none; there is no penalty.
 
-    Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once, where the linear model
+    Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once,
+    where the linear model
     holds. `residual` takes all parameters in a row.
     """
 
     def __init__(
-        self, named: list[tuple[str, torch.nn.Parameter]], residual: Residual, damping: float, longest_step: float
+        self,
+        named: list[tuple[str, torch.nn.Parameter]],
+        residual: Residual,
+        damping: float,
+        longest_step: float,
     ) -> None:
         super().__init__([parameter for _, parameter in named], {"damping": damping})
         self.residual = residual
-        most = {name: longest_step if name.endswith(("nu", "theta")) else torch.inf for name, _ in named}
-        self.limits = torch.cat([torch.full_like(p.detach(), most[name]).flatten() for name, p in named])
+        most = {
+            name: longest_step if name.endswith(("nu", "theta")) else torch.inf for name, _ in named
+        }
+        self.limits = torch.cat(
+            [torch.full_like(p.detach(), most[name]).flatten() for name, p in named]
+        )
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss
         residual, group = self.residual, self.param_groups[0]
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
-        r, j = residual(flat), jacfwd(residual)(flat)  # P + 1 forward passes, those of the Jacobian in one batch
+        r, j = (
+            residual(flat),
+            jacfwd(residual)(flat),
+        )  # P + 1 forward passes, those of the Jacobian in one batch
         loss, gradient, normal = float(r @ r), j.T @ r, j.T @ j
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
 
@@ -84,7 +104,9 @@ class LevenbergMarquardt(torch.optim.Optimizer):
             trial = residual(flat + step)
             return float(trial @ trial)
 
-        step, _, group["damping"] = damped(FORWARD, loss, gradient, normal, group["damping"], solved, loss_at)
+        step, _, group["damping"] = levenberg_marquardt_step(
+            FORWARD, loss, gradient, normal, group["damping"], solved, loss_at
+        )
         if step is not None:
             torch.nn.utils.vector_to_parameters(flat + step, group["params"])
         return loss

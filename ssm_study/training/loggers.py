@@ -1,4 +1,5 @@
-"""Where Lightning logs the curve besides our own record: each yaml of the group `training/logger` is one of these."""
+"""Where Lightning logs the curve besides our own record: each yaml of the group `training/logger`
+is one of these."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NoLogger:
-    """Nothing besides our own record; the others return Lightning's logger, writing below the training's own folder."""
+    """Nothing besides our own record; the others return Lightning's logger, writing below the
+    training's own folder."""
 
     def build(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
         return None

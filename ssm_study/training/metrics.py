@@ -1,4 +1,5 @@
-"""What identifying a model leaves behind: the model, the evidence that it fits, and what training says of itself."""
+"""What identifying a model leaves behind: the model, the evidence that it fits, and what training
+says of itself."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,15 @@ from ssm_study.signals import DataSet, Trajectories
 NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 COLUMNS = (
-    Column("training_seconds", "Float64", "low", "train s", "Training time", "s", unchecked="depends on when it ran"),
+    Column(
+        "training_seconds",
+        "Float64",
+        "low",
+        "train s",
+        "Training time",
+        "s",
+        unchecked="depends on when it ran",
+    ),
     Column("training_ended", "string", word="Training ended", unchecked=NOT_REPEATED),
 )
 
@@ -20,8 +29,10 @@ COLUMNS = (
 class Identification:
     """An identified model, the validation fit its stored numbers reproduce, and how it was reached.
 
-    The fit is recomputed from `model` itself (float64, `free_run`), never taken from training. `curve` holds one
-    row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why training stopped.
+    The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
+    `curve` holds one
+    row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why
+    training stopped.
     `choice` is the table of what was tried where sizes were chosen from the data.
     """
 
@@ -35,7 +46,9 @@ class Identification:
     @classmethod
     def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
         """The model with its fit to the validation records."""
-        return cls(model=model, fit_validation_percent=mean_fit(model, data.validation, data), **how)
+        return cls(
+            model=model, fit_validation_percent=mean_fit(model, data.validation, data), **how
+        )
 
 
 def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
-    """`build` returns what Lightning takes: a torch optimiser over the trainable parameters, perhaps with a schedule.
+    """`build` returns what Lightning takes: a torch optimiser over the trainable parameters,
+    perhaps with a schedule.
 
     An epoch is `calls_per_epoch` calls of it.
     """
@@ -36,7 +37,8 @@ class OptimiserSpec(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Lbfgs(OptimiserSpec):
-    """Limited-memory BFGS with a strong Wolfe line search; one epoch is `steps_per_epoch` iterations of it."""
+    """Limited-memory BFGS with a strong Wolfe line search; one epoch is `steps_per_epoch`
+    iterations of it."""
 
     history: int
 
@@ -50,13 +52,18 @@ class Lbfgs(OptimiserSpec):
 
     def build(self, fit: "Fit") -> "torch.optim.Optimizer":
         sizes: dict[str, Any] = {"max_iter": self.steps_per_epoch, "history_size": self.history}
-        search: dict[str, Any] = {"line_search_fn": "strong_wolfe", "tolerance_grad": 0.0, "tolerance_change": 0.0}
+        search: dict[str, Any] = {
+            "line_search_fn": "strong_wolfe",
+            "tolerance_grad": 0.0,
+            "tolerance_change": 0.0,
+        }
         return torch.optim.LBFGS(trainable(fit), **sizes, **search)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Levenberg(OptimiserSpec):
-    """Levenberg-Marquardt; one epoch is `steps_per_epoch` steps. Penalties are left out: it sees the error alone."""
+    """Levenberg-Marquardt; one epoch is `steps_per_epoch` steps. Penalties are left out: it sees
+    the error alone."""
 
     damping: float
     longest_step: float
@@ -75,7 +82,8 @@ class Levenberg(OptimiserSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Adam(OptimiserSpec):
-    """Adam; one epoch is `steps_per_epoch` steps. The rate falls along half a cosine to `final_fraction` of itself."""
+    """Adam; one epoch is `steps_per_epoch` steps. The rate falls along half a cosine to
+    `final_fraction` of itself."""
 
     learning_rate: float
     final_fraction: float
@@ -84,16 +92,28 @@ class Adam(OptimiserSpec):
         super().__post_init__()
         positive("optimiser.learning_rate", self.learning_rate, "use 0.01 or so")
         final = self.final_fraction
-        require(0 < final <= 1, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so")
+        require(
+            0 < final <= 1,
+            "optimiser.final_fraction",
+            final,
+            "must lie in (0, 1]",
+            "use 0.01 or so",
+        )
 
     def build(self, fit: "Fit") -> dict[str, Any]:
         optimiser = torch.optim.Adam(trainable(fit), lr=self.learning_rate, fused=True)
 
         def factor(epoch: int) -> float:
             along = epoch / fit.settings.max_epochs
-            return self.final_fraction + (1 - self.final_fraction) * (1 + math.cos(math.pi * along)) / 2
+            return (
+                self.final_fraction
+                + (1 - self.final_fraction) * (1 + math.cos(math.pi * along)) / 2
+            )
 
-        return {"optimizer": optimiser, "lr_scheduler": torch.optim.lr_scheduler.LambdaLR(optimiser, factor)}
+        return {
+            "optimizer": optimiser,
+            "lr_scheduler": torch.optim.lr_scheduler.LambdaLR(optimiser, factor),
+        }
 
 
 def trainable(model: "nn.Module") -> "list[nn.Parameter]":

@@ -1,4 +1,5 @@
-"""One training under Lightning: what is saved, seen and kept; a checkpoint of something else is refused."""
+"""One training under Lightning: what is saved, seen and kept; a checkpoint of something else is
+refused."""
 
 import copy
 import hashlib
@@ -42,16 +43,26 @@ STILL_EPOCHS = 2
 
 
 class DurableCheckpointIO(CheckpointIO):
-    """Write beside the target, fsync, rename, fsync the folder; read tensors and plain containers only.
+    """Write beside the target, fsync, rename, fsync the folder; read tensors and plain containers
+    only.
 
-    The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the sum without a word).
-    Lightning's own writer goes through TMPDIR; with that on another file system a full disk destroyed the old file.
+    The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the
+    sum without a word).
+    Lightning's own writer goes through TMPDIR; with that on another file system a full disk
+    destroyed the old file.
     """
 
-    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None) -> None:  # noqa: ARG002
+    def save_checkpoint(
+        self,
+        checkpoint: dict[str, Any],
+        path: str | Path,
+        storage_options: Any | None = None,  # noqa: ARG002
+    ) -> None:
         target, memory = Path(path), io.BytesIO()
         target.parent.mkdir(parents=True, exist_ok=True)
-        torch.save(checkpoint, memory)  # into a file it would hide a full disk behind an error of its own
+        torch.save(
+            checkpoint, memory
+        )  # into a file it would hide a full disk behind an error of its own
         for left in target.parent.glob(f".{target.name}.*.tmp"):  # by a writer that was killed
             left.unlink()
         write_atomically(target, memory.getvalue() + hashlib.sha256(memory.getvalue()).digest())
@@ -64,7 +75,9 @@ class DurableCheckpointIO(CheckpointIO):
         content, seal = whole[:-SEAL_BYTES], whole[-SEAL_BYTES:]
         if hashlib.sha256(content).digest() != seal:
             raise ValueError("not what was written")
-        return torch.load(io.BytesIO(content), map_location=map_location or "cpu", weights_only=True)
+        return torch.load(
+            io.BytesIO(content), map_location=map_location or "cpu", weights_only=True
+        )
 
     def remove_checkpoint(self, path: str | Path) -> None:
         Path(path).unlink(missing_ok=True)
@@ -73,10 +86,13 @@ class DurableCheckpointIO(CheckpointIO):
 def trained(
     settings: Training, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool
 ) -> Identification:
-    """Epochs, checkpoints and early stopping are the same around a step of torch and one that needs none of it."""
+    """Epochs, checkpoints and early stopping are the same around a step of torch and one that needs
+    none of it."""
     # More epochs or patience only continue a training, so a checkpoint is good for those too.
     belongs_to = fingerprint((spec, seed), replace(settings, max_epochs=1, patience=1), data)
-    keeper = Keeper(settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s)
+    keeper = BestModelCheckpoint(
+        settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s
+    )
     fit: Fit | StructuredFit
     if isinstance(spec, StructuredSpec):
         from ssm_study.training import structured_fit  # compiles
@@ -86,17 +102,27 @@ def trained(
         fit = Fit(spec.build(data, seed), data, settings)
         fit.to(torch.float32 if settings.precision == 32 else torch.float64)
     watched: Any = {"monitor": FITS[1], "mode": "max", "check_finite": False}
-    stopping = EarlyStopping(**watched, min_delta=settings.min_gain_percent, patience=settings.patience)
+    stopping = EarlyStopping(
+        **watched, min_delta=settings.min_gain_percent, patience=settings.patience
+    )
     one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
     resume_from = resumable(folder, belongs_to)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module="lightning")  # advice on Slurm, workers, loggers: of no use here
-        line = [Line(settings.max_epochs)] if progress else []
-        trainer = trainer_of(settings, [stopping, keeper, *line], folder)  # saved is what stopping has counted
+        warnings.filterwarnings(
+            "ignore", module="lightning"
+        )  # advice on Slurm, workers, loggers: of no use here
+        line = [ProgressLine(settings.max_epochs)] if progress else []
+        trainer = trainer_of(
+            settings, [stopping, keeper, *line], folder
+        )  # saved is what stopping has counted
         trainer.fit(fit, one, one, ckpt_path=resume_from)
     if trainer.interrupted:
         raise KeyboardInterrupt
-    early = "validation fit no longer grows" if stopping.stopped_epoch > 0 else f"{settings.max_epochs} epochs done"
+    early = (
+        "validation fit no longer grows"
+        if stopping.stopped_epoch > 0
+        else f"{settings.max_epochs} epochs done"
+    )
     if keeper.kept is not None:
         kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
@@ -109,8 +135,15 @@ def trained(
 def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> pl.Trainer:
     """Raises `BadRequest` for an accelerator that this machine does not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    told: Any = dict.fromkeys(("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
-    told |= {"devices": 1, "log_every_n_steps": 1, "num_sanity_val_steps": 0, "plugins": [DurableCheckpointIO()]}
+    told: Any = dict.fromkeys(
+        ("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False
+    )
+    told |= {
+        "devices": 1,
+        "log_every_n_steps": 1,
+        "num_sanity_val_steps": 0,
+        "plugins": [DurableCheckpointIO()],
+    }
     told |= {"callbacks": callbacks, "default_root_dir": folder, "max_epochs": settings.max_epochs}
     told["logger"] = settings.logger.build(folder) or False  # its own refusals pass
     try:
@@ -121,8 +154,11 @@ def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> p
 
 
 def fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """What a checkpoint belongs to: model, settings, and the records as they are scaled and scored."""
-    digest = hashlib.sha256(f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode())
+    """What a checkpoint belongs to: model, settings, and the records as they are scaled and
+    scored."""
+    digest = hashlib.sha256(
+        f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
+    )
     for record in (*data.training, *data.validation):
         digest.update(np.ascontiguousarray(record.u).tobytes())
         digest.update(np.ascontiguousarray(record.y).tobytes())
@@ -130,13 +166,20 @@ def fingerprint(spec: object, settings: object, data: DataSet) -> str:
 
 
 def resumable(folder: Path, expected: str) -> Path | None:
-    """`last.ckpt` of an interrupted training of the same thing; raises `BadRequest` if it is of something else."""
+    """`last.ckpt` of an interrupted training of the same thing; raises `BadRequest` if it is of
+    something else."""
     path = folder / LAST
     if not path.exists():
         return None
     found = read(path).get("fingerprint")
     problem = "the checkpoint there is of another model, training or data set"
-    require(found == expected, "training folder", folder, problem, "choose an empty folder or remove last.ckpt")
+    require(
+        found == expected,
+        "training folder",
+        folder,
+        problem,
+        "choose an empty folder or remove last.ckpt",
+    )
     return path
 
 
@@ -149,13 +192,20 @@ def read(path: Path) -> dict[str, Any]:
         raise BadRequest("checkpoint", path, problem, "remove it and train again") from error
 
 
-class Line(Callback):
+class ProgressLine(Callback):
     """Epochs, fits and time left on one live line; silent where stderr is not a terminal."""
 
     def __init__(self, max_epochs: int) -> None:
-        columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
+        columns = (
+            TextColumn("training"),
+            BarColumn(),
+            TextColumn("{task.description}"),
+            TimeRemainingColumn(),
+        )
         console = Console(stderr=True)
-        self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self.progress = Progress(
+            *columns, console=console, transient=True, disable=not console.is_terminal
+        )
         self.task = self.progress.add_task("", total=max_epochs)
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
@@ -171,20 +221,42 @@ class Line(Callback):
         self.progress.stop()
 
 
-class Keeper(Callback):
-    """Keeps the state to return, and stops in good order when numbers leave the finite or no longer change.
+class BestModelCheckpoint(Callback):
+    """Keeps the state to return, and stops in good order when numbers leave the finite or no longer
+    change.
 
-    Validation fits of noisy records differ by chance: among states within `tolerance` percent points of the best
-    validation fit the one with the best training fit is kept. Epochs that leave both fits as they were, to the last
-    bit, end the training: a line search that fails at a kink fails again and again. `last.ckpt` every `every_s` s.
+    Validation fits of noisy records differ by chance: among states within `tolerance` percent
+    points of the best
+    validation fit the one with the best training fit is kept. Epochs that leave both fits as they
+    were, to the last
+    bit, end the training: a line search that fails at a kink fails again and again. `last.ckpt`
+    every `every_s` s.
     """
 
-    remembered = ("best_validation", "kept_training", "kept_validation", "kept", "ended", "seen", "still", "curve")
+    remembered = (
+        "best_validation",
+        "kept_training",
+        "kept_validation",
+        "kept",
+        "ended",
+        "seen",
+        "still",
+        "curve",
+    )
 
     def __init__(
-        self, tolerance: float, folder: Path = Path(), belongs_to: str = "", every_s: float = math.inf
+        self,
+        tolerance: float,
+        folder: Path = Path(),
+        belongs_to: str = "",
+        every_s: float = math.inf,
     ) -> None:
-        self.tolerance, self.folder, self.belongs_to, self.every_s = tolerance, folder, belongs_to, every_s
+        self.tolerance, self.folder, self.belongs_to, self.every_s = (
+            tolerance,
+            folder,
+            belongs_to,
+            every_s,
+        )
         self.curve: list[dict[str, float]] = []
         self.began, self.saved_at = time.perf_counter(), time.monotonic()
         self.best_validation = self.kept_training = self.kept_validation = -math.inf
@@ -225,10 +297,13 @@ class Keeper(Callback):
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
     def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
-        """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if so."""
+        """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if
+        so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"
-            self.ended = f"the loss was not finite in epoch {epoch}; the last good state is kept; {remedy}"
+            self.ended = (
+                f"the loss was not finite in epoch {epoch}; the last good state is kept; {remedy}"
+            )
             return
         self.still = self.still + 1 if (training, validation) == self.seen else 0
         self.seen = (training, validation)

@@ -1,4 +1,5 @@
-"""Order, neurons, input path and ridge of a structured model from the training records alone: by held-out folds."""
+"""Order, neurons, input path and ridge of a structured model from the training records alone: by
+held-out folds."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,13 +19,17 @@ STEPS = 30  # inside the contracting set, each start of each fold
 START_UP = 20  # samples of a held-out piece that estimate its state, where a data set names none
 NEARLY = 0.3  # percent points: within so much of the best fit the smallest model is taken
 FIT = "fit_held_out_percent"
-Row = dict[str, Any]  # sizes that were tried, their fit over the held-out folds and on the worst of them
+Row = dict[
+    str, Any
+]  # sizes that were tried, their fit over the held-out folds and on the worst of them
 
 
 def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSpec, list[Row]]:
-    """The spec with its sizes chosen, and the table of the choice; no validation or test record is looked at.
+    """The spec with its sizes chosen, and the table of the choice; no validation or test record is
+    looked at.
 
-    First order and neurons on a grid, then the input path, then the ridge. The fit is that of the free run over the
+    First order and neurons on a grid, then the input path, then the ridge. The fit is that of the
+    free run over the
     held-out pieces. Within `NEARLY` of the best the smallest model is taken.
     """
     folds = list(held_out(data))
@@ -36,7 +41,11 @@ def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSp
     given = {"input_path": spec.input_path, "ridge": spec.ridge}
     best = smallest(table := [tried(order=n, neurons=q, **given) for n in ORDERS for q in NEURONS])
     for name, values in (("input_path", PATHS), ("ridge", RIDGES)):
-        table += [tried(**chosen(best) | {name: value}) for value in values if value != getattr(spec, name)]
+        table += [
+            tried(**chosen(best) | {name: value})
+            for value in values
+            if value != getattr(spec, name)
+        ]
         best = smallest(table)
     return replace(spec, **chosen(best)), [one | {"chosen": one is best} for one in table]
 
@@ -49,11 +58,15 @@ def chosen(row: Row) -> Row:
 def smallest(table: list[Row]) -> Row:
     """Of those within `NEARLY` of the best."""
     near = [one for one in table if one[FIT] >= max(other[FIT] for other in table) - NEARLY]
-    return min(near, key=lambda one: (one["order"] + one["neurons"], one["input_path"] != "none", -one[FIT]))
+    return min(
+        near,
+        key=lambda one: (one["order"] + one["neurons"], one["input_path"] != "none", -one[FIT]),
+    )
 
 
 def held_out(data: DataSet) -> Iterator[DataSet]:
-    """Training data with a fold taken out as `test`: whole records where there are enough, else pieces of each.
+    """Training data with a fold taken out as `test`: whole records where there are enough, else
+    pieces of each.
 
     A piece starts in motion, so its first samples estimate its state and are not scored.
     """
@@ -65,14 +78,20 @@ def held_out(data: DataSet) -> Iterator[DataSet]:
     unscored = data.start_up_samples or START_UP
     for k in range(FOLDS):
         parts = [without_fold(record, k, FOLDS) for record in data.training]
-        kept, out = tuple(piece for pieces, _ in parts for piece in pieces), tuple(piece for _, piece in parts)
+        kept, out = (
+            tuple(piece for pieces, _ in parts for piece in pieces),
+            tuple(piece for _, piece in parts),
+        )
         yield replace(data, training=kept, validation=kept, test=out, start_up_samples=unscored)
 
 
 def _fit(spec: StructuredSpec, fold: DataSet, seed: int) -> float:
-    """Of the start that fits the kept pieces best, on the held-out ones, percent; never below zero."""
+    """Of the start that fits the kept pieces best, on the held-out ones, percent; never below
+    zero."""
     fits = [StructuredFit(spec, fold, seed + 1000 * start) for start in range(spec.starts)]
     for fit in fits:
         fit.advance(STEPS)
     best = min(fits, key=lambda fit: float(fit.loss))
-    return max(mean_fit(best.stored(), fold.test, fold), 0.0) if np.isfinite(float(best.loss)) else 0.0
+    return (
+        max(mean_fit(best.stored(), fold.test, fold), 0.0) if np.isfinite(float(best.loss)) else 0.0
+    )

@@ -1,4 +1,5 @@
-"""The Lightning module of a structured model: its first epoch makes the starting point, each further one is a step."""
+"""The Lightning module of a structured model: its first epoch makes the starting point, each
+further one is a step."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,8 +15,22 @@ from ssm_study.models.structured import Model, StructuredSSM, phi, shapes
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.metrics import mean_fit
-from ssm_study.training.structured_problem import CORE, FREE_CORE, Batch, Descent, Residuals, Theta, descended, step
-from ssm_study.training.structured_start import contracting_start, linear_start, screened_poles, with_neurons
+from ssm_study.training.structured_problem import (
+    CORE,
+    FREE_CORE,
+    Batch,
+    Descent,
+    Residuals,
+    Theta,
+    minimise,
+    step,
+)
+from ssm_study.training.structured_start import (
+    contracting_start,
+    linear_start,
+    screened_poles,
+    with_neurons,
+)
 
 IDLE = 1e-3  # relative change of the output below which a neuron does nothing
 START_SAMPLES = 2000  # of which a start is made: the training goes on with all
@@ -24,9 +39,11 @@ TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random pol
 
 
 class StructuredFit(pl.LightningModule):
-    """Levenberg-Marquardt on the simulation error; the parameters, the damping and the loss are buffers.
+    """Levenberg-Marquardt on the simulation error; the parameters, the damping and the loss are
+    buffers.
 
-    So a checkpoint is the whole state, and a training that was killed goes on where it was. There is nothing for an
+    So a checkpoint is the whole state, and a training that was killed goes on where it was. There
+    is nothing for an
     optimiser of torch to do: the Jacobian is written out (`Residuals.linearised`).
     """
 
@@ -38,8 +55,12 @@ class StructuredFit(pl.LightningModule):
         self.automatic_optimization = False
         self.spec, self.data, self.seed = spec, data, seed
         lift, read = spec.maps((data.scale.inputs, data.scale.outputs))
-        told: dict[str, Any] = {name: getattr(spec, name) for name in ("rate", "integrated", "ridge")}
-        self.problem = Residuals(records=Batch.padded(scaled(data)), neurons=spec.each, lift=lift, read=read, **told)
+        told: dict[str, Any] = {
+            name: getattr(spec, name) for name in ("rate", "integrated", "ridge")
+        }
+        self.problem = Residuals(
+            records=Batch.padded(scaled(data)), neurons=spec.each, lift=lift, read=read, **told
+        )
         self.estimates = data.start_up_samples > 0
         self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
         self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
@@ -55,11 +76,15 @@ class StructuredFit(pl.LightningModule):
     @property
     def theta(self) -> Theta:
         """The parameters, as NumPy sees them."""
-        return {name: part.cpu().numpy() for name, part in self.named_buffers() if name not in ("damping", "loss")}
+        return {
+            name: part.cpu().numpy()
+            for name, part in self.named_buffers()
+            if name not in ("damping", "loss")
+        }
 
     def advance(self, steps: int) -> None:
         """The starting point and at most so many steps, without what Lightning does around each."""
-        self._keep(descended(self.problem, self._started(), self._moved, steps))
+        self._keep(minimise(self.problem, self._started(), self._moved, steps))
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
         """The starting point, then one accepted step (or none) an epoch."""
@@ -71,7 +96,9 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def _moved(self) -> tuple[str, ...]:
-        return self._free(CORE if self.spec.rate is None else FREE_CORE, self.spec.input_path != "none")
+        return self._free(
+            CORE if self.spec.rate is None else FREE_CORE, self.spec.input_path != "none"
+        )
 
     def _keep(self, at: Descent) -> None:
         for name in self.theta:
@@ -80,14 +107,21 @@ class StructuredFit(pl.LightningModule):
         self.damping.fill_(at.damping)
 
     def _started(self) -> Theta:
-        """On few samples: linear fit, S_u, then neurons drawn at random race and the best draw starts the training."""
+        """On few samples: linear fit, S_u, then neurons drawn at random race and the best draw
+        starts the training."""
         spec, rng = self.spec, np.random.default_rng(self.seed)
         short = replace(self.problem, records=self.problem.records.cut(START_SAMPLES))
         linear = replace(short, neurons=(), rate=None)
-        matrices = ("a", "b", "c", *(("d",) if spec.feedthrough else ()), *(("x0",) if self.estimates else ()))
+        matrices = (
+            "a",
+            "b",
+            "c",
+            *(("d",) if spec.feedthrough else ()),
+            *(("x0",) if self.estimates else ()),
+        )
 
         def settled(theta: Theta) -> Descent:  # phase 1: the linear fit
-            return descended(linear, theta, matrices, spec.start_steps[0])
+            return minimise(linear, theta, matrices, spec.start_steps[0])
 
         begun = linear_start(linear, int(spec.order), spec.feedthrough, rng)
         at = settled(begun)
@@ -97,31 +131,44 @@ class StructuredFit(pl.LightningModule):
         theta = at.theta
         if spec.knots or spec.output_knots:
             maps = (*matrices, "scaffold_in", "scaffold_out")
-            theta = descended(linear, theta, maps, spec.start_steps[1]).theta
-        best = min((self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss)
+            theta = minimise(linear, theta, maps, spec.start_steps[1]).theta
+        best = min(
+            (self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss
+        )
         x0 = np.zeros_like(self.theta["x0"])  # records that the start has not seen begin at rest
         x0[: len(best.theta["x0"])] = best.theta["x0"]
         return best.theta | {"x0": x0}
 
     def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
-        """Random neurons, a few steps without the constraint, the nearest contracting model, a few steps as one."""
+        """Random neurons, a few steps without the constraint, the nearest contracting model, a few
+        steps as one."""
         spec, free = self.spec, replace(short, rate=None)
         theta = with_neurons(free, theta, spec.neurons, rng)
-        unbound, inside = (self._free(core, spec.input_path == "free") for core in (CORE, FREE_CORE))
-        at = descended(free, theta, unbound, spec.start_steps[2])
+        unbound, inside = (
+            self._free(core, spec.input_path == "free") for core in (CORE, FREE_CORE)
+        )
+        at = minimise(free, theta, unbound, spec.start_steps[2])
         if spec.rate is None:
             return at
         theta = contracting_start(free, at.theta, spec.rate)
-        return descended(short, theta, inside, RACE)
+        return minimise(short, theta, inside, RACE)
 
-    def _free(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:  # The blocks that a phase moves
+    def _free(
+        self, core: tuple[str, ...], input_path: bool
+    ) -> tuple[str, ...]:  # The blocks that a phase moves
         spec = self.spec
-        paths = {"g": input_path, "h": spec.output_path == "free", "d": spec.feedthrough, "x0": self.estimates}
+        paths = {
+            "g": input_path,
+            "h": spec.output_path == "free",
+            "d": spec.feedthrough,
+            "x0": self.estimates,
+        }
         opened = (name for name, is_open in paths.items() if is_open)
         return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *opened)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Fits in percent: of training from the states that were fitted, of validation as a score has them."""
+        """Fits in percent: of training from the states that were fitted, of validation as a score
+        has them."""
         r = self.problem.residual(self.theta)
         self.log("fit_training_percent", fit_of_error(np.sqrt(r @ r)))
         self.log("fit_validation_percent", mean_fit(self.stored(), self.data.validation, self.data))
@@ -141,13 +188,21 @@ class StructuredFit(pl.LightningModule):
             parts["a"] = np.block([[k.a, np.zeros((n, p))], [k.c, np.eye(p)]])
             parts["b"], parts["e"] = np.vstack([k.b, k.d]), np.vstack([k.e, k.h])
             parts["f"] = np.hstack([k.f, np.zeros((len(k.f), p))])
-            parts["c"], parts["d"], parts["h"] = np.eye(p, n + p, n), np.zeros_like(k.d), np.zeros_like(k.h)
-        for name, each in {"scaffold_in": self.problem.lift, "scaffold_out": self.problem.read}.items():
+            parts["c"], parts["d"], parts["h"] = (
+                np.eye(p, n + p, n),
+                np.zeros_like(k.d),
+                np.zeros_like(k.h),
+            )
+        for name, each in {
+            "scaffold_in": self.problem.lift,
+            "scaffold_out": self.problem.read,
+        }.items():
             parts[name] = each.freeze(theta[name])
         return StructuredSSM(**parts)
 
     def concluded(self) -> tuple[Model, str]:
-        """The model without the neurons that do nothing on the training inputs, and how many those were.
+        """The model without the neurons that do nothing on the training inputs, and how many those
+        were.
 
         Without any neuron it is the model of one layer, of which more can be proved.
         """
@@ -158,16 +213,21 @@ class StructuredFit(pl.LightningModule):
 
 
 def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:
-    """Without neurons whose replacement by `w_i = s_i z_i`, s_i the mean slope, moves no output by `IDLE` (relative).
+    """Without neurons whose replacement by `w_i = s_i z_i`, s_i the mean slope, moves no output by
+    `IDLE` (relative).
 
-    A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies the sector
-    condition that the analysis LMI is about. A neuron between input and output is left where D is zero.
+    A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies
+    the sector
+    condition that the analysis LMI is about. A neuron between input and output is left where D is
+    zero.
     """
     for i in reversed(range(len(model.neurons))):
         if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
             continue
         candidate = _without(model, i, inputs)
-        was, moved = (np.concatenate([one.simulate(u) for u in inputs]) for one in (model, candidate))
+        was, moved = (
+            np.concatenate([one.simulate(u) for u in inputs]) for one in (model, candidate)
+        )
         if np.linalg.norm(moved - was) / np.linalg.norm(was - was.mean(axis=0)) < IDLE:
             model = candidate
     return model
@@ -178,7 +238,12 @@ def _without(model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]
     z = [model.run(v)[1][:-1] @ model.f.T + v @ model.g.T + model.bias for v in lifted]
     s = float(np.concatenate([phi(model.neurons, one, "slope")[:, i] for one in z]).mean())
     e, f, g, h = model.e[:, [i]], model.f[[i]], model.g[[i]], model.h[:, [i]]
-    parts = {"a": model.a + s * e @ f, "b": model.b + s * e @ g, "c": model.c + s * h @ f, "d": model.d + s * h @ g}
+    parts = {
+        "a": model.a + s * e @ f,
+        "b": model.b + s * e @ g,
+        "c": model.c + s * h @ f,
+        "d": model.d + s * h @ g,
+    }
     for name, axis in {"e": 1, "f": 0, "g": 0, "h": 1, "bias": 0}.items():
         parts[name] = np.delete(getattr(model, name), i, axis)
     return replace(model, **parts, neurons=model.neurons[:i] + model.neurons[i + 1 :])

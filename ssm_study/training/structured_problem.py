@@ -1,4 +1,5 @@
-"""The simulation error of a structured model as a function of its parameters, its Jacobian written out, a step down."""
+"""The simulation error of a structured model as a function of its parameters, its Jacobian written
+out, a step down."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -13,9 +14,10 @@ from ssm_study.models.structured import codes
 from ssm_study.models.structured_kernel import Matrices, free_run, sensitivities, split
 from ssm_study.models.structured_spec import Pieces
 from ssm_study.training.fit import padded
-from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, damped
+from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 
-# Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out, x0.
+# Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out,
+# x0.
 Theta = dict[str, Float[np.ndarray, "..."]]
 FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
@@ -23,7 +25,8 @@ SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
 class Batch(NamedTuple):
-    """Records in scaled units, padded; `weight` is 0 where padded, and such that `|r|^2 = (1 - fit / 100)^2`."""
+    """Records in scaled units, padded; `weight` is 0 where padded, and such that `|r|^2 = (1 - fit
+    / 100)^2`."""
 
     u: Float[np.ndarray, "N T m"]
     y: Float[np.ndarray, "N T p"]
@@ -32,11 +35,15 @@ class Batch(NamedTuple):
     @classmethod
     def padded(cls, pairs: Pairs) -> "Batch":
         (u, y), whole = padded(pairs), np.concatenate([y for _, y in pairs])
-        there = np.arange(u.shape[1])[None, :, None] < np.array([len(one) for one, _ in pairs])[:, None, None]
+        there = (
+            np.arange(u.shape[1])[None, :, None]
+            < np.array([len(one) for one, _ in pairs])[:, None, None]
+        )
         return cls(u=u, y=y, weight=there / np.linalg.norm(whole - whole.mean(axis=0)))
 
     def cut(self, samples: int) -> "Batch":
-        """The first records, whole, of so many samples together; of one that is longer, its beginning."""
+        """The first records, whole, of so many samples together; of one that is longer, its
+        beginning."""
         count = max(1, samples // self.u.shape[1])
         return Batch(*(part[:count, :samples] for part in self))
 
@@ -49,8 +56,10 @@ class Batch(NamedTuple):
 class Residuals:
     """`r = weight (y_hat - y)`, all records from their own x0.
 
-    With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrated`: the output is the
-    running sum of the model's, started at `x0`'s last entry. `ridge` weighs the squared parameters that are moved.
+    With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrated`:
+    the output is the
+    running sum of the model's, started at `x0`'s last entry. `ridge` weighs the squared parameters
+    that are moved.
     """
 
     records: Batch
@@ -77,7 +86,8 @@ class Residuals:
         return np.ascontiguousarray(theta["x0"][:, :n]), theta["x0"][:, n:]
 
     def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1, n)`."""
+        """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1,
+        n)`."""
         v = np.ascontiguousarray(self.lift.freeze(theta["scaffold_in"])(self.records.u))
         return v, *free_run(self.matrices(theta), v, self.starts(theta)[0])
 
@@ -90,18 +100,24 @@ class Residuals:
 
     def residual(self, theta: Theta) -> Float[np.ndarray, "R"]:
         """`weight (y_hat - y)`, flat."""
-        with np.errstate(all="ignore"):  # a trial step may be unstable: its loss is infinite, and it is refused
+        with np.errstate(
+            all="ignore"
+        ):  # a trial step may be unstable: its loss is infinite, and it is refused
             return (self.records.weight * (self.output(theta) - self.records.y)).ravel()
 
     def linearised(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R K"], Float[np.ndarray, "K P"]]:
-        """Residual `r`, `J` and `turn`: `J turn` is the Jacobian by the blocks `free`, each flattened by rows.
+        """Residual `r`, `J` and `turn`: `J turn` is the Jacobian by the blocks `free`, each
+        flattened by rows.
 
-        `turn` is the chain rule through `contracting.explicit`: cheap behind `J'J`, not on every sample.
+        `turn` is the chain rule through `contracting.explicit`: cheap behind `J'J`, not on every
+        sample.
         """
         u, target, weight = self.records
-        v, _, moved = self.lift.derivatives(theta["scaffold_in"], u)  # S_u, and what its parameters do to it
+        v, _, moved = self.lift.derivatives(
+            theta["scaffold_in"], u
+        )  # S_u, and what its parameters do to it
         x0, begun = self.starts(theta)
         y, columns = sensitivities(self.matrices(theta), v, x0, moved, self.lift.owners)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
@@ -111,7 +127,9 @@ class Residuals:
         elif self.read.knots:
             y, slope, bent = self.read.derivatives(theta["scaffold_out"], y)
             columns = {name: slope[..., None] * part for name, part in columns.items()}
-            columns["scaffold_out"] = bent[..., None, :] * (self.read.owners == np.arange(target.shape[-1])[:, None])
+            columns["scaffold_out"] = bent[..., None, :] * (
+                self.read.owners == np.arange(target.shape[-1])[:, None]
+            )
         if "x0" in free:
             columns["x0"] = self._by_start(columns["x0"])
         own = [name for name in free if name not in FREE_CORE]
@@ -151,7 +169,8 @@ def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """Where the descent of a structured model stands: parameters, `|r|^2 + penalty` there, the next step's damping."""
+    """Where the descent of a structured model stands: parameters, `|r|^2 + penalty` there, the next
+    step's damping."""
 
     theta: Theta
     loss: float
@@ -159,10 +178,13 @@ class Descent:
 
 
 def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
-    """`|r|^2 + ridge sum |block|^2` over the blocks `free`, infinite where the simulation is not finite."""
+    """`|r|^2 + ridge sum |block|^2` over the blocks `free`, infinite where the simulation is not
+    finite."""
     r = problem.residual(theta)
     with np.errstate(all="ignore"):
-        value = float(r @ r) + sum(problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free)
+        value = float(r @ r) + sum(
+            problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free
+        )
     return value if np.isfinite(value) else np.inf
 
 
@@ -170,7 +192,9 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
     """One accepted step in the blocks `free`, or none."""
     r, j, turn = problem.linearised(at.theta, free)
     flat = pack(at.theta, free)
-    weights = np.concatenate([np.full(at.theta[name].size, problem.ridge_of(name)) for name in free])  # R, its diagonal
+    weights = np.concatenate(
+        [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
+    )  # R, its diagonal
     with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
         normal, gradient = turn.T @ (j.T @ j) @ turn, turn.T @ (j.T @ r) + weights * flat
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
@@ -178,7 +202,7 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
         return replace(at, damping=np.inf)
     scale = np.maximum(np.diagonal(normal), WRITTEN_OUT.weakest * np.diagonal(normal).max())
     with np.errstate(over="ignore"):  # a damped matrix that overflows is a step that failed
-        by, value, damping = damped(
+        by, value, damping = levenberg_marquardt_step(
             WRITTEN_OUT, at.loss, gradient, normal, at.damping,
             lambda damping: _solved(normal + np.diag(damping * scale), gradient),
             lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), free),
@@ -187,7 +211,7 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
     return Descent(theta=theta, loss=value, damping=damping)
 
 
-def descended(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
+def minimise(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
     """At most so many steps, until one has `ended` the descent."""
     at = Descent(theta=theta, loss=loss(problem, theta, free))
     for _ in range(most):
@@ -198,12 +222,15 @@ def descended(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int
 
 
 def ended(before: float, after: float, damping: float) -> bool:
-    """An accepted step gained less than `SETTLED`; after a refused one, damped more, a shorter step may still gain."""
+    """An accepted step gained less than `SETTLED`; after a refused one, damped more, a shorter step
+    may still gain."""
     refused = after == before and damping < DAMPING_RANGE[1]
     return not refused and not after < before * (1.0 - SETTLED)
 
 
-def _solved(damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P"] | None:
+def _solved(
+    damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]
+) -> Float[np.ndarray, "P"] | None:
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
     except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite

@@ -1,4 +1,5 @@
-"""Where a structured model's training starts: linear poles, random neurons, and the nearest model that contracts."""
+"""Where a structured model's training starts: linear poles, random neurons, and the nearest model
+that contracts."""
 
 import numpy as np
 from jaxtyping import Float
@@ -18,8 +19,11 @@ SMALL = 0.05  # of E: the neurons start as a perturbation of the linear fit
 RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
 
 
-def linear_start(problem: Residuals, order: int, feedthrough: bool, rng: np.random.Generator) -> Theta:
-    """ARX by least squares, a balanced realisation of its impulse response, its poles inside the unit circle; q = 0."""
+def linear_start(
+    problem: Residuals, order: int, feedthrough: bool, rng: np.random.Generator
+) -> Theta:
+    """ARX by least squares, a balanced realisation of its impulse response, its poles inside the
+    unit circle; q = 0."""
     u, y, _ = problem.records
     pairs = [(a[there], b[there]) for a, b, there in zip(u, y, problem.records.scored, strict=True)]
     samples = [np.concatenate(side) for side in zip(*pairs, strict=True)]
@@ -43,31 +47,46 @@ def linear_start(problem: Residuals, order: int, feedthrough: bool, rng: np.rand
 
 
 def unit_states(problem: Residuals, theta: Theta) -> Theta:
-    """The same linear model in coordinates in which each state has a root mean square of one over the records.
+    """The same linear model in coordinates in which each state has a root mean square of one over
+    the records.
 
-    Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one overturns another.
+    Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one
+    overturns another.
     """
     states = problem.simulated(theta)[2][:, :-1][problem.records.scored]
     size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9
     x0 = theta["x0"].copy()
     x0[:, : len(size)] /= size
-    turned = {"a": theta["a"] * size / size[:, None], "b": theta["b"] / size[:, None], "c": theta["c"] * size}
+    turned = {
+        "a": theta["a"] * size / size[:, None],
+        "b": theta["b"] / size[:, None],
+        "c": theta["c"] * size,
+    }
     return theta | turned | {"x0": x0}
 
 
-def screened_poles(problem: Residuals, begun: Theta, estimates: bool, rng: np.random.Generator) -> Theta:
-    """`begun` with the best of random sets of poles in its place: that whose residues explain the records best.
+def screened_poles(
+    problem: Residuals, begun: Theta, estimates: bool, rng: np.random.Generator
+) -> Theta:
+    """`begun` with the best of random sets of poles in its place: that whose residues explain the
+    records best.
 
-    With poles and B given the output is linear in C, and in C times the free decay of a record's unknown start: two
-    least-squares problems. ARX weighs the next sample; where that hardly depends on the input it misses slow modes.
+    With poles and B given the output is linear in C, and in C times the free decay of a record's
+    unknown start: two
+    least-squares problems. ARX weighs the next sample; where that hardly depends on the input it
+    misses slow modes.
     """
     order = len(begun["a"])
-    found = [begun | _residues(problem, begun, _drawn_poles(order, rng), estimates, rng) for _ in range(SCREENED)]
+    found = [
+        begun | _residues(problem, begun, _drawn_poles(order, rng), estimates, rng)
+        for _ in range(SCREENED)
+    ]
     return min(found, key=lambda one: loss(problem, one, ()))
 
 
 def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Time constants of 1 to `LONGEST` samples, evenly in their logarithm; one in two begins a pair."""
+    """Time constants of 1 to `LONGEST` samples, evenly in their logarithm; one in two begins a
+    pair."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
         radius, turn = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST)))), np.eye(1)
@@ -79,7 +98,11 @@ def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n
 
 
 def _residues(
-    problem: Residuals, begun: Theta, a: Float[np.ndarray, "n n"], estimates: bool, rng: np.random.Generator
+    problem: Residuals,
+    begun: Theta,
+    a: Float[np.ndarray, "n n"],
+    estimates: bool,
+    rng: np.random.Generator,
 ) -> Theta:
     """`a, b, c, d, x0` of these poles, states of unit size."""
     (u, y, weight), n, b = problem.records, len(a), rng.normal(size=begun["b"].shape)
@@ -87,11 +110,17 @@ def _residues(
     x = problem.simulated(rest | {"a": a, "b": b})[2][:, :-1]
     size = np.sqrt(np.mean(x**2, axis=(0, 1))) + 1e-12
     x, a, b = x / size, a * size / size[:, None], b / size[:, None]
-    y = y / problem.read.freeze(begun["scaffold_out"])(np.ones_like(y))  # all slopes of S_y are equal here
+    y = y / problem.read.freeze(begun["scaffold_out"])(
+        np.ones_like(y)
+    )  # all slopes of S_y are equal here
     decay = _powers(a, samples)
-    own = linalg.block_diag(*[decay.sum(axis=2)] * count).reshape(count, samples, -1)  # spans what a start can do
+    own = linalg.block_diag(*[decay.sum(axis=2)] * count).reshape(
+        count, samples, -1
+    )  # spans what a start can do
     regressors = weight * (np.concatenate([x, own], axis=-1) if estimates else x)
-    c = _least(regressors.reshape(count * samples, -1), (weight * y).reshape(count * samples, -1))[:n].T
+    c = _least(regressors.reshape(count * samples, -1), (weight * y).reshape(count * samples, -1))[
+        :n
+    ].T
     x0 = np.zeros((count, n))
     if estimates:
         seen = (weight[..., None] * (c @ decay)).reshape(count, -1, n)
@@ -110,25 +139,37 @@ def _powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n
 
 def _least(x: Float[np.ndarray, "N k"], y: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "k p"]:
     normal = x.T @ x
-    return linalg.solve(normal + RESIDUE_RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal)), x.T @ y)
+    return linalg.solve(
+        normal + RESIDUE_RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal)), x.T @ y
+    )
 
 
 def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Generator) -> Theta:
-    """States of unit size, then F and the bias random, so that neurons bend within the data, E small, G and H zero."""
+    """States of unit size, then F and the bias random, so that neurons bend within the data, E
+    small, G and H zero."""
     theta = unit_states(problem, theta)
     (n, m), p = theta["b"].shape, len(theta["c"])
     f = rng.normal(size=(count, n))
     f *= rng.uniform(0.7, 3.0, (count, 1)) / np.linalg.norm(f, axis=1, keepdims=True)
     e, bias = SMALL * rng.normal(size=(n, count)), RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
     e *= np.linalg.norm(theta["b"])
-    return theta | {"e": e, "f": f, "g": np.zeros((count, m)), "h": np.zeros((p, count)), "bias": bias}
+    return theta | {
+        "e": e,
+        "f": f,
+        "g": np.zeros((count, m)),
+        "h": np.zeros((p, count)),
+        "bias": bias,
+    }
 
 
 def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
-    """The nearest model on the path of `contracting.projected`, in its metric's coordinates and free parameters."""
+    """The nearest model on the path of `contracting.projected`, in its metric's coordinates and
+    free parameters."""
     (v, _, states), scored = problem.simulated(theta), problem.records.scored
     z = states[:, :-1][scored] @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
-    found = projected(Core(*(theta[name] for name in CORE)), phi(problem.neurons, z, "slope").mean(axis=0), rate)
+    found = projected(
+        Core(*(theta[name] for name in CORE)), phi(problem.neurons, z, "slope").mean(axis=0), rate
+    )
     free, n = parameters(in_metric(found), rate), len(theta["a"])
     x0 = theta["x0"].copy()
     x0[:, :n] = x0[:, :n] @ found.t.T

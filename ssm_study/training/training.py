@@ -1,4 +1,5 @@
-"""Identify a model from data: what `conf/training/*.yaml` says, and the line from specification to stored numbers."""
+"""Identify a model from data: what `conf/training/*.yaml` says, and the line from specification to
+stored numbers."""
 
 import time
 from dataclasses import dataclass, field, replace
@@ -20,8 +21,10 @@ if TYPE_CHECKING:
 class Training:
     """Simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
 
-    The settings: conf/training/default.yaml. `validation_tolerance_percent`: see `Keeper`; the weights: see `penalty`;
-    `integrated_share`: see `Records`; `windows`: see `Windows`. Precision 32 is polished in float64.
+    The settings: conf/training/default.yaml. `validation_tolerance_percent`: see
+    `BestModelCheckpoint`; the weights: see `penalty`;
+    `integrated_share`: see `Records`; `windows`: see `Windows`. Precision 32 is polished in
+    float64.
     """
 
     optimiser: OptimiserSpec
@@ -42,11 +45,22 @@ class Training:
 
     def __post_init__(self) -> None:
         share = self.integrated_share
-        require(0 <= share <= 1, "training.integrated_share", share, "is a share of the loss", "use 0 to 1")
+        require(
+            0 <= share <= 1,
+            "training.integrated_share",
+            share,
+            "is a share of the loss",
+            "use 0 to 1",
+        )
         for name in ("max_epochs", "patience", "starts"):
             at_least(1, f"training.{name}", getattr(self, name), "use a positive whole number")
         weights = ("roughness_weight", "hankel_weight")
-        for name in ("min_gain_percent", "validation_tolerance_percent", "checkpoint_every_s", *weights):
+        for name in (
+            "min_gain_percent",
+            "validation_tolerance_percent",
+            "checkpoint_every_s",
+            *weights,
+        ):
             at_least(0, f"training.{name}", getattr(self, name), "use 0")
         one_of((32, 64), "training.precision", self.precision)
         one_of(("auto", "zero", "estimated"), "training.initial_state", self.initial_state)
@@ -54,7 +68,8 @@ class Training:
     def identify(
         self, spec: "ModelSpec", data: DataSet, seed: int, folder: Path, progress: bool = False
     ) -> "Identification":
-        """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running, `last.ckpt`."""
+        """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running,
+        `last.ckpt`."""
         from ssm_study.models.baselines.solved import SolvedSpec
         from ssm_study.models.structured_spec import AUTO, StructuredSpec
         from ssm_study.training.metrics import Identification
@@ -63,8 +78,12 @@ class Training:
         if isinstance(spec, SolvedSpec):
             model = spec.solve(data)
             seconds = time.perf_counter() - began
-            return Identification.of(model, data, seconds=seconds, curve=[], ended="solved without training")
-        from ssm_study.training.saving import trained  # with it torch's compiler, which any optimiser of torch loads
+            return Identification.of(
+                model, data, seconds=seconds, curve=[], ended="solved without training"
+            )
+        from ssm_study.training.saving import (
+            trained,
+        )  # with it torch's compiler, which any optimiser of torch loads
 
         began = time.perf_counter()  # the imports are no training
         choice: list[dict[str, object]] = []
@@ -81,4 +100,6 @@ class Training:
             found.append(trained(self, spec.at_start(k), data, seed + 1000 * k, into, progress))
         rule = getattr(spec, "among_starts", None)
         best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
-        return replace(best, seconds=choice_s + sum(one.seconds for one in found), choice=tuple(choice))
+        return replace(
+            best, seconds=choice_s + sum(one.seconds for one in found), choice=tuple(choice)
+        )

@@ -1,4 +1,5 @@
-"""A Wiener-Hammerstein system whose parts are known, as a data set: what the model class can represent exactly."""
+"""A Wiener-Hammerstein system whose parts are known, as a data set: what the model class can
+represent exactly."""
 
 import numpy as np
 
@@ -8,9 +9,14 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
 
-SOFT_DEAD_ZONE = MonotoneScaffold(breakpoints=np.array([[-0.4, 0.4]]), slopes=np.array([[1.0, 0.2, 1.0]]))
+SOFT_DEAD_ZONE = MonotoneScaffold(
+    breakpoints=np.array([[-0.4, 0.4]]), slopes=np.array([[1.0, 0.2, 1.0]])
+)
 TWO_POLES = StateSpace(
-    a=np.array([[0.9, 0.1], [-0.1, 0.8]]), b=np.array([[1.0], [0.5]]), c=np.array([[0.3, 0.2]]), d=np.zeros((1, 1))
+    a=np.array([[0.9, 0.1], [-0.1, 0.8]]),
+    b=np.array([[1.0], [0.5]]),
+    c=np.array([[0.3, 0.2]]),
+    d=np.zeros((1, 1)),
 )
 
 
@@ -33,7 +39,9 @@ def held_levels(rng: np.random.Generator, samples: int, hold: int) -> np.ndarray
     return np.repeat(rng.uniform(-2, 2, size=-(-samples // hold)), hold)[:samples, None]
 
 
-def data_set(noise: float = 0.0, samples: int = 400, hold: int = 8, seed: int = 0, records: int = 3) -> DataSet:
+def data_set(
+    noise: float = 0.0, samples: int = 400, hold: int = 8, seed: int = 0, records: int = 3
+) -> DataSet:
     rng, system = np.random.default_rng(seed), true_system()
 
     def record(name: str) -> Trajectory:

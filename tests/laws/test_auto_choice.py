@@ -1,4 +1,5 @@
-"""Laws of `auto`: its choice is certified, holds the margin, keeps what it is given, and never sees the plant."""
+"""Laws of `auto`: its choice is certified, holds the margin, keeps what it is given, and never sees
+the plant."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,21 +13,21 @@ from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record
 from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design, Infeasible
+from ssm_study.certificates.problem import NoSolution
+from ssm_study.certificates.theorems.integral_action import with_modes
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import Trajectory
-from ssm_study.synthesis.integrated_error import relative_areas
-from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
-from ssm_study.certificates.certificate import Design, Infeasible
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.prediction import Prediction, predict
-from ssm_study.certificates.problem import NoSolution
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
+from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.structured_lmi import StructuredLmi
-from ssm_study.certificates.theorems.integral_action import with_modes
-from ssm_study.systems import Balls, JacobianBall, Pair
+from ssm_study.systems import Balls, Gains, JacobianBall
 
 SMALL = Auto(
     stretch_shares=(0.1, 0.6),
@@ -48,11 +49,16 @@ def chosen() -> Design:
 def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
     assert chosen.certified
     assert chosen.state_feedback.method == chosen.observer.method == "auto"
-    assert predicted(chosen, motor_record()).keeps_the_plant()
+    assert predicted(chosen, motor_record()).predicts_stability()
     assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
 
 
-FEW = {"stretch_shares": (0.6,), "observer_rates": (0.3,), "input_weights": (0.1,), "output_noises": (0.1,)}
+FEW = {
+    "stretch_shares": (0.6,),
+    "observer_rates": (0.3,),
+    "input_weights": (0.1,),
+    "output_noises": (0.1,),
+}
 
 
 def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
@@ -74,10 +80,13 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     areas = relative_areas(given, candidates.gains(pairs), (record,))
     found = [predict(given, candidates.gains(pair), balls, shown) for pair in pairs]
-    keeps = np.array([prediction.keeps_the_plant() for prediction in found])
+    keeps = np.array([prediction.predicts_stability() for prediction in found])
     assert 0 < keeps.sum() < len(keeps)
     expected = np.array(
-        [expected_area(a, 1 / p.resolved_margin, shown.spread) for a, p in zip(areas, found, strict=True)]
+        [
+            expected_area(a, 1 / p.resolved_margin, shown.spread)
+            for a, p in zip(areas, found, strict=True)
+        ]
     )
     own = auto.design(given, balls, (record,), shown).pair
     one = replace(own, k=own.k[None], l=own.l[None], l_z=None if own.l_z is None else own.l_z[None])
@@ -87,7 +96,8 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
 
 
 def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope():
-    """As of one layer for the model at rest or half way; a faster rate than they have refuses them."""
+    """As of one layer for the model at rest or half way; a faster rate than they have refuses
+    them."""
     stand, balls, _ = with_neurons()
     candidates = replace(SMALL, **FEW).candidates(stand, balls)
     frozen = [i for i, made in enumerate(candidates.feedback) if made.near[False].logs is None]
@@ -101,7 +111,8 @@ def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope(
 
 
 def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
-    """At the edge half of the samples of g fail on the plant; far from it the expected area is the area."""
+    """At the edge half of the samples of g fail on the plant; far from it the expected area is the
+    area."""
     assert expected_area(0.3, 1.0, 0.2) == pytest.approx((0.3 + LOSS) / 2)
     assert expected_area(0.3, 0.1, 0.2) == pytest.approx(0.3)
     assert expected_area(0.3, 0.7, 0.6) > expected_area(0.4, 0.3, 0.6)
@@ -109,7 +120,9 @@ def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
 
 
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
-    result = Loop(horizon_s=1.5, measurement_noise_variance=0.02).run(motor(), motor_model(), chosen, seed=0)
+    result = Loop(horizon_s=1.5, measurement_noise_variance=0.02).run(
+        motor(), motor_model(), chosen, seed=0
+    )
     columns = behaviour(result) | certified(result, chosen)
     assert columns["stable_count"] == 10
     assert columns["settling_time_mean_s"] < 0.6 * columns["settling_time_open_loop_s"]
@@ -122,7 +135,9 @@ def test_more_mismatch_makes_it_slower(chosen):
     worse = replace(record, y=record.y + 2.0 * rng.standard_normal(record.y.shape))
     careful = SMALL.design(motor_model(), BALLS, (worse,))
     areas = [
-        relative_areas(motor_model(), Pair(k=d.state_feedback.k[None], l=d.observer.l[None]), (record,))[0]
+        relative_areas(
+            motor_model(), Gains(k=d.state_feedback.k[None], l=d.observer.l[None]), (record,)
+        )[0]
         for d in (chosen, careful)
     ]
     assert areas[1] > areas[0]
@@ -133,7 +148,7 @@ def test_without_any_margin_the_largest_is_taken_and_said():
     useless = replace(record, y=record.y + 1e4)
     design = SMALL.design(motor_model(), BALLS, (useless,))
     assert design.certified
-    assert not predicted(design, useless).keeps_the_plant()
+    assert not predicted(design, useless).predicts_stability()
     assert "largest margin" in design.state_feedback.solver_status
 
 
@@ -158,7 +173,7 @@ def test_the_search_goes_on_where_the_first_found_are_refused_as_designs(monkeyp
     design = SMALL.design(motor_model(), BALLS, (motor_record(),))
     assert len(judged) == refused + 1
     assert "best expected response" in design.state_feedback.solver_status
-    assert predicted(design, motor_record()).keeps_the_plant()
+    assert predicted(design, motor_record()).predicts_stability()
 
 
 def test_a_given_rate_is_kept():
@@ -193,7 +208,9 @@ def test_a_rate_beyond_the_frontier_is_infeasible_and_says_how_far():
 
 
 def test_slopes_that_hold_zero_are_infeasible():
-    design = SMALL.design(motor_model(), replace(BALLS, input=JacobianBall.from_slopes(-0.1, 1.0)), (motor_record(),))
+    design = SMALL.design(
+        motor_model(), replace(BALLS, input=JacobianBall.from_slopes(-0.1, 1.0)), (motor_record(),)
+    )
     assert isinstance(design.state_feedback, Infeasible)
 
 
@@ -226,7 +243,8 @@ def test_values_out_of_range(values, names):
 
 
 def test_the_default_grids_are_those_of_the_documentation():
-    """Docs: from half the model's own rate up to 0.9 of the way to the frontier, weights from 1e-3 to 100; no gaps."""
+    """Docs: from half the model's own rate up to 0.9 of the way to the frontier, weights from 1e-3
+    to 100; no gaps."""
     auto = Auto()
     assert OWN_SHARE == 0.5
     assert max(auto.stretch_shares) == 0.9
@@ -258,17 +276,24 @@ def test_each_candidate_is_the_gain_of_its_specification():
 
 
 def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
-    """Half the model's own rate, then shares of the stretch from there to the limit; absolute ones for the observer."""
+    """Half the model's own rate, then shares of the stretch from there to the limit; absolute ones
+    for the observer."""
     model = motor_model()
     candidates = SMALL.candidates(model, BALLS)
     own = 1 - model.linear.spectral_radius**2
     limit = controller_frontier(model.linear, INPUT_BALL).rate_limit
     rates = sorted({specification.rate_controller for specification in candidates.feedback})
-    np.testing.assert_allclose(rates, [own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)])
+    np.testing.assert_allclose(
+        rates, [own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)]
+    )
     observed = sorted({specification.rate_observer for specification in candidates.observing})
     np.testing.assert_allclose(observed, sorted([own / 2, 0.05, 0.3]))
-    assert {specification.input_weight for specification in candidates.feedback} == set(SMALL.input_weights)
-    assert {specification.output_noise for specification in candidates.observing} == set(SMALL.output_noises)
+    assert {specification.input_weight for specification in candidates.feedback} == set(
+        SMALL.input_weights
+    )
+    assert {specification.output_noise for specification in candidates.observing} == set(
+        SMALL.output_noises
+    )
 
 
 def test_an_unstable_model_has_no_cautious_rate():
@@ -288,8 +313,13 @@ def test_a_larger_margin_is_kept_or_said_to_be_out_of_reach(chosen):
         "best expected response of those predicted to be stable; tau"
     )
     none = replace(SMALL, margin=1e9).design(motor_model(), BALLS, (motor_record(),))
-    assert none.observer.solver_status.startswith("no stable controller with margin above 1e+09; largest margin taken")
-    assert predicted(none, motor_record()).resolved_margin >= predicted(careful, motor_record()).resolved_margin
+    assert none.observer.solver_status.startswith(
+        "no stable controller with margin above 1e+09; largest margin taken"
+    )
+    assert (
+        predicted(none, motor_record()).resolved_margin
+        >= predicted(careful, motor_record()).resolved_margin
+    )
 
 
 def test_with_integral_action_an_impossible_request_says_why():
@@ -298,6 +328,10 @@ def test_with_integral_action_an_impossible_request_says_why():
     assert design.state_feedback.proved
     assert design.state_feedback.rate == 0.9
     limit = controller_frontier(with_modes(motor_model()), INPUT_BALL).rate_limit
-    assert design.state_feedback.rate_limit == limit < controller_frontier(motor_model().linear, INPUT_BALL).rate_limit
+    assert (
+        design.state_feedback.rate_limit
+        == limit
+        < controller_frontier(motor_model().linear, INPUT_BALL).rate_limit
+    )
     assert design.observer.certified  # the easiest request is made of the side that was left open
     assert design.state_feedback.solver_status.startswith("nothing on the grid is feasible")

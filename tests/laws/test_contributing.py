@@ -1,4 +1,5 @@
-"""CONTRIBUTING's promises: each guide's example, exactly the files it shows, is found and judged by every law.
+"""CONTRIBUTING's promises: each guide's example, exactly the files it shows, is found and judged by
+every law.
 
 The files go into a copy of the project. A guide whose example another page shows names that page.
 """
@@ -17,7 +18,8 @@ GUIDE = re.compile(r"^### (?:an?) ([a-z]+)\n(.*?)(?=^##)", re.M | re.S)
 FILE = re.compile(r'^( *)```\w+ (?:file|title)="([^"]+)"\n(.*?)^\1```', re.M | re.S)
 PAGE = re.compile(r"\]\((docs/[a-z_]+\.md)\)")
 
-# What a guide promises: how many files, and which laws judge them under which name. A theorem, a figure and a column
+# What a guide promises: how many files, and which laws judge them under which name. A theorem, a
+# figure and a column
 # have tests of their own (test_docs_commands, test_synthesis_theorems, test_table_columns).
 PROMISED = {"plant": 2, "excitation": 2, "reader": 1, "model": 2, "scaffolding": 2, "peer": 1}
 PROMISED |= {"figure": 1, "theorem": 2, "column": 0}
@@ -68,7 +70,9 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The project with the examples in it; no file that was there before is touched."""
     folder = tmp_path_factory.mktemp("copy")
     for name in ("ssm_study", "hydra_plugins", "conf", "tests"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*", "*.tmp.*"))  # half written
+        shutil.copytree(
+            ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*", "*.tmp.*")
+        )  # half written
     shutil.copy(ROOT / "pyproject.toml", folder)
     for files in guides().values():
         for path, content in files.items():
@@ -83,7 +87,11 @@ def judged(copy: Path) -> list[str]:
     (copy / "tests" / "laws" / "test_here.py").write_text(HERE)
     paths = sorted({path for laws in LAWS.values() for path in laws.split()})
     words = ["-n", "0", "-rp", "-p", "no:randomly", "-k", " or ".join([*LAWS, FOUND])]
-    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": f"{copy}:{copy / 'tests'}", "HOME": str(copy)}
+    environment = {
+        "PATH": "/usr/bin:/bin",
+        "PYTHONPATH": f"{copy}:{copy / 'tests'}",
+        "HOME": str(copy),
+    }
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words, *paths, "tests/laws/test_here.py"],
         cwd=copy,
@@ -102,7 +110,9 @@ def test_every_guide_shows_the_files_it_promises() -> None:
 def test_every_law_finds_and_judges_the_examples(judged: list[str]) -> None:
     for name, laws in LAWS.items():
         for path in laws.split():
-            assert [line for line in judged if path in line and name in line], f"no law of {path} judged {name}"
+            assert [line for line in judged if path in line and name in line], (
+                f"no law of {path} judged {name}"
+            )
 
 
 def test_a_reader_and_a_peer_are_found_by_their_names(judged: list[str]) -> None:

@@ -9,8 +9,8 @@ import pytest
 from plants_cases import choices, from_yaml
 
 from ssm_study.data.excitations.excitation import PRBS, SignalRequest
-from ssm_study.data.excitations.multisine import Multisine
 from ssm_study.data.excitations.file_signal import OwnSignal
+from ssm_study.data.excitations.multisine import Multisine
 from ssm_study.data.metrics import (
     SlopesNotIdentifiable,
     input_coverage,
@@ -47,8 +47,11 @@ def test_channels_differ(name: str) -> None:
 
 @EVERY
 def test_every_excitation_identifies_order_eight(name: str) -> None:
-    """With a clock of twice the sampling time; band-limited signals reach less at slower clocks, and should."""
-    u = from_yaml("excitation", name).signal(replace(REQUEST, clock_s=0.02), np.random.default_rng(0))
+    """With a clock of twice the sampling time; band-limited signals reach less at slower clocks,
+    and should."""
+    u = from_yaml("excitation", name).signal(
+        replace(REQUEST, clock_s=0.02), np.random.default_rng(0)
+    )
     assert persistency_order(u) >= 17
 
 
@@ -68,7 +71,10 @@ def test_a_prbs_is_a_maximum_length_sequence() -> None:
 
 
 def test_coverage_tells_two_levels_from_many() -> None:
-    plant, data = from_yaml("plant", "dc_motor"), from_yaml("data", "simulated", "trajectories=4", "test_samples=400")
+    plant, data = (
+        from_yaml("plant", "dc_motor"),
+        from_yaml("data", "simulated", "trajectories=4", "test_samples=400"),
+    )
     many = data.build(plant, from_yaml("excitation", "aprbs"), 0)
     two = data.build(plant, from_yaml("excitation", "prbs"), 0)
     assert input_coverage(many) > 0.8
@@ -90,7 +96,10 @@ ONE = SignalRequest(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
 
 def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
     u = Multisine(band_low_hz=1.0, band_high_hz=5.0).signal(ONE, np.random.default_rng(0))
-    frequencies, amplitude = np.fft.rfftfreq(len(u), ONE.step_s), 2 * np.abs(np.fft.rfft(u[:, 0])) / len(u)
+    frequencies, amplitude = (
+        np.fft.rfftfreq(len(u), ONE.step_s),
+        2 * np.abs(np.fft.rfft(u[:, 0])) / len(u),
+    )
     inside = (frequencies > 0.99) & (frequencies < 5.01)
     assert inside.sum() == 41
     np.testing.assert_allclose(amplitude[inside], amplitude[inside].mean(), rtol=1e-9)
@@ -111,7 +120,9 @@ def test_clipping_lowers_the_crest_factor(seed: int) -> None:
 
 
 def test_a_chirp_sweeps_its_band() -> None:
-    u = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0").signal(ONE, np.random.default_rng(0))
+    u = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0").signal(
+        ONE, np.random.default_rng(0)
+    )
     crossings = np.flatnonzero(np.diff(np.sign(u[:, 0])))
     halves = np.diff(crossings) * ONE.step_s
     assert 0.5 / halves[0] == pytest.approx(1.0, rel=0.2)
@@ -127,7 +138,9 @@ def test_a_staircase_holds_uniform_levels() -> None:
 def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     values = np.random.default_rng(0).uniform(-3, 3, 1500)
     pd.DataFrame({"volt": values}).to_csv(tmp_path / "u.csv", index=False)
-    u = OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(ONE, np.random.default_rng(0))[:, 0]
+    u = OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(
+        ONE, np.random.default_rng(0)
+    )[:, 0]
     start = int(np.argmax(values == u[0]))
     np.testing.assert_array_equal(u, values[start : start + 1000])
     plant = from_yaml("plant", "dc_motor")
@@ -141,9 +154,13 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     assert np.abs(scaled.signal(ONE, np.random.default_rng(0))).max() <= 1.0
     long = SignalRequest(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)
     with pytest.raises(BadRequest, match="has 1500 rows and records of 2000 samples"):
-        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(long, np.random.default_rng(0))
+        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(
+            long, np.random.default_rng(0)
+        )
     with pytest.raises(BadRequest, match="the plant has 2 inputs"):
-        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(REQUEST, np.random.default_rng(0))
+        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(
+            REQUEST, np.random.default_rng(0)
+        )
 
 
 def test_a_band_without_lines_is_refused() -> None:

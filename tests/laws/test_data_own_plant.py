@@ -12,26 +12,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.cli.main import main
-from ssm_study.data.excitations.user_excitation import AMPLITUDES, PERIOD_IN_SETTLINGS, PERIODS, OwnPlantRecord
+from ssm_study.data.excitations.user_excitation import (
+    AMPLITUDES,
+    PERIOD_IN_SETTLINGS,
+    PERIODS,
+    OwnPlantRecord,
+)
 from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import DataSet, Scale
-from ssm_study.study.run_files import RunFiles
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.return_to_rest import is_return
+from ssm_study.signals import DataSet, Scale
+from ssm_study.study.run_files import RunFiles
 from ssm_study.systems import StateSpace
 
 LEVEL = st.floats(-1e3, 1e3)
 
 
 @given(
-    LEVEL, st.floats(0.1, 1e3), st.floats(0.05, 0.95), st.floats(0.001, 10.0), st.integers(20, 200), st.integers(0, 9)
+    LEVEL,
+    st.floats(0.1, 1e3),
+    st.floats(0.05, 0.95),
+    st.floats(0.001, 10.0),
+    st.integers(20, 200),
+    st.integers(0, 9),
 )
-def test_the_signal(lower: float, width: float, share: float, step_s: float, samples: int, seed: int) -> None:
+def test_the_signal(
+    lower: float, width: float, share: float, step_s: float, samples: int, seed: int
+) -> None:
     upper, rest = lower + width, lower + share * width
     settle_s = samples * step_s * (1 + 1e-9)
-    record = OwnPlantRecord(lower=lower, upper=upper, rest=rest, step_s=step_s, settle_s=settle_s, seed=seed)
+    record = OwnPlantRecord(
+        lower=lower, upper=upper, rest=rest, step_s=step_s, settle_s=settle_s, seed=seed
+    )
     u = record.signal()
     assert lower <= u.min() < u.max() <= upper
     assert (u[-2 * samples :] == rest).all()
@@ -48,17 +62,29 @@ def test_the_signal(lower: float, width: float, share: float, step_s: float, sam
 
 
 def log_of(folder: Path, *more: float) -> DataSet:
-    """The log of a lag driven by the record, with noise; `more` inputs follow before the last rest."""
+    """The log of a lag driven by the record, with noise; `more` inputs follow before the last
+    rest."""
     own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0)
     u = np.concatenate([own.signal(), np.repeat(more, 10), np.full(60 * bool(more), 1.0)])
-    y = scipy.signal.lfilter([0, 0.2], [1, -0.8], u - 1) + 0.05 * np.random.default_rng(0).standard_normal(len(u))
+    y = scipy.signal.lfilter([0, 0.2], [1, -0.8], u - 1) + 0.05 * np.random.default_rng(
+        0
+    ).standard_normal(len(u))
     pd.DataFrame({"u": u, "y": y}).to_csv(folder / "log.csv", index=False)
-    read = {"path": str(folder / "log.csv"), "input": "u", "output": "y", "step_s": 0.1, "start_up_samples": 20}
+    read = {
+        "path": str(folder / "log.csv"),
+        "input": "u",
+        "output": "y",
+        "step_s": 0.1,
+        "start_up_samples": 20,
+    }
     return RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0]).build(0)
 
 
-def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(tmp_path: Path) -> None:
-    """A model with three quarters of the gain misses a third of its own output, whatever the noise."""
+def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
+    tmp_path: Path,
+) -> None:
+    """A model with three quarters of the gain misses a third of its own output, whatever the
+    noise."""
     data = log_of(tmp_path)
     linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.15]]), c=np.eye(1), d=np.zeros((1, 1)))
     unit = replace(Scale.unit(1, 1), input_equilibrium=np.ones(1))
@@ -77,7 +103,18 @@ def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None
 
 
 def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--lower", "0", "--upper", "100", "--rest", "40", "--step-s", "0.5", "--settle-s", "60"]
+    words = [
+        "--lower",
+        "0",
+        "--upper",
+        "100",
+        "--rest",
+        "40",
+        "--step-s",
+        "0.5",
+        "--settle-s",
+        "60",
+    ]
     assert main(["excite", "--to", str(tmp_path / "input.csv"), *words]) == 0
     table = pd.read_csv(tmp_path / "input.csv")
     assert list(table) == ["time_s", "input"]
@@ -90,7 +127,13 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     file, known = tmp_path / "input.csv", RunFiles(path=smoke_run, record={}).excitation
     assert main(["excite", "--to", str(file), "--after", str(smoke_run)]) == 0
     table = pd.read_csv(file)
-    assert known["lower"] <= table["input"].min() < known["rest"] < table["input"].max() <= known["upper"]
+    assert (
+        known["lower"]
+        <= table["input"].min()
+        < known["rest"]
+        < table["input"].max()
+        <= known["upper"]
+    )
     assert np.allclose(np.diff(table["time_s"]), known["step_s"])
     settlings = 2 + len(AMPLITUDES) * (PERIODS * PERIOD_IN_SETTLINGS + 2)
     assert len(table) == settlings * round(known["settle_s"] / known["step_s"])
@@ -98,9 +141,14 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     assert pd.read_csv(file)["input"].max() <= 1
 
 
-def test_without_a_log_each_number_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_log_each_number_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["excite", "--to", str(tmp_path / "input.csv"), "--lower", "0", "--rest", "1"]) == 2
-    assert "--upper = not given: no record is known; give it, or --after RUN" in capsys.readouterr().err
+    assert (
+        "--upper = not given: no record is known; give it, or --after RUN"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

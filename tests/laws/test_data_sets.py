@@ -1,4 +1,5 @@
-"""Simulated data sets: what is noisy, what is not, what repeats; and the way into the store and back."""
+"""Simulated data sets: what is noisy, what is not, what repeats; and the way into the store and
+back."""
 
 import json
 import warnings
@@ -41,7 +42,9 @@ def test_equal_seeds_give_equal_numbers_and_parts_differ() -> None:
 def test_noise_has_the_variance_asked_for_and_the_test_record_has_none() -> None:
     data, plant = built(), from_yaml("plant", "dc_motor")
     residuals = [r.y - plant.simulate(r.u[None])[1][0] for r in (*data.training, *data.validation)]
-    assert np.var(np.concatenate(residuals)) == pytest.approx(0.02, rel=0.2)  # 750 samples: six sigma is 0.3
+    assert np.var(np.concatenate(residuals)) == pytest.approx(
+        0.02, rel=0.2
+    )  # 750 samples: six sigma is 0.3
     np.testing.assert_array_equal(data.test[0].y, plant.simulate(data.test[0].u[None])[1][0])
 
 
@@ -50,17 +53,23 @@ def test_scales_are_pure_gains_about_the_equilibrium() -> None:
     u = np.concatenate([r.u for r in data.training])
     scaled = data.scale.scaled_input(u)
     assert np.mean(scaled**2) == pytest.approx(1.0)
-    assert ((data.scale.input_equilibrium - data.scale.input_equilibrium) / data.scale.input_scale == 0).all()
+    assert (
+        (data.scale.input_equilibrium - data.scale.input_equilibrium) / data.scale.input_scale == 0
+    ).all()
 
 
 def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_says_so() -> None:
     small, plant = from_yaml("excitation", "aprbs", "amplitude=1.0"), from_yaml("plant", "dc_motor")
     data, usual = from_yaml("data", "simulated", *SMALL).build(plant, small, 0), built()
     assert max(np.abs(one.u).max() for one in data.training) <= 1.0
-    for one, other in zip(*([*made.validation, *made.test, *made.trials] for made in (data, usual)), strict=True):
+    for one, other in zip(
+        *([*made.validation, *made.test, *made.trials] for made in (data, usual)), strict=True
+    ):
         np.testing.assert_array_equal(one.u, other.u)
     asked = composed(["experiment=smoke", "excitation.amplitude=1.0"])
-    with pytest.warns(TrainingAlone, match="validation, test and trials are at the plant's own amplitude"):
+    with pytest.warns(
+        TrainingAlone, match="validation, test and trials are at the plant's own amplitude"
+    ):
         STUDY.check(STUDY.settings(asked))
     with warnings.catch_warnings():
         warnings.simplefilter("error", TrainingAlone)
@@ -70,7 +79,9 @@ def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_say
 @pytest.mark.parametrize("plant", choices("plant"))
 @pytest.mark.parametrize("excitation", choices("excitation"))
 def test_every_plant_takes_every_excitation(plant: str, excitation: str) -> None:
-    made = replace(from_yaml("data", "simulated", *TINY), trials=excitation == "aprbs")  # they are not excited by it
+    made = replace(
+        from_yaml("data", "simulated", *TINY), trials=excitation == "aprbs"
+    )  # they are not excited by it
     data = made.build(from_yaml("plant", plant), from_yaml("excitation", excitation), 0)
     assert np.isfinite(data.scale.output_scale).all()
     assert (data.scale.output_scale > 0).all()
@@ -80,7 +91,9 @@ def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
     """Named by their shares of the plant's own amplitude, of which each has just so much."""
     plant = from_yaml("plant", "cascaded_tanks")
     driven = {
-        t.name: np.abs(t.u - plant.equilibrium().u).max() for t in trials(plant, 0, np.zeros(1)) if "_at_" in t.name
+        t.name: np.abs(t.u - plant.equilibrium().u).max()
+        for t in trials(plant, 0, np.zeros(1))
+        if "_at_" in t.name
     }
     shares = np.array([float(name.rpartition("_")[2]) for name in driven])
     assert shares.max() == 1
@@ -99,6 +112,10 @@ def test_tensors_round_trip_bit_for_bit() -> None:
             assert a.u.tobytes() == b.u.tobytes()
             assert a.y.tobytes() == b.y.tobytes()
             assert (a.step_s, a.name, a.log, a.first) == (b.step_s, b.name, b.log, b.first)
-    assert (again.inputs, again.outputs, again.metadata) == (data.inputs, data.outputs, data.metadata)
+    assert (again.inputs, again.outputs, again.metadata) == (
+        data.inputs,
+        data.outputs,
+        data.metadata,
+    )
     assert again.start_up_samples == 3
     np.testing.assert_array_equal(again.scale.output_scale, data.scale.output_scale)

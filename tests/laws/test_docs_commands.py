@@ -1,4 +1,5 @@
-"""Every command that README and docs show is executed, made short by the one rule in `docs_commands.py`."""
+"""Every command that README and docs show is executed, made short by the one rule in
+`docs_commands.py`."""
 
 import json
 import runpy
@@ -47,7 +48,8 @@ ROOMS = {
 
 @pytest.fixture(scope="session")
 def clone(shared_folder: Path, smoke_study: Path) -> Path:
-    """One place with one store for all commands and workers: what two of them share is computed once."""
+    """One place with one store for all commands and workers: what two of them share is computed
+    once."""
     folder = shared_folder / "clone"
     with FileLock(f"{folder}.lock"):
         if not (folder / "log.csv").exists():
@@ -72,7 +74,10 @@ def trial() -> pd.DataFrame:
 
 def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
     """A lag whose input saturates softly; `gain` feeds its measured output back."""
-    temperature, noise = np.zeros(len(power)), 0.02 * np.random.default_rng(0).standard_normal(len(power))
+    temperature, noise = (
+        np.zeros(len(power)),
+        0.02 * np.random.default_rng(0).standard_normal(len(power)),
+    )
     temperature[0] = start
     for k in range(len(power)):
         power[k] = np.clip(power[k] - gain * (temperature[k] + noise[k]), -3, 3)
@@ -85,7 +90,9 @@ def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(designs, "Auto", partial(Auto, **FEW))  # of the peers as of a run
-    monkeypatch.setattr(time, "perf_counter", time.perf_counter)  # one benchmark puts its own clock there
+    monkeypatch.setattr(
+        time, "perf_counter", time.perf_counter
+    )  # one benchmark puts its own clock there
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv(extensions.FOLDER, "")
     extensions.packages.cache_clear()
@@ -96,14 +103,28 @@ def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_there_are_commands_of_every_kind() -> None:
     assert len(COMMANDS) > 50
-    for beginning in ("ssm-study run -m", "ssm-study report", "ssm-study export", "python benchmarks/", "make "):
+    for beginning in (
+        "ssm-study run -m",
+        "ssm-study report",
+        "ssm-study export",
+        "python benchmarks/",
+        "make ",
+    ):
         assert any(command.startswith(beginning) for command in COMMANDS), beginning
 
 
-@pytest.mark.filterwarnings("ignore::ssm_study.data.metrics.SlopesNotIdentifiable")  # one page shows it
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: f"{COMMANDS[command]}: {command[:70]}")
+@pytest.mark.filterwarnings(
+    "ignore::ssm_study.data.metrics.SlopesNotIdentifiable"
+)  # one page shows it
+@pytest.mark.parametrize(
+    "command", COMMANDS, ids=lambda command: f"{COMMANDS[command]}: {command[:70]}"
+)
 def test_it_runs(
-    command: str, clone: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, tmp_path: Path
+    command: str,
+    clone: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
 ) -> None:
     for word, reason in ELSEWHERE.items():
         if word in command:
@@ -122,7 +143,9 @@ def test_it_runs(
         executed(command, clone, conf if conf.is_dir() else None)
 
 
-def test_the_tutorial_makes_the_log_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_tutorial_makes_the_log_that_it_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     exec(files_to_write(ROOT / "docs" / "tutorial.md")["make_log.py"], {})
     written = pd.read_csv("log.csv")
@@ -140,7 +163,9 @@ def lock_of(command: str) -> str:
 
 
 def executed(command: str, clone: Path, written: Path | None = None) -> None:
-    words = [word for word in shlex.split(command) if "=" not in word or not word.split("=")[0].isupper()]
+    words = [
+        word for word in shlex.split(command) if "=" not in word or not word.split("=")[0].isupper()
+    ]
     program, *arguments = words
     arguments = extensions.taken_from(arguments)
     if "--retry-failed" in arguments:  # of a study that is there
@@ -156,13 +181,22 @@ def executed(command: str, clone: Path, written: Path | None = None) -> None:
             assert (clone / arguments[1] / left).is_file()
     elif program == "python":
         benchmark(arguments, clone)
-    elif program == "make":  # what its recipe installs needs a network; what else it does is in this suite
-        subprocess.run(["make", "--dry-run", *arguments], cwd=ROOT, check=True, stdout=subprocess.PIPE)
+    elif (
+        program == "make"
+    ):  # what its recipe installs needs a network; what else it does is in this suite
+        subprocess.run(
+            ["make", "--dry-run", *arguments], cwd=ROOT, check=True, stdout=subprocess.PIPE
+        )
     else:
         assert program in (".", "source"), f"no rule for {program}"
         if not (ROOT / arguments[0]).exists():
             pytest.skip(f"{arguments[0]} was not made here (`make study` makes it)")
-        subprocess.run(["bash", "-c", f"{command} && ssm-study --help"], cwd=ROOT, check=True, stdout=subprocess.PIPE)
+        subprocess.run(
+            ["bash", "-c", f"{command} && ssm-study --help"],
+            cwd=ROOT,
+            check=True,
+            stdout=subprocess.PIPE,
+        )
 
 
 def status(arguments: list[str]) -> int:
@@ -174,7 +208,8 @@ def status(arguments: list[str]) -> int:
 
 
 def reading(arguments: list[str], clone: Path) -> list[str]:
-    """A command on a study: made first by the command that the pages give for it; RUN is one of its runs.
+    """A command on a study: made first by the command that the pages give for it; RUN is one of its
+    runs.
 
     STUDY stands for any: here for the paper's.
     """
@@ -187,22 +222,31 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
         assert found is not None, f"no page says how to make the study {study}"
         executed(found, clone)
     records = sorted((clone / "results" / study).glob("*/record.json"))
-    runs = [path.parent.name for path in records if json.loads(path.read_text()).get("status") == "ok"]
+    runs = [
+        path.parent.name for path in records if json.loads(path.read_text()).get("status") == "ok"
+    ]
     run = (runs or [records[0].parent.name])[0]
-    if ACTIONS[arguments[0]][1] == "run" and arguments[1].count("/") == 1:  # other pages' commands add runs to it
+    if (
+        ACTIONS[arguments[0]][1] == "run" and arguments[1].count("/") == 1
+    ):  # other pages' commands add runs to it
         arguments[1] += "/RUN"
     return [word.replace("/RUN", f"/{run}") for word in arguments]
 
 
 def benchmark(arguments: list[str], clone: Path) -> None:
-    """As `python benchmarks/x.py` runs it, without a new interpreter; what it reads of others is made first."""
+    """As `python benchmarks/x.py` runs it, without a new interpreter; what it reads of others is
+    made first."""
     for word in arguments:
         if word.startswith("results/") and "reference" not in word:
             reading(["show", word], clone)
         if word.endswith(".csv") and "pool" in arguments and not (clone / word).exists():
             if not (clone / "dc_motor.csv").exists():
-                benchmark([arguments[0], "run", "--plant", "dc_motor", "--to", "dc_motor.csv"], clone)
-            table = pd.read_csv(clone / "dc_motor.csv")  # as if it were the other plant's: pooling is what runs here
+                benchmark(
+                    [arguments[0], "run", "--plant", "dc_motor", "--to", "dc_motor.csv"], clone
+                )
+            table = pd.read_csv(
+                clone / "dc_motor.csv"
+            )  # as if it were the other plant's: pooling is what runs here
             table.assign(plant=word.removesuffix(".csv")).to_csv(clone / word, index=False)
     for name in [name for name, module in sys.modules.items() if is_benchmark(module)]:
         del sys.modules[name]
@@ -219,7 +263,9 @@ def is_benchmark(module: object) -> bool:
     return (Path(getattr(module, "__file__", None) or "/").parent.name) == "benchmarks"
 
 
-@pytest.mark.parametrize("wrong", ["modle.order=4", "model.ordre=4", "synthesis=ricati", "experiment=papr"])
+@pytest.mark.parametrize(
+    "wrong", ["modle.order=4", "model.ordre=4", "synthesis=ricati", "experiment=papr"]
+)
 def test_a_misspelt_request_does_not_pass(wrong: str) -> None:
     with pytest.raises(Exception, match=r"Could not|not in|In 'study'"):
         composed([wrong])

@@ -1,4 +1,5 @@
-"""The notebooks run from top to bottom without a display or a network, on the smoke configuration."""
+"""The notebooks run from top to bottom without a display or a network, on the smoke
+configuration."""
 
 import re
 from collections.abc import Iterator
@@ -9,10 +10,13 @@ import pytest
 from docs_commands import FEW
 
 ROOT = Path(__file__).resolve().parents[2]
-NOTEBOOKS = sorted(path for path in (ROOT / "experiments").glob("*.py") if "# %%" in path.read_text())
+NOTEBOOKS = sorted(
+    path for path in (ROOT / "experiments").glob("*.py") if "# %%" in path.read_text()
+)
 
 
-# One trains on logs of its own, with settings of its own: the same, shorter, and of the designs' grid as of commands'.
+# One trains on logs of its own, with settings of its own: the same, shorter, and of the designs'
+# grid as of commands'.
 WHOLE = '"training.max_epochs=60")'
 SHORT = ['"training.max_epochs=12"', '"model.starts=1"', '"model.draws=1"']
 SHORT += [f'"+synthesis.{name}={values}"' for name, values in FEW.items()]
@@ -20,7 +24,8 @@ SHORT += [f'"+synthesis.{name}={values}"' for name, values in FEW.items()]
 
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """One for all notebooks, emptied before each: to load the libraries takes longer than a short notebook.
+    """One for all notebooks, emptied before each: to load the libraries takes longer than a short
+    notebook.
 
     Their results are shared too: what one has trained the next one finds.
     """
@@ -48,7 +53,9 @@ def test_it_runs(path: Path, kernel: Any) -> None:
     nbclient.NotebookClient(notebook, timeout=300, km=kernel).execute()
     assert pictures(notebook) >= 1, text(notebook)
     assert "Traceback" not in text(notebook), text(notebook)
-    assert "$" not in shown_as_markdown(notebook), "exported to HTML, a formula between $ needs a network to be shown"
+    assert "$" not in shown_as_markdown(notebook), (
+        "exported to HTML, a formula between $ needs a network to be shown"
+    )
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -56,21 +63,31 @@ def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
     page = (ROOT / "docs" / "notebooks" / f"{path.stem}.md").read_text()
     code = [cell.source for cell in jupytext.read(path).cells if cell.cell_type == "code"]
-    assert re.findall(r"```python\n(.*?)\n```", page, re.S) == code, "run python benchmarks/notebooks_rendered.py"
+    assert re.findall(r"```python\n(.*?)\n```", page, re.S) == code, (
+        "run python benchmarks/notebooks_rendered.py"
+    )
     shown = re.findall(r"!\[[^]]*\]\(([^)]+)\)", page)
     assert shown
     assert all((ROOT / "docs" / "notebooks" / name).is_file() for name in shown)
 
 
 def pictures(notebook: Any) -> int:
-    return sum("image/png" in output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", []))
+    return sum(
+        "image/png" in output.get("data", {})
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+    )
 
 
 def shown_as_markdown(notebook: Any) -> str:
-    outputs = [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])]
+    outputs = [
+        output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])
+    ]
     written = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
     return "".join(written + [data.get("text/markdown", "") for data in outputs])
 
 
 def text(notebook: Any) -> str:
-    return "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", []))
+    return "".join(
+        output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", [])
+    )

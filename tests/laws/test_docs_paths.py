@@ -1,4 +1,5 @@
-"""Every file, module and test that the pages name is there: what moves in the code moves in its documentation."""
+"""Every file, module and test that the pages name is there: what moves in the code moves in its
+documentation."""
 
 import re
 from pathlib import Path
@@ -8,23 +9,34 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [*ROOT.glob("docs/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 SETTINGS = [*ROOT.glob("conf/**/*.yaml"), ROOT / "mkdocs.yml", ROOT / "Makefile"]
-FOLDERS = "ssm_study|hydra_plugins|benchmarks|conf|docs|examples|experiments|tests|results/reference"
+FOLDERS = (
+    "ssm_study|hydra_plugins|benchmarks|conf|docs|examples|experiments|tests|results/reference"
+)
 ROOMS = "|".join(sorted(path.name for path in (ROOT / "ssm_study").iterdir() if path.is_dir()))
 FILE = re.compile(rf"(?<![\w./-])((?:{FOLDERS}|{ROOMS})/[\w./*-]*\w)")
 MODULE = re.compile(r"(?<![\w./-])ssm_study((?:\.\w+)+)")
 TEST = re.compile(r"(test_\w+\.py)?(?:::(test_\w+))")
-# A page may tell its reader to write a file: those it shows with a title, and their classes. One page
+# A page may tell its reader to write a file: those it shows with a title, and their classes. One
+# page
 # may name what another shows.
 TO_WRITE = re.compile(r'(?:title|file)="([^"]+)"|# (conf/\S+\.yaml):')
 
 
 def named_files(text: str) -> set[str]:
-    to_write = {found for page in PAGES for pair in TO_WRITE.findall(page.read_text()) for found in pair if found}
+    to_write = {
+        found
+        for page in PAGES
+        for pair in TO_WRITE.findall(page.read_text())
+        for found in pair
+        if found
+    }
     return {name for name in FILE.findall(text) if name not in to_write}
 
 
 def named_modules(text: str) -> set[str]:
-    own = tuple(found.removesuffix(".py").replace("/", ".") for found, _ in TO_WRITE.findall(text) if found)
+    own = tuple(
+        found.removesuffix(".py").replace("/", ".") for found, _ in TO_WRITE.findall(text) if found
+    )
     return {path for path in MODULE.findall(text) if not f"ssm_study{path}".startswith(own or "\0")}
 
 
@@ -33,13 +45,21 @@ def exists(file: str) -> bool:
 
 
 def defined(dotted: str) -> bool:
-    """`.room.module.Name`: the longest part of it that is a module defines or imports what follows."""
+    """`.room.module.Name`: the longest part of it that is a module defines or imports what
+    follows."""
     parts = dotted.strip(".").split(".")
     for length in range(len(parts), -1, -1):
         base = ROOT.joinpath("ssm_study", *parts[:length])
-        module = base.with_suffix(".py") if length and base.with_suffix(".py").exists() else base / "__init__.py"
+        module = (
+            base.with_suffix(".py")
+            if length and base.with_suffix(".py").exists()
+            else base / "__init__.py"
+        )
         if module.exists():
-            return length == len(parts) or re.search(rf"\b{parts[length]}\b", module.read_text()) is not None
+            return (
+                length == len(parts)
+                or re.search(rf"\b{parts[length]}\b", module.read_text()) is not None
+            )
     return False
 
 

@@ -1,4 +1,5 @@
-"""The documentation builds with warnings as errors, lists every module, and asks nothing of the network to be read."""
+"""The documentation builds with warnings as errors, lists every module, and asks nothing of the
+network to be read."""
 
 import re
 import subprocess
@@ -27,7 +28,9 @@ def site(shared_folder: Path) -> Path:
 
 def test_every_module_is_in_the_reference(site: Path) -> None:
     text = "".join(page.read_text() for page in (site / "reference").rglob("index.html"))
-    modules = [path for path in (ROOT / "ssm_study").glob("*/**/*.py") if path.name != "__init__.py"]
+    modules = [
+        path for path in (ROOT / "ssm_study").glob("*/**/*.py") if path.name != "__init__.py"
+    ]
     for module in modules:
         name = ".".join(module.relative_to(ROOT).with_suffix("").parts)
         assert name in text, f"{name} is not in the reference"
@@ -67,7 +70,12 @@ def test_formulas_tables_and_names_are_legible_on_a_phone(site: Path, tmp_path: 
         driver.get((site / "engine" / "index.html").as_uri())
         names = "[...document.querySelectorAll('td:first-child code')]"
         assert driver.execute_script(f"return {names}.length") > 50
-        assert driver.execute_script(f"return {names}.filter((name) => name.getClientRects().length > 1).length") == 0
+        assert (
+            driver.execute_script(
+                f"return {names}.filter((name) => name.getClientRects().length > 1).length"
+            )
+            == 0
+        )
 
 
 def test_every_page_says_at_its_top_who_needs_it() -> None:

@@ -1,4 +1,5 @@
-"""The form of public docstrings: what is said, its source, its refusals, shapes in types, units in names."""
+"""The form of public docstrings: what is said, its source, its refusals, shapes in types, units in
+names."""
 
 import ast
 import re
@@ -28,21 +29,34 @@ Public = ast.FunctionDef | ast.ClassDef
 
 
 def public(module: ast.Module) -> list[Public]:
-    return [node for node in module.body if isinstance(node, Public) and not node.name.startswith("_")]
+    return [
+        node for node in module.body if isinstance(node, Public) and not node.name.startswith("_")
+    ]
 
 
 def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
-    return [(path, node) for path, module in MODULES.items() for node in public(module) if isinstance(node, kind)]
+    return [
+        (path, node)
+        for path, module in MODULES.items()
+        for node in public(module)
+        if isinstance(node, kind)
+    ]
 
 
 def test_a_module_says_what_it_answers() -> None:
     """In sentences: a first paragraph that ends as one."""
-    first = {path: (ast.get_docstring(module) or "").split("\n\n")[0].rstrip() for path, module in MODULES.items()}
-    assert not [path for path, said in first.items() if not said.endswith((".", ":", "?", ";", "`"))]
+    first = {
+        path: (ast.get_docstring(module) or "").split("\n\n")[0].rstrip()
+        for path, module in MODULES.items()
+    }
+    assert not [
+        path for path, said in first.items() if not said.endswith((".", ":", "?", ";", "`"))
+    ]
 
 
 def test_every_public_name_is_told() -> None:
-    """Of a figure, `figure` and `draw` are the interface of its room: the module's docstring tells them."""
+    """Of a figure, `figure` and `draw` are the interface of its room: the module's docstring tells
+    them."""
     silent = [
         f"{path}: {node.name}"
         for path, node in named(Public)  # type: ignore[arg-type]
@@ -63,7 +77,10 @@ def test_every_theorem_and_bound_names_its_source() -> None:
 
 def told(module: ast.Module) -> str:
     """All docstrings of a module."""
-    tellers = [module, *(n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.ClassDef))]
+    tellers = [
+        module,
+        *(n for n in ast.walk(module) if isinstance(n, ast.FunctionDef | ast.ClassDef)),
+    ]
     return "\n".join(ast.get_docstring(node) or "" for node in tellers)
 
 
@@ -87,8 +104,15 @@ def test_arrays_of_public_functions_have_shapes() -> None:
 
 
 def signature(function: ast.FunctionDef) -> list[str]:
-    given = [a.annotation for a in [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]]
-    return [ast.unparse(annotation) for annotation in [*given, function.returns] if annotation is not None]
+    given = [
+        a.annotation
+        for a in [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    ]
+    return [
+        ast.unparse(annotation)
+        for annotation in [*given, function.returns]
+        if annotation is not None
+    ]
 
 
 def test_numbers_of_a_plant_name_their_unit() -> None:
@@ -108,12 +132,18 @@ def yaml_sets(node: ast.ClassDef) -> bool:
 
 
 def numbers(node: ast.ClassDef) -> list[str]:
-    fields = [n for n in node.body if isinstance(n, ast.AnnAssign) and ast.unparse(n.annotation).startswith("float")]
+    fields = [
+        n
+        for n in node.body
+        if isinstance(n, ast.AnnAssign) and ast.unparse(n.annotation).startswith("float")
+    ]
     return [n.target.id for n in fields if isinstance(n.target, ast.Name)]
 
 
 def test_the_rules_can_refuse() -> None:
-    wrong = ast.parse("def f(x: np.ndarray) -> None:\n    raise BadRequest('x', x, 'bad', 'mend it')")
+    wrong = ast.parse(
+        "def f(x: np.ndarray) -> None:\n    raise BadRequest('x', x, 'bad', 'mend it')"
+    )
     (function,) = (node for node in wrong.body if isinstance(node, ast.FunctionDef))
     assert ast.get_docstring(wrong) is None
     assert not SOURCE.search(told(wrong))

@@ -38,7 +38,8 @@ def _each_text_is_scanned_once() -> Iterator[None]:
 
 
 def versions(folder: Path) -> dict[str, str]:
-    """By stage: the version of what computes it, and of what measures it, over the sources in `folder`."""
+    """By stage: the version of what computes it, and of what measures it, over the sources in
+    `folder`."""
     sources, found = Code({"ssm_study": folder}), {}
     for stage in STAGES:
         targets = [symbol_of(target) for target in TARGETS.get(stage.name, ())]
@@ -49,7 +50,11 @@ def versions(folder: Path) -> dict[str, str]:
 
 @pytest.fixture
 def scratch(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(ROOT / "ssm_study", tmp_path / "ssm_study", ignore=shutil.ignore_patterns("*.pyc")))
+    return Path(
+        shutil.copytree(
+            ROOT / "ssm_study", tmp_path / "ssm_study", ignore=shutil.ignore_patterns("*.pyc")
+        )
+    )
 
 
 def stale(folder: Path, file: str, pattern: str, instead: str) -> set[str]:
@@ -66,13 +71,30 @@ def stale(folder: Path, file: str, pattern: str, instead: str) -> set[str]:
 
 def test_a_comment_a_docstring_and_layout_change_nothing(scratch: Path) -> None:
     assert stale(scratch, "study/stages.py", r'^"""[^"]*"""', '"""Another one."""') == set()
-    assert stale(scratch, "plants/dc_motor.py", r"^import numpy as np$", "# why\nimport numpy as np\n\n") == set()
-    assert stale(scratch, "training/fit.py", r'"""Minimises the training', '"""Makes least the training') == set()
+    assert (
+        stale(
+            scratch, "plants/dc_motor.py", r"^import numpy as np$", "# why\nimport numpy as np\n\n"
+        )
+        == set()
+    )
+    assert (
+        stale(
+            scratch, "training/fit.py", r'"""Minimises the training', '"""Makes least the training'
+        )
+        == set()
+    )
 
 
 def test_a_metric_is_measured_again_and_nothing_else(scratch: Path) -> None:
-    assert stale(scratch, "loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len') == {"loop measured"}
-    edited = stale(scratch, "data/metrics.py", r"^def input_coverage\((.*)\) -> float:$", r"def input_coverage(\1):")
+    assert stale(scratch, "loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len') == {
+        "loop measured"
+    }
+    edited = stale(
+        scratch,
+        "data/metrics.py",
+        r"^def input_coverage\((.*)\) -> float:$",
+        r"def input_coverage(\1):",
+    )
     assert edited == {"dataset measured"}
 
 
@@ -80,22 +102,38 @@ def test_a_plant_is_stale_where_it_is_named(scratch: Path) -> None:
     edit = (r"^class DCMotor\(", "class DCMotor(object, ")
     assert stale(scratch, "plants/dc_motor.py", *edit) == {"dataset", "loop"}
     assert (
-        stale(scratch, "plants/cascaded_tanks.py", r"^class CascadedTanks\(", "class CascadedTanks(object, ") == set()
+        stale(
+            scratch,
+            "plants/cascaded_tanks.py",
+            r"^class CascadedTanks\(",
+            "class CascadedTanks(object, ",
+        )
+        == set()
     )
 
 
 def test_training_does_not_make_data_stale_nor_the_other_way_round(scratch: Path) -> None:
-    assert "model" in stale(scratch, "training/saving.py", r"^STILL_EPOCHS = 2$", "STILL_EPOCHS = 3")
-    assert stale(scratch, "training/saving.py", r"^STILL_EPOCHS = 2$", "STILL_EPOCHS = 3") == {"model"}
-    assert "dataset" not in stale(scratch, "loop/rollout.py", r"^def close_loop\(", "@staticmethod\ndef close_loop(")
+    assert "model" in stale(
+        scratch, "training/saving.py", r"^STILL_EPOCHS = 2$", "STILL_EPOCHS = 3"
+    )
+    assert stale(scratch, "training/saving.py", r"^STILL_EPOCHS = 2$", "STILL_EPOCHS = 3") == {
+        "model"
+    }
+    assert "dataset" not in stale(
+        scratch, "loop/rollout.py", r"^def close_loop\(", "@staticmethod\ndef close_loop("
+    )
 
 
-def test_what_a_cache_knows_of_a_file_ends_with_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_cache_knows_of_a_file_ends_with_its_content(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And is not read twice while that stays the same."""
     file, scans = tmp_path / "one.py", list[Path]()
     scan = code._scanned
     monkeypatch.setattr(code, "CACHE", tmp_path / "cache")
-    monkeypatch.setattr(code, "_scanned", lambda path, module: scans.append(path) or scan(path, module))
+    monkeypatch.setattr(
+        code, "_scanned", lambda path, module: scans.append(path) or scan(path, module)
+    )
 
     def read() -> set[str]:
         return set(code._kept(file, "one").parts)
@@ -109,7 +147,12 @@ def test_what_a_cache_knows_of_a_file_ends_with_its_content(tmp_path: Path, monk
 
 def test_an_import_inside_a_function_counts(scratch: Path) -> None:
     """`compute_synthesis` imports the slopes inside itself."""
-    edited = stale(scratch, "bounds/slopes.py", r"^def certified_balls\(", "@staticmethod\ndef certified_balls(")
+    edited = stale(
+        scratch,
+        "bounds/slopes.py",
+        r"^def certified_balls\(",
+        "@staticmethod\ndef certified_balls(",
+    )
     assert "synthesis" in edited
     assert not edited & {"dataset", "model", "dataset measured", "model measured"}
 
@@ -161,7 +204,9 @@ def test_every_symbol_that_is_reached_counts_and_no_other(
     assert (Code({"toy": tmp_path}).version(("toy.a", "root")) != before) is counts
 
 
-def test_a_library_counts_by_its_version_where_it_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_counts_by_its_version_where_it_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "room").mkdir()
     for name, text in TOY.items():
         (tmp_path / name).write_text(text)

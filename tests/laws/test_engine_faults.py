@@ -1,4 +1,5 @@
-"""The disk fails at the n-th operation, or is full: old or new version whole, and a second try succeeds."""
+"""The disk fails at the n-th operation, or is full: old or new version whole, and a second try
+succeeds."""
 
 import builtins
 import errno
@@ -113,7 +114,9 @@ def fail_at_every_operation(
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
-def test_an_atomic_write_is_old_or_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+def test_an_atomic_write_is_old_or_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
     path = tmp_path / "record.json"
     old, new = {"status": "running"}, {"status": "ok"}
 
@@ -125,12 +128,16 @@ def test_an_atomic_write_is_old_or_new(tmp_path: Path, monkeypatch: pytest.Monke
     def prepare(_: int) -> None:
         write_json_atomically(path, old)
 
-    failed = fail_at_every_operation(monkeypatch, code, prepare, lambda _: write_json_atomically(path, new), judge)
+    failed = fail_at_every_operation(
+        monkeypatch, code, prepare, lambda _: write_json_atomically(path, new), judge
+    )
     assert failed == {"open", "write", "fsync", "replace"}
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
-def test_a_stage_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+def test_a_stage_is_whole_or_absent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
     def compute(folder: Path) -> None:
         (folder / "inner").mkdir()
         (folder / "inner" / "a.json").write_text("12345")
@@ -152,7 +159,9 @@ def test_a_stage_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
-def test_a_run_is_never_half_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+def test_a_run_is_never_half_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
     def work(run: Run) -> dict[str, float]:
         (run.path / "model.json").write_text('{"a": 1}')
         return {"fit_test_percent": 90.0}
@@ -174,7 +183,9 @@ def test_a_run_is_never_half_finished(tmp_path: Path, monkeypatch: pytest.Monkey
     assert set(gather(tmp_path / "study")["status"]) == {"ok"}
 
 
-def test_a_failed_gathering_keeps_the_old_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_gathering_keeps_the_old_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pandas as pd
 
     execute(tmp_path / "study" / "a", {}, lambda _: {})
@@ -228,7 +239,9 @@ def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size:
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     folder = tmp_path / "small"
     folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(folder)], capture_output=True)
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(folder)], capture_output=True
+    )
     if mounted.returncode != 0:
         pytest.skip("mounting a small file system needs more rights")
     yield folder
@@ -240,7 +253,10 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
         number = int(run.path.name)
         store = Store(small_disk / "store")
         stage = store.keyed(
-            "model", digest(number), {}, lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None
+            "model",
+            digest(number),
+            {},
+            lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None,
         )
         (run.path / "model.json").write_bytes((stage.path / "m").read_bytes()[:1000])
         return {"fit_test_percent": float(number)}
@@ -249,7 +265,9 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
         outcomes = []
         for number in range(6):
             try:
-                outcomes.append(execute(small_disk / "study" / f"{number}", {"seed": number}, work).status)
+                outcomes.append(
+                    execute(small_disk / "study" / f"{number}", {"seed": number}, work).status
+                )
             except OSError as error:
                 if error.errno != errno.ENOSPC:
                     raise
@@ -263,4 +281,6 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
         assert unsealed(record.read_bytes()) is not None
     ballast.unlink()
     assert command() == ["ok"] * 6
-    assert gather(small_disk / "study")["fit_test_percent"].to_list() == [float(n) for n in range(6)]
+    assert gather(small_disk / "study")["fit_test_percent"].to_list() == [
+        float(n) for n in range(6)
+    ]

@@ -1,4 +1,5 @@
-"""The launcher against real processes: whatever one job does, the others are done and nothing lives on."""
+"""The launcher against real processes: whatever one job does, the others are done and nothing lives
+on."""
 
 import os
 import signal
@@ -25,11 +26,21 @@ def environment(folder: Path, more: dict[str, str]) -> dict[str, str]:
     return base | {"PYTHONPATH": path, "HYDRA_FULL_ERROR": "1"} | more
 
 
-def start(folder: Path, *words: str, into: Path | None = None, **more: str) -> "subprocess.Popen[str]":
+def start(
+    folder: Path, *words: str, into: Path | None = None, **more: str
+) -> "subprocess.Popen[str]":
     command = [*PROGRAM, f"results_dir={folder / 'results'}", *words]
-    command = ["sh", "-c", 'echo $$ >"$0/cgroup.procs"; exec "$@"', str(into), *command] if into else command
+    command = (
+        ["sh", "-c", 'echo $$ >"$0/cgroup.procs"; exec "$@"', str(into), *command]
+        if into
+        else command
+    )
     return subprocess.Popen(
-        command, env=environment(folder, more), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        command,
+        env=environment(folder, more),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
 
 
@@ -40,7 +51,10 @@ def sweep(folder: Path, *words: str, **more: str) -> tuple[int, str]:
 
 
 def records(folder: Path) -> list[dict[str, Any]]:
-    found = [read_record(path.parent) for path in sorted((folder / "results" / "study").glob("*/record.json"))]
+    found = [
+        read_record(path.parent)
+        for path in sorted((folder / "results" / "study").glob("*/record.json"))
+    ]
     return [record for record in found if record is not None]
 
 
@@ -57,7 +71,11 @@ def living(folder: Path) -> list[str]:
             state = (entry / "stat").read_text().rsplit(")", 1)[1].split()[0] if words else "Z"
         except OSError:
             continue
-        if state != "Z" and entry.name != str(os.getpid()) and (str(folder) in words or "sleep 86399" in words):
+        if (
+            state != "Z"
+            and entry.name != str(os.getpid())
+            and (str(folder) in words or "sleep 86399" in words)
+        ):
             found.append(f"{entry.name} {words}")
     return found
 
@@ -93,13 +111,19 @@ def test_the_failure_matrix(tmp_path: Path) -> None:
     words = f"do={','.join([*BAD, 'infeasible', 'work'])}"
     assert sweep(tmp_path, words, "hydra.launcher.timeout_s=5")[0] == 0
     assert sweep(tmp_path, "do=work", "seed=1,2,3,4")[0] == 0
-    by_label = {record.get("error_type"): record for record in records(tmp_path) if record["status"] == "failed"}
+    by_label = {
+        record.get("error_type"): record
+        for record in records(tmp_path)
+        if record["status"] == "failed"
+    }
     assert set(by_label) == {label for label, _, _ in BAD.values()}
     for label, message, transient in BAD.values():
         record = by_label[label]
         assert message in record["error_message"]
         assert record["failure_transient"] is transient
-        assert (tmp_path / "results" / "study" / record["run"] / "traceback.txt").read_text().strip()
+        assert (
+            (tmp_path / "results" / "study" / record["run"] / "traceback.txt").read_text().strip()
+        )
     counts = gather(tmp_path / "results" / "study")["status"].value_counts().to_dict()
     assert counts == {"failed": len(BAD), "ok": 5, "infeasible": 1}
     segfault = tmp_path / "results" / "study" / by_label["SIGSEGV"]["run"] / "traceback.txt"
@@ -114,8 +138,13 @@ MEMORY = {"/sys/fs/cgroup/memory": "memory.limit_in_bytes", "/sys/fs/cgroup": "m
 
 @pytest.fixture
 def small_memory() -> Iterator[Path]:
-    """A control group of 700 MB: enough for the sweep, not for a job that devours all it can get."""
-    found = [(Path(root) / f"ssm-study-{os.getpid()}", limit) for root, limit in MEMORY.items() if Path(root).is_dir()]
+    """A control group of 700 MB: enough for the sweep, not for a job that devours all it can
+    get."""
+    found = [
+        (Path(root) / f"ssm-study-{os.getpid()}", limit)
+        for root, limit in MEMORY.items()
+        if Path(root).is_dir()
+    ]
     for group, limit in found:
         try:
             group.mkdir()
@@ -135,7 +164,10 @@ def test_when_memory_runs_out_a_job_is_killed_and_neither_the_sweep_nor_another_
     process = start(tmp_path, "do=work,devour", "seed=0,1", into=small_memory, WORK_S="0.5")
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors + output
-    by_status = {status: [r for r in records(tmp_path) if r["status"] == status] for status in ("ok", "failed")}
+    by_status = {
+        status: [r for r in records(tmp_path) if r["status"] == status]
+        for status in ("ok", "failed")
+    }
     assert {status: len(runs) for status, runs in by_status.items()} == {"ok": 2, "failed": 2}
     for record in by_status["failed"]:
         assert (record["error_type"], record["failure_transient"]) == ("SIGKILL", True)
@@ -154,7 +186,9 @@ def test_a_sweep_that_is_stopped_leaves_no_process_and_is_finished_by_the_same_c
     assert process.returncode != 0
     nothing_lives_on(tmp_path)
     # a process that is dying has no command line any more, and still its lock
-    wait_for(lambda: "running" not in {record["status"] for record in records(tmp_path)}, seconds=10)
+    wait_for(
+        lambda: "running" not in {record["status"] for record in records(tmp_path)}, seconds=10
+    )
     before = {record["status"] for record in records(tmp_path)}
     assert {"lost"} <= before <= {"lost", "ok"}
     (tmp_path / "results" / "go").touch()
@@ -185,7 +219,9 @@ def test_two_sweeps_at_once_do_everything_once(tmp_path: Path) -> None:
 
 def test_threads_times_jobs_stay_within_the_cores(tmp_path: Path) -> None:
     cores = len(os.sched_getaffinity(0))
-    status, output = sweep(tmp_path, "seed=0,1", "hydra.launcher.n_jobs=2", f"hydra.launcher.threads={cores}")
+    status, output = sweep(
+        tmp_path, "seed=0,1", "hydra.launcher.n_jobs=2", f"hydra.launcher.threads={cores}"
+    )
     assert status != 0
     assert "oversubscribed" in output
     assert records(tmp_path) == []
@@ -213,14 +249,19 @@ def test_a_module_that_cannot_be_imported_for_the_jobs_is_one_sentence(tmp_path:
 def test_failed_runs_wait_for_retry_and_are_then_the_only_ones(tmp_path: Path) -> None:
     assert sweep(tmp_path, "do=raise,work")[0] == 0
     assert sweep(tmp_path, "do=raise,work", "seed=0,1", "retry_failed=true")[0] == 0
-    assert sorted((record["status"], record["attempt"]) for record in records(tmp_path)) == [("failed", 2), ("ok", 1)]
+    assert sorted((record["status"], record["attempt"]) for record in records(tmp_path)) == [
+        ("failed", 2),
+        ("ok", 1),
+    ]
 
 
 def test_run_names_do_not_depend_on_the_launcher(tmp_path: Path) -> None:
     assert sweep(tmp_path, "seed=0,1")[0] == 0
     names = {record["run"] for record in records(tmp_path)}
     assert sweep(tmp_path, "seed=0,1", "study=basic", "hydra/launcher=basic")[0] == 0
-    assert {path.parent.name for path in (tmp_path / "results" / "basic").glob("*/record.json")} == names
+    assert {
+        path.parent.name for path in (tmp_path / "results" / "basic").glob("*/record.json")
+    } == names
 
 
 def test_a_plan_starts_nothing(tmp_path: Path) -> None:
@@ -228,14 +269,17 @@ def test_a_plan_starts_nothing(tmp_path: Path) -> None:
     assert (status, records(tmp_path)) == (0, [])
     assert not list((tmp_path / "results").rglob("multirun.yaml"))
     assert "6 runs: 0 finished, 6 to do" in output
-    assert [line.split()[:4] for line in output.splitlines() if line.startswith(("data", "model"))] == [
+    assert [
+        line.split()[:4] for line in output.splitlines() if line.startswith(("data", "model"))
+    ] == [
         ["data", "2", "0", "2"],
         ["model", "6", "0", "6"],
     ]
 
 
 def test_shared_compositions_are_hydras_own() -> None:
-    """Every sweep of choices and values: the fast composition equals `load_sweep_config`, names included."""
+    """Every sweep of choices and values: the fast composition equals `load_sweep_config`, names
+    included."""
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.hydra_config import HydraConfig
@@ -262,11 +306,16 @@ def test_shared_compositions_are_hydras_own() -> None:
         HydraConfig.instance().set_config(sweep_config)
         composer = Composer(loader, sweep_config, refuse=lambda _: None)
         for overrides in jobs * 2:
-            settings, theirs = composer.settings(overrides, 0), loader.load_sweep_config(sweep_config, overrides)
+            settings, theirs = (
+                composer.settings(overrides, 0),
+                loader.load_sweep_config(sweep_config, overrides),
+            )
             adopt(theirs)
             with open_dict(theirs):
                 theirs.hydra.job.id = theirs.hydra.job.num = 0
             ours = OmegaConf.to_container(composer.compose(overrides, 0), resolve=False)
             assert ours == OmegaConf.to_container(theirs, resolve=False)
             assert (list(settings), settings) == (list(plain(theirs)), plain(theirs))
-        assert len(composer.composed) == len(jobs) - 1, "jobs of the same choices and names share one"
+        assert len(composer.composed) == len(jobs) - 1, (
+            "jobs of the same choices and names share one"
+        )

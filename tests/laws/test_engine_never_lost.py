@@ -1,4 +1,5 @@
-"""No finished run is lost and no failure is final that the machine has caused: each case was lost once."""
+"""No finished run is lost and no failure is final that the machine has caused: each case was lost
+once."""
 
 import errno
 import fcntl
@@ -24,11 +25,16 @@ from ssm_study.table.gather import gather
 
 PROGRAM = [sys.executable, str(Path(__file__).resolve().parents[1] / "engine_study.py"), "-m"]
 ROOT = Path(__file__).resolve().parents[2]
-DEATH = {"error_type": "ProcessExit", "error_message": "ended with status 0", "failure_transient": False}
+DEATH = {
+    "error_type": "ProcessExit",
+    "error_message": "ended with status 0",
+    "failure_transient": False,
+}
 
 
 def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_path: Path) -> None:
-    """The job of a second sweep ends at once, for the run is another's; that one finishes before the death is noted."""
+    """The job of a second sweep ends at once, for the run is another's; that one finishes before
+    the death is noted."""
     folder = tmp_path / "study" / "run"
     folder.mkdir(parents=True)
     with (folder / LOCK).open("w") as lock:
@@ -42,12 +48,15 @@ def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_pat
     other.join()
     assert (read_record(folder) or {})["status"] == "ok"
     assert noted[0].status == "ok"
-    note_death(tmp_path / "study" / "never", DEATH, "text")  # the negative control: nobody has finished that one
+    note_death(
+        tmp_path / "study" / "never", DEATH, "text"
+    )  # the negative control: nobody has finished that one
     assert (read_record(tmp_path / "study" / "never") or {})["status"] == "failed"
 
 
 def test_a_run_that_a_killed_sweep_left_is_lost_and_not_failed(tmp_path: Path) -> None:
-    """The job of a second sweep left the run to the first, which was killed before the end of that job was noted."""
+    """The job of a second sweep left the run to the first, which was killed before the end of that
+    job was noted."""
     folder = tmp_path / "study" / "run"
     folder.mkdir(parents=True)
     for pid, status in ((4711, "lost"), (4712, "failed")):  # of the process that began the run
@@ -80,7 +89,9 @@ def test_a_server_that_is_killed_is_started_again() -> None:
     assert second.exitcode == 0
     os.kill(server.pid, signal.SIGKILL)
     os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
-    assert server.fork(1).exitcode == SERVER_DIED  # the broken pipe is a death, not an error of the sweep
+    assert (
+        server.fork(1).exitcode == SERVER_DIED
+    )  # the broken pipe is a death, not an error of the sweep
     server.close()
 
 
@@ -88,7 +99,9 @@ def start(folder: Path, *words: str, **more: str) -> "subprocess.Popen[str]":
     environment = os.environ | {"PYTHONPATH": str(ROOT), "HYDRA_FULL_ERROR": "1"} | more
     command = [*PROGRAM, f"results_dir={folder / 'results'}", *words]
     pipe = subprocess.PIPE
-    return subprocess.Popen(command, env=environment, text=True, stdout=pipe, stderr=pipe, start_new_session=True)
+    return subprocess.Popen(
+        command, env=environment, text=True, stdout=pipe, stderr=pipe, start_new_session=True
+    )
 
 
 def finish(process: "subprocess.Popen[str]") -> str:
@@ -98,7 +111,9 @@ def finish(process: "subprocess.Popen[str]") -> str:
 
 
 def statuses(folder: Path) -> list[str]:
-    found = [read_record(path.parent) for path in (folder / "results" / "study").glob(f"*/{RECORD}")]
+    found = [
+        read_record(path.parent) for path in (folder / "results" / "study").glob(f"*/{RECORD}")
+    ]
     return sorted(str((record or {})["status"]) for record in found)
 
 
@@ -142,10 +157,16 @@ class Unwritable(Exception):
 
 
 CAUSES = {
-    "the disk, in words of another library": (Unwritable(f"chunk 3: {os.strerror(errno.ENOSPC)}"), True),
+    "the disk, in words of another library": (
+        Unwritable(f"chunk 3: {os.strerror(errno.ENOSPC)}"),
+        True,
+    ),
     "the disk": (OSError(errno.ENOSPC, "No space left on device"), True),
     "memory": (MemoryError(), True),
-    "a file of ours that somebody removed": (FileNotFoundError(2, "No such file", "RESULTS/.store/model/m"), True),
+    "a file of ours that somebody removed": (
+        FileNotFoundError(2, "No such file", "RESULTS/.store/model/m"),
+        True,
+    ),
     "a file that never was": (FileNotFoundError(2, "No such file", "/data/log.csv"), False),
     "a mistake": (ValueError("singular"), False),
 }
@@ -155,7 +176,9 @@ CAUSES = {
 def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) -> None:
     error, transient = CAUSES[cause]
     if isinstance(error, FileNotFoundError):
-        error = FileNotFoundError(2, "No such file", str(error.filename).replace("RESULTS", str(tmp_path)))
+        error = FileNotFoundError(
+            2, "No such file", str(error.filename).replace("RESULTS", str(tmp_path))
+        )
     facts = error_facts(error, tmp_path / "study" / "run")
     assert facts["failure_transient"] is transient
     wrapped = ValueError("in between")
@@ -164,7 +187,9 @@ def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) 
 
 
 def test_a_full_disk_names_its_folder(tmp_path: Path) -> None:
-    message = error_facts(OSError(errno.ENOSPC, "No space left on device"), tmp_path)["error_message"]
+    message = error_facts(OSError(errno.ENOSPC, "No space left on device"), tmp_path)[
+        "error_message"
+    ]
     assert str(tmp_path) in message
 
 
@@ -199,7 +224,9 @@ def test_a_file_system_with_clones_keeps_the_bytes_once(tmp_path: Path) -> None:
     try:
         with image.open("wb") as made:
             made.truncate(400 << 20)  # sparse; XFS makes nothing below 300 MB
-        subprocess.run(["mkfs.xfs", "-q", "-m", "reflink=1", image], check=True, capture_output=True)
+        subprocess.run(
+            ["mkfs.xfs", "-q", "-m", "reflink=1", image], check=True, capture_output=True
+        )
         subprocess.run(["mount", "-o", "loop", image, disk], check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("XFS's tools and the right to mount are needed")
@@ -217,7 +244,9 @@ def test_a_file_system_with_clones_keeps_the_bytes_once(tmp_path: Path) -> None:
         subprocess.run(["umount", "-l", disk], check=True)
 
 
-def test_where_files_cannot_be_shared_they_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_files_cannot_be_shared_they_are_copied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: Any) -> None:
         raise OSError(errno.EXDEV, "another file system")
 

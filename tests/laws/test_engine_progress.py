@@ -11,12 +11,20 @@ from ssm_study.engine.records import write_record
 def test_the_line_counts_and_foresees(capsys: pytest.CaptureFixture[str]) -> None:
     with Progress(total=10) as progress:
         assert progress.seconds_left() is None
-        for status, reused in (("ok", True), ("ok", False), ("infeasible", False), ("failed", False)):
+        for status, reused in (
+            ("ok", True),
+            ("ok", False),
+            ("infeasible", False),
+            ("failed", False),
+        ):
             progress.done(status, reused)
         progress.tick(running=2)
         progress.started -= 30.0  # three fresh runs in half a minute, six to go
         assert progress.seconds_left() == pytest.approx(60, abs=1)
-        assert progress.line() == "4/10 runs: 2 ok, 1 infeasible, 1 failed; 1 there before; 2 running; 1:00 left"
+        assert (
+            progress.line()
+            == "4/10 runs: 2 ok, 1 infeasible, 1 failed; 1 there before; 2 running; 1:00 left"
+        )
     assert "4/10 runs" in capsys.readouterr().err
 
 

@@ -1,4 +1,5 @@
-"""A run is claimed, done and recorded; a finished one is never touched again; a failure is a record."""
+"""A run is claimed, done and recorded; a finished one is never touched again; a failure is a
+record."""
 
 import json
 import math
@@ -22,7 +23,11 @@ from ssm_study.study.stages import with_gaps, write_json
 
 def good(run: Run) -> dict[str, object]:
     (run.path / "model.json").write_text("{}")
-    return {"fit_test_percent": np.float64(91.5), "mismatch_gain": float("inf"), "rmse_test": float("nan")}
+    return {
+        "fit_test_percent": np.float64(91.5),
+        "mismatch_gain": float("inf"),
+        "rmse_test": float("nan"),
+    }
 
 
 def unreachable(_: Run) -> None:
@@ -35,7 +40,12 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 
 def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
-    outcome = execute(folder, {"seed": 3}, good, configuration={"config.yaml": "seed: 3\n", "overrides.yaml": "[]\n"})
+    outcome = execute(
+        folder,
+        {"seed": 3},
+        good,
+        configuration={"config.yaml": "seed: 3\n", "overrides.yaml": "[]\n"},
+    )
     assert (outcome.status, outcome.did) == ("ok", "ran")
     before = snapshot(folder)
     assert before[".hydra/config.yaml"] == b"seed: 3\n"
@@ -50,9 +60,20 @@ def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
     execute(tmp_path / "study" / "run", {"seed": 3}, good, provenance=about)
     text = (tmp_path / "study" / "run" / RECORD).read_text()
     record = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
-    assert all(value is None or isinstance(value, (bool, int, float, str)) for value in record.values())
-    assert (record["study"], record["run"], record["status"], record["seed"]) == ("study", "run", "ok", 3)
-    assert (record["rmse_test"], record["mismatch_gain"], record["fit_test_percent"]) == (None, "inf", 91.5)
+    assert all(
+        value is None or isinstance(value, (bool, int, float, str)) for value in record.values()
+    )
+    assert (record["study"], record["run"], record["status"], record["seed"]) == (
+        "study",
+        "run",
+        "ok",
+        3,
+    )
+    assert (record["rmse_test"], record["mismatch_gain"], record["fit_test_percent"]) == (
+        None,
+        "inf",
+        91.5,
+    )
     assert record["version_torch"]
     assert "version_no_such_library" not in record
     assert record["machine_cores"] >= 1
@@ -92,7 +113,12 @@ def test_retrying_failures_starts_nothing_new(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("error", "transient"),
-    [(OSError(28, "no space"), True), (MemoryError(), True), (FileNotFoundError("x"), False), (ValueError(), False)],
+    [
+        (OSError(28, "no space"), True),
+        (MemoryError(), True),
+        (FileNotFoundError("x"), False),
+        (ValueError(), False),
+    ],
 )
 def test_what_the_machine_did_is_tried_again_by_the_same_command(
     tmp_path: Path, error: Exception, transient: bool
@@ -133,7 +159,9 @@ execute(Path(sys.argv[1]), {"seed": 1}, work)
 
 def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
-    living = subprocess.Popen([sys.executable, "-c", LIVING, str(folder)], stdout=subprocess.PIPE, text=True)
+    living = subprocess.Popen(
+        [sys.executable, "-c", LIVING, str(folder)], stdout=subprocess.PIPE, text=True
+    )
     try:
         assert living.stdout is not None
         assert living.stdout.readline() == "working\n"
@@ -146,7 +174,9 @@ def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
 
 
 def test_infeasible_is_a_result(tmp_path: Path) -> None:
-    assert execute(tmp_path / "s" / "r", {}, lambda _: {"status": "infeasible"}).status == "infeasible"
+    assert (
+        execute(tmp_path / "s" / "r", {}, lambda _: {"status": "infeasible"}).status == "infeasible"
+    )
     assert execute(tmp_path / "s" / "r", {}, unreachable).did == "found"
 
 
@@ -194,7 +224,9 @@ def test_a_run_is_named_by_what_it_computes_alone() -> None:
     assert named(study="b", results_dir="/y", retry_failed=True, dry_run=True) == name
     assert named(copy=8.0) == name
     assert named(seed=1) != name
-    resolved = OmegaConf.create(CONFIG | {"run": f"${{run_name:{','.join(SHOWN)}}}", "hydra": {"x": 1}})
+    resolved = OmegaConf.create(
+        CONFIG | {"run": f"${{run_name:{','.join(SHOWN)}}}", "hydra": {"x": 1}}
+    )
     assert resolved.run == name
 
 
@@ -217,13 +249,25 @@ def test_a_saved_configuration_reads_back_to_the_same_values() -> None:
         "é",
         "two\nlines",
     ]
-    values = {"texts": words, "numbers": [1e5, 1e-9, -3, True, None], "inner": {"a": {}, "b": [], "1e3": 2}}
+    values = {
+        "texts": words,
+        "numbers": [1e5, 1e-9, -3, True, None],
+        "inner": {"a": {}, "b": [], "1e3": 2},
+    }
     assert OmegaConf.to_container(OmegaConf.create(naming.yaml_text(values))) == values
 
 
 @pytest.mark.parametrize(
     ("study", "name"),
-    [("..", "r"), ("a/b", "r"), ("s", "../r"), ("s", "/etc"), ("s", ""), ("s", ".hidden"), ("s", "x" * 300)],
+    [
+        ("..", "r"),
+        ("a/b", "r"),
+        ("s", "../r"),
+        ("s", "/etc"),
+        ("s", ""),
+        ("s", ".hidden"),
+        ("s", "x" * 300),
+    ],
 )
 def test_a_run_cannot_leave_the_results_folder(tmp_path: Path, study: str, name: str) -> None:
     with pytest.raises(BadRequest, match=r"no name|plain folder name"):
@@ -236,7 +280,10 @@ def test_a_record_takes_no_nested_values(tmp_path: Path) -> None:
 
 
 def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
-    curve = [{"epoch": 0.0, "fit_training_percent": -math.inf}, {"epoch": 1.0, "fit_training_percent": 80.0}]
+    curve = [
+        {"epoch": 0.0, "fit_training_percent": -math.inf},
+        {"epoch": 1.0, "fit_training_percent": 80.0},
+    ]
     write_json(tmp_path / "curve.json", with_gaps(curve))
     kept = json.loads((tmp_path / "curve.json").read_text())
     assert [row["fit_training_percent"] for row in kept] == [None, 80.0]

@@ -1,4 +1,5 @@
-"""A job that the scheduler ends is a row of the table; its results are otherwise what it returned."""
+"""A job that the scheduler ends is a row of the table; its results are otherwise what it
+returned."""
 
 import os
 import signal
@@ -41,7 +42,8 @@ def begun(folder: Path, how: str) -> JobReturn:
 
 @pytest.fixture(autouse=True)
 def _interrupts_count() -> Iterator[None]:
-    """Jobs are cancelled as by Ctrl-C, which whoever began this process may ignore or block for all below it."""
+    """Jobs are cancelled as by Ctrl-C, which whoever began this process may ignore or block for all
+    below it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     yield
@@ -49,17 +51,24 @@ def _interrupts_count() -> Iterator[None]:
 
 
 def submitted(folder: Path, how: str) -> Any:
-    """submitit's own local scheduler: real processes that return, die and are cancelled as Slurm's do."""
+    """submitit's own local scheduler: real processes that return, die and are cancelled as Slurm's
+    do."""
     local = submitit.AutoExecutor(cluster="local", folder=folder / "logs")
-    local.update_parameters(timeout_min=10)  # half a minute before its end submitit would ask the job to stop
+    local.update_parameters(
+        timeout_min=10
+    )  # half a minute before its end submitit would ask the job to stop
     return local.submit(begun, folder / "study" / how, how)
 
 
 def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # where the jobs find `begun`
-    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)  # of 15 s for a file that a dead job never leaves
+    monkeypatch.setenv(
+        "PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep
+    )  # where the jobs find `begun`
+    monkeypatch.setattr(
+        submitit.Job, "_results_timeout_s", 1
+    )  # of 15 s for a file that a dead job never leaves
     jobs = {how: submitted(tmp_path, how) for how in ("returns", "killed", "waits")}
     deadline = time.monotonic() + 60
     while read_record(tmp_path / "study" / "waits") is None:
@@ -72,7 +81,9 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
             time.sleep(0.0 if jobs["waits"].done() else 0.1)
     for how, running in jobs.items():
         job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / how)
-        outcome = settled(job, running, patience_s=600.0)  # submitit's local scheduler has no accounts to ask
+        outcome = settled(
+            job, running, patience_s=600.0
+        )  # submitit's local scheduler has no accounts to ask
         assert outcome.status == ("ok" if how == "returns" else "failed")
     rows = gather(tmp_path / "study").set_index("run")
     assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
@@ -89,7 +100,9 @@ def refusing(folder: Path) -> JobReturn:
     return returned
 
 
-def test_what_a_job_raises_on_its_node_is_a_failed_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_job_raises_on_its_node_is_a_failed_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
     local = submitit.AutoExecutor(cluster="local", folder=tmp_path / "logs")
     local.update_parameters(timeout_min=10)
@@ -111,7 +124,8 @@ COUNTED = Stage("counted", count, lambda folder: int((folder / "n").read_text())
 
 
 class Requeued(SlurmLauncher):  # type: ignore[misc]
-    """Submitted as a sweep submits its jobs; the first time its second stage takes longer than its limit."""
+    """Submitted as a sweep submits its jobs; the first time its second stage takes longer than its
+    limit."""
 
     def __call__(self, folder: Path) -> JobReturn:  # type: ignore[override]
         def work(run: Run) -> dict[str, float]:
@@ -136,7 +150,9 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
     local._executor.max_num_timeout = 1
     running = local.submit(Requeued(), tmp_path)
     begun, deadline = tmp_path / "begun", time.monotonic() + 60
-    while not (begun.exists() and begun.read_text()):  # there before it is written: the signal must find it counted
+    while not (
+        begun.exists() and begun.read_text()
+    ):  # there before it is written: the signal must find it counted
         assert time.monotonic() < deadline, "the job never began"
         time.sleep(0.05)
     job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
@@ -162,22 +178,37 @@ class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
         return False
 
 
-def test_a_job_that_slurm_has_forgotten_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "sacct").write_text("#!/bin/sh\necho 'JobID|State|NodeList'\necho '1_0|RUNNING|n1'\n")
+def test_a_job_that_slurm_has_forgotten_is_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sacct").write_text(
+        "#!/bin/sh\necho 'JobID|State|NodeList'\necho '1_0|RUNNING|n1'\n"
+    )
     (tmp_path / "sacct").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     job = Job(overrides=["seed=3"], settings=Settings(), folder=tmp_path / "study" / "never")
     settled(job, Unheard(), patience_s=0.0)
     record = read_record(job.folder)
     assert record is not None
-    assert (record["status"], record["error_type"], record["failure_transient"]) == ("failed", "Forgotten", True)
+    assert (record["status"], record["error_type"], record["failure_transient"]) == (
+        "failed",
+        "Forgotten",
+        True,
+    )
 
 
-def test_the_settings_go_where_submitit_wants_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_settings_go_where_submitit_wants_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "srun").touch(mode=0o755)
     (tmp_path / "sbatch").touch(mode=0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    params = {"submitit_folder": str(tmp_path / "%j"), "max_num_timeout": 0, "cpus_per_task": 2, "partition": "debug"}
+    params = {
+        "submitit_folder": str(tmp_path / "%j"),
+        "max_num_timeout": 0,
+        "cpus_per_task": 2,
+        "partition": "debug",
+    }
     made = executor(params | {"array_parallelism": 3, "timeout_min": 9, "setup": ["export A=1"]})
     assert made._executor.parameters == {
         "cpus_per_task": 2,

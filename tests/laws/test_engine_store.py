@@ -1,4 +1,5 @@
-"""The store: one key, one computation, the same bytes for ever; whatever happens to a file is noticed."""
+"""The store: one key, one computation, the same bytes for ever; whatever happens to a file is
+noticed."""
 
 import subprocess
 import sys
@@ -54,14 +55,20 @@ def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
 
 
 def test_equal_meanings_have_equal_keys() -> None:
-    assert digest({"b": 2, "a": {"c": [1, 2.5], "d": 2}}) == digest({"a": {"d": 2.0, "c": (1, 2.5)}, "b": 2.0})
+    assert digest({"b": 2, "a": {"c": [1, 2.5], "d": 2}}) == digest(
+        {"a": {"d": 2.0, "c": (1, 2.5)}, "b": 2.0}
+    )
     assert canonical_json(True) != canonical_json(1)
     assert canonical_json("1") != canonical_json(1)
 
 
 @given(
     st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+        st.none()
+        | st.booleans()
+        | st.integers()
+        | st.floats(allow_nan=False, allow_infinity=False)
+        | st.text(),
         lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
     )
 )
@@ -168,7 +175,8 @@ for key in keys:
 
 
 def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path: Path) -> None:
-    """Six stages, taken from both ends, then the same ones by both at once: most are computed once, none is torn."""
+    """Six stages, taken from both ends, then the same ones by both at once: most are computed once,
+    none is torn."""
     store, ledger = tmp_path / "store", tmp_path / "ledger"
 
     def nodes(**keys: str) -> list[str]:
@@ -200,7 +208,12 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
     def overtaken(folder: Path) -> None:
         (folder / "last.ckpt").write_text("half way")
         monkeypatch.setattr(module.socket, "gethostname", lambda: "elsewhere")
-        Store(tmp_path).keyed("model", KEY, {}, lambda theirs: write_content(theirs) or (theirs / "last.ckpt").unlink())
+        Store(tmp_path).keyed(
+            "model",
+            KEY,
+            {},
+            lambda theirs: write_content(theirs) or (theirs / "last.ckpt").unlink(),
+        )
         write_content(folder)
         (folder / "last.ckpt").unlink()
 
@@ -253,7 +266,9 @@ with locked(Path(sys.argv[1])):
 def test_a_lock_is_seen_and_dies_with_its_holder(tmp_path: Path) -> None:
     path = tmp_path / ".lock"
     assert not is_locked(path)
-    holder = subprocess.Popen([sys.executable, "-c", HOLDING, str(path)], stdout=subprocess.PIPE, text=True)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDING, str(path)], stdout=subprocess.PIPE, text=True
+    )
     assert holder.stdout is not None
     assert holder.stdout.readline() == "held\n"
     assert is_locked(path)
@@ -268,11 +283,16 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     def line(stages: Store | PlannedStages, rate: float) -> str:
         data = stages.take(Stage(name="data", compute=write_kept), {})
         model = stages.take(Stage(name="model", compute=write_kept), {"order": 8}, None, data)
-        return stages.take(Stage(name="synthesis", compute=write_kept), {"rate": rate}, None, model).result.key
+        return stages.take(
+            Stage(name="synthesis", compute=write_kept), {"rate": rate}, None, model
+        ).result.key
 
     def planned() -> list[list[str]]:
         """By stage: needed, there, to compute, seconds of each."""
-        return [said.split() for said in plan(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[3:6]]
+        return [
+            said.split()
+            for said in plan(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[3:6]
+        ]
 
     rows = ["data", *"101"], ["model", *"101"], ["synthesis", "20", "0", "20"]
     assert planned() == [[*row, "unknown"] for row in rows]
@@ -280,12 +300,19 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     real = [line(store, rate) for rate in range(5)]
     assert real == [line(PlannedStages(store), rate) for rate in range(5)]
     after = planned()
-    assert {name: missing for name, _, _, missing, *_ in after} == {"data": "0", "model": "0", "synthesis": "15"}
+    assert {name: missing for name, _, _, missing, *_ in after} == {
+        "data": "0",
+        "model": "0",
+        "synthesis": "15",
+    }
     assert all(row[-1] == "s" for row in after)
 
 
-def test_a_plan_reckons_with_the_mean_of_what_was_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three missing stages of 14 s, two at a time; a stage that was never timed makes of it a lower bound."""
+def test_a_plan_reckons_with_the_mean_of_what_was_timed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three missing stages of 14 s, two at a time; a stage that was never timed makes of it a lower
+    bound."""
     store, known = Store(tmp_path), {"model": 14.0}
     monkeypatch.setattr(planning, "each", lambda _, stage: known.get(stage))
 
@@ -294,8 +321,16 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(tmp_path: Path, monkeypa
 
     walks = [walk("model", k) for k in range(3)]
     assert plan(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
-    assert plan(store, [*walks, walk("data", 0)], 3, 0, 2)[-1] == "estimated time: at least 21 s with 2 at a time"
-    for seconds, said in ((66.0, "99 s"), (200 / 3, "2 min"), (2000.0, "50 min"), (4000.0, "1.7 h")):
+    assert (
+        plan(store, [*walks, walk("data", 0)], 3, 0, 2)[-1]
+        == "estimated time: at least 21 s with 2 at a time"
+    )
+    for seconds, said in (
+        (66.0, "99 s"),
+        (200 / 3, "2 min"),
+        (2000.0, "50 min"),
+        (4000.0, "1.7 h"),
+    ):
         known["model"] = seconds
         assert plan(store, walks, 3, 0, 2)[-1] == f"estimated time: about {said} with 2 at a time"
 

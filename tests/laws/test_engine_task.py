@@ -1,4 +1,5 @@
-"""The engine knows no science: the program of docs/engine.md is a sweep with stages, resuming, failures and a table."""
+"""The engine knows no science: the program of docs/engine.md is a sweep with stages, resuming,
+failures and a table."""
 
 import os
 import re
@@ -22,14 +23,24 @@ from ssm_study.table.gather import gather
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "engine.md").read_text()
 PROGRAM = re.findall(r'```python title="dice.py"\n(.*?)```', PAGE, re.DOTALL)[0]
-FOREIGN = ("torch", "lightning", "cvxpy", "scipy", "ssm_study.signals", "ssm_study.study", "ssm_study.plants")
+FOREIGN = (
+    "torch",
+    "lightning",
+    "cvxpy",
+    "scipy",
+    "ssm_study.signals",
+    "ssm_study.study",
+    "ssm_study.plants",
+)
 WATCHED = PROGRAM + f"    import sys\n    assert not set(sys.modules) & set({FOREIGN})\n"
 
 
 def dice(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
     command = [sys.executable, "dice.py", "-m", *words]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "HYDRA_FULL_ERROR": "1"}
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120
+    )
 
 
 @pytest.fixture
@@ -53,9 +64,14 @@ def test_a_failure_is_a_row_and_a_wrong_request_starts_nothing(folder: Path) -> 
     refused = dice(folder, "sides=6,-1")
     assert "sides (of the run sides=-1) = -1: a die has sides" in refused.stderr
     assert not (folder / "results" / "study").exists()
-    (folder / "dice.py").write_text(WATCHED.replace("random.Random(seed + i)", "random.Random(1 // seed)"))
+    (folder / "dice.py").write_text(
+        WATCHED.replace("random.Random(seed + i)", "random.Random(1 // seed)")
+    )
     assert dice(folder, "seed=0,1", "sides=6").returncode == 0
-    records = [read_record(path.parent) for path in sorted((folder / "results" / "study").glob("*/record.json"))]
+    records = [
+        read_record(path.parent)
+        for path in sorted((folder / "results" / "study").glob("*/record.json"))
+    ]
     assert sorted((r or {})["status"] for r in records) == ["failed", "ok"]
     (folder / "dice.py").write_text(WATCHED)
     assert dice(folder, "seed=0,1", "sides=6", "retry_failed=true").returncode == 0
@@ -82,7 +98,9 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
             asked.append(again)
 
     def job(run: str, seed: int, rate: int) -> Job:
-        made = Settings(seed=seed, do="work", rate=rate, study="s", run=run, results_dir=str(tmp_path))
+        made = Settings(
+            seed=seed, do="work", rate=rate, study="s", run=run, results_dir=str(tmp_path)
+        )
         return Job(overrides=[], settings=made, folder=tmp_path / "s" / run)
 
     warm(Asked(), [job("a", 1, 1), job("b", 1, 2)])
@@ -96,11 +114,15 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
 def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
     program = "import sys; from ssm_study.study.preload import warm; warm(set()); "
     program += "print({'cvxpy', 'torch', 'lightning'} & set(sys.modules))"
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True
+    )
     assert ended.stdout.strip() == "set()"
 
 
-@pytest.mark.parametrize(("again", "solver", "trainer"), [(set(), 0, 0), ({"synthesis"}, 1, 0), ({"model"}, 0, 1)])
+@pytest.mark.parametrize(
+    ("again", "solver", "trainer"), [(set(), 0, 0), ({"synthesis"}, 1, 0), ({"model"}, 0, 1)]
+)
 def test_what_solves_and_what_trains_is_imported_where_several_jobs_do(
     again: set[str], solver: int, trainer: int
 ) -> None:

@@ -1,4 +1,5 @@
-"""Negative controls, each from a log to the printed words: no log that cannot bear it gets a word of comfort."""
+"""Negative controls, each from a log to the printed words: no log that cannot bear it gets a word
+of comfort."""
 
 import json
 from pathlib import Path
@@ -17,7 +18,9 @@ def multilevel(samples: int, seed: int = 0) -> np.ndarray:
     return np.repeat(rng.uniform(-1, 1, samples), rng.integers(2, 25, samples))[:samples]
 
 
-def answer(u: np.ndarray, slow: float = 0.9, fast: float = 0.6, seed: int = 1, noise: float = 0.01) -> np.ndarray:
+def answer(
+    u: np.ndarray, slow: float = 0.9, fast: float = 0.6, seed: int = 1, noise: float = 0.01
+) -> np.ndarray:
     """Two lags behind a saturating input, and a little sensor noise."""
     y, lag, out = np.zeros(len(u)), 0.0, 0.0
     for k, level in enumerate(np.tanh(1.5 * u)):
@@ -49,8 +52,17 @@ def moved_thrice() -> np.ndarray:
 
 U = multilevel(SAMPLES)
 LOGS = {
-    "white noise": (*np.random.default_rng(0).standard_normal((2, SAMPLES)), "cannot judge", "free run"),
-    "shuffled output": (U, np.random.default_rng(2).permutation(answer(U)), "cannot judge", "free run"),
+    "white noise": (
+        *np.random.default_rng(0).standard_normal((2, SAMPLES)),
+        "cannot judge",
+        "free run",
+    ),
+    "shuffled output": (
+        U,
+        np.random.default_rng(2).permutation(answer(U)),
+        "cannot judge",
+        "free run",
+    ),
     "hardly moving": (moved_thrice(), answer(moved_thrice()), "", "The input changes"),
     "one-sided": (np.abs(U), answer(np.abs(U)), "", "one side of its equilibrium"),
     "saturated": (U, np.clip(answer(U), -0.3, 0.3), "", "it saturates"),
@@ -60,7 +72,8 @@ LOGS = {
     "oscillating": (U, oscillating(U), "cannot judge", "moves by itself"),
     "ends before the slow mode": (U[:600], answer(U[:600], slow=0.9985), "", ""),
 }
-# The records decide the word, not how many designs are tried: a small grid gives the same words as the whole one.
+# The records decide the word, not how many designs are tried: a small grid gives the same words as
+# the whole one.
 GRID = [f"+synthesis.{name}={values}" for name, values in FEW.items()]
 OWN = {"one-sided": ["data.equilibrium=zero"], "60 samples": ["data.start_up_samples=3"]}
 
@@ -68,7 +81,14 @@ OWN = {"one-sided": ["data.equilibrium=zero"], "60 samples": ["data.start_up_sam
 def run(folder: Path, u: np.ndarray, y: np.ndarray, *more: str) -> tuple[int, dict]:
     log = folder / "log.csv"
     np.savetxt(log, np.column_stack([u, y]), delimiter=",", header="u,y", comments="", fmt="%.9g")
-    given = ["data=recorded", f"data.path={log}", "data.input=u", "data.output=y", "data.step_s=0.1", "study=s"]
+    given = [
+        "data=recorded",
+        f"data.path={log}",
+        "data.input=u",
+        "data.output=y",
+        "data.step_s=0.1",
+        "study=s",
+    ]
     quick = [
         "model.order=3",
         "model.neurons=3",

@@ -1,4 +1,5 @@
-"""Other people's packages and folders bring plants, theorems, figures and experiments; no file of ours changes."""
+"""Other people's packages and folders bring plants, theorems, figures and experiments; no file of
+ours changes."""
 
 import hashlib
 import importlib.util
@@ -21,7 +22,12 @@ from ssm_study.study.allow_list import refuse_foreign_targets
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "tclab_study"
-SMALL = ["data.samples=300", "data.validation_samples=300", "data.test_samples=300", "training.max_epochs=3"]
+SMALL = [
+    "data.samples=300",
+    "data.validation_samples=300",
+    "data.test_samples=300",
+    "training.max_epochs=3",
+]
 SMALL += ["synthesis=reserved", "model.order=2", "~loop.comparison", "progress=false"]
 # The command, but for the two figures that a run draws.
 UNDRAWN = "import sys; from ssm_study.cli import endings; from ssm_study.cli.main import main; "
@@ -41,29 +47,46 @@ def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The example where pip puts it; setuptools builds in a copy, for it leaves files beside the sources."""
+    """The example where pip puts it; setuptools builds in a copy, for it leaves files beside the
+    sources."""
     if importlib.util.find_spec("setuptools") is None or importlib.util.find_spec("pip") is None:
         pytest.skip("pip and setuptools are needed to install the example")
     place, copy = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
-    for file in (path for path in EXAMPLE.rglob("*") if path.suffix in (".py", ".yaml", ".toml", ".md")):
+    for file in (
+        path for path in EXAMPLE.rglob("*") if path.suffix in (".py", ".yaml", ".toml", ".md")
+    ):
         (copy / file.relative_to(EXAMPLE)).parent.mkdir(parents=True, exist_ok=True)
         (copy / file.relative_to(EXAMPLE)).write_bytes(file.read_bytes())
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+    ]
     subprocess.run([*pip, "--target", place, copy], check=True)
     return place
 
 
 def python(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A program of its own: it is no worker of this test run and shares no folder with one before."""
+    """A program of its own: it is no worker of this test run and shares no folder with one
+    before."""
     words = [sys.executable, *map(str, arguments)]
-    alone = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_XDIST")}
+    alone = {
+        name: value for name, value in os.environ.items() if not name.startswith("PYTEST_XDIST")
+    }
     return subprocess.run(words, cwd=ROOT, env=alone | environment, capture_output=True, text=True)
 
 
 def fingerprint() -> str:
     whole = hashlib.sha256()
     for folder in ("ssm_study", "conf", "hydra_plugins"):
-        for path in sorted(p for p in (ROOT / folder).rglob("*") if p.suffix in (".py", ".yaml", ".txt")):
+        for path in sorted(
+            p for p in (ROOT / folder).rglob("*") if p.suffix in (".py", ".yaml", ".txt")
+        ):
             whole.update(str(path).encode() + path.read_bytes())
     return whole.hexdigest()
 
@@ -84,15 +107,30 @@ def test_an_installed_package_goes_the_whole_way(
 
 
 def test_the_package_conforms(installed: Path) -> None:
-    """Its figures are drawn as well; asked as its owner would, without the options of our own tests."""
-    judged = ["-m", "pytest", "--pyargs", "ssm_study.conformance", "-q", "-o", "addopts=", "-p", "no:cacheprovider"]
-    done = python(*judged, "-k", "(tclab and not experiment) or reserved", PYTHONPATH=str(installed))
+    """Its figures are drawn as well; asked as its owner would, without the options of our own
+    tests."""
+    judged = [
+        "-m",
+        "pytest",
+        "--pyargs",
+        "ssm_study.conformance",
+        "-q",
+        "-o",
+        "addopts=",
+        "-p",
+        "no:cacheprovider",
+    ]
+    done = python(
+        *judged, "-k", "(tclab and not experiment) or reserved", PYTHONPATH=str(installed)
+    )
     assert done.returncode == 0, done.stdout[-3000:]
     assert "no tests ran" not in done.stdout
 
 
 @pytest.mark.usefixtures("trusting")
-def test_a_folder_of_ones_own_runs_as_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_of_ones_own_runs_as_it_was_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", "own_study"]) == 0
     asked = ["run", "experiment=own_study", *SMALL[:4], "progress=false"]
@@ -102,7 +140,10 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(tmp_path: Path, monkeypatch: p
         with pytest.raises(BadRequest, match="may not be instantiated"):
             refuse_foreign_targets(named)
     assert main([*asked, "--with", "own_study"]) == 0
-    assert python("-m", "pytest", "-q", tmp_path / "own_study", PYTHONPATH=str(tmp_path)).returncode == 0
+    assert (
+        python("-m", "pytest", "-q", tmp_path / "own_study", PYTHONPATH=str(tmp_path)).returncode
+        == 0
+    )
     refuse_foreign_targets(named)
 
 

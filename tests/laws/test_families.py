@@ -26,7 +26,8 @@ NAMED_IN_YAML: list[Any] = [Plant, Excitation, Trainable, ModelSpec, Controller,
 
 @pytest.mark.parametrize("base", FOUND_BY_NAME)
 def test_an_incomplete_member_is_refused_where_it_is_defined(base: Any) -> None:
-    """For every question: a member that answers all others is refused, and the question is named."""
+    """For every question: a member that answers all others is refused, and the question is
+    named."""
     questions = sorted(base.__abstractmethods__)
     assert questions
     for left_open in questions:
@@ -34,7 +35,9 @@ def test_an_incomplete_member_is_refused_where_it_is_defined(base: Any) -> None:
         with pytest.raises(TypeError, match=f"Incomplete does not answer {left_open}$"):
             type("Incomplete", (base,), answers, names=("incomplete",))
     assert "incomplete" not in base.known
-    complete = type("Complete", (base,), dict.fromkeys(questions, lambda _: None), names=("complete",))
+    complete = type(
+        "Complete", (base,), dict.fromkeys(questions, lambda _: None), names=("complete",)
+    )
     assert base.known.pop("complete") is complete
 
 

@@ -21,7 +21,13 @@ from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 
 STEP_S = 0.1
-QUICK = ("model.order=2", "model.slope_lower=0.5", "model=ssm", "model.hidden_width=4", "training.max_epochs=3")
+QUICK = (
+    "model.order=2",
+    "model.slope_lower=0.5",
+    "model=ssm",
+    "model.hidden_width=4",
+    "training.max_epochs=3",
+)
 GIVEN = ("synthesis=riccati", "synthesis.rate_controller=0.3", "synthesis.rate_observer=0.5")
 
 
@@ -37,13 +43,20 @@ def log() -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def design(log: pd.DataFrame, tmp_path_factory: pytest.TempPathFactory) -> library.Design:
     folder = tmp_path_factory.mktemp("library") / "res'ults"
-    model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK, results_dir=folder)
+    model = st.fit(
+        log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK, results_dir=folder
+    )
     return st.control(model, *GIVEN)
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:
     told = "import sys, ssm_study; print(sorted({'torch', 'numpy', 'hydra', 'pandas'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", told], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )
     with pytest.raises(AttributeError, match="no attribute 'regulate'"):
         _ = st.regulate
 
@@ -51,20 +64,30 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
 def test_what_a_stored_model_needs_loads_no_torch() -> None:
     told = "import sys; from ssm_study.models import structured, structured_spec; "
     told += "from ssm_study.models.baselines import solved; print('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "False\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", told], capture_output=True, text=True, check=True
+        ).stdout
+        == "False\n"
+    )
 
 
 def test_docstrings_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """As they stand, but for the length of the training that one of them shows."""
     whole, short = library.composed, ("training.max_epochs=10", "model.starts=1", "model.draws=1")
-    monkeypatch.setattr(library, "composed", lambda said: whole((*said, *short) if "data=recorded" in said else said))
+    monkeypatch.setattr(
+        library,
+        "composed",
+        lambda said: whole((*said, *short) if "data=recorded" in said else said),
+    )
     result = doctest.testmod(library)
     assert result.failed == 0
     assert result.attempted >= 10
 
 
 def test_the_command_finds_the_same_run(design: library.Design) -> None:
-    """Names and numbers: the run of `fit` and `control` is the one that the command makes of the same words."""
+    """Names and numbers: the run of `fit` and `control` is the one that the command makes of the
+    same words."""
     before = (design.folder / "record.json").read_bytes()
     assert main(["run", *design.overrides]) == 0
     assert [path.parent for path in design.folder.parent.glob("*/record.json")] == [design.folder]
@@ -80,8 +103,11 @@ def test_a_saved_design_verifies_and_loads(design: library.Design, tmp_path: Pat
         design.save(tmp_path / "mine")
 
 
-def test_python_control_takes_model_and_controller(design: library.Design, log: pd.DataFrame) -> None:
-    """The linearised pair in python-control's hands settles as fast as `simulate` says of small deviations."""
+def test_python_control_takes_model_and_controller(
+    design: library.Design, log: pd.DataFrame
+) -> None:
+    """The linearised pair in python-control's hands settles as fast as `simulate` says of small
+    deviations."""
     model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
     inner, controller = model.to_control(), design.to_control()
     assert inner.dt == controller.dt == STEP_S
@@ -109,15 +135,26 @@ def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
     assert len(st.fit(u, y, STEP_S, *QUICK).data.training) == 2
 
 
-def test_other_channels_than_were_fitted_are_refused(design: library.Design, log: pd.DataFrame) -> None:
+def test_other_channels_than_were_fitted_are_refused(
+    design: library.Design, log: pd.DataFrame
+) -> None:
     model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
     u, y = np.zeros((50, 1)), np.zeros((50, 1))
     for refused, said in (
-        (lambda: model.predict(np.zeros((50, 2))), r"u = \(50, 2\): needs one column per channel: 1"),
-        (lambda: model.score(u, np.zeros((50, 2))), r"y = \(50, 2\): the model answers with \(50, 1\)"),
+        (
+            lambda: model.predict(np.zeros((50, 2))),
+            r"u = \(50, 2\): needs one column per channel: 1",
+        ),
+        (
+            lambda: model.score(u, np.zeros((50, 2))),
+            r"y = \(50, 2\): the model answers with \(50, 1\)",
+        ),
         (lambda: model.score(u, y[1:]), r"y = \(49, 1\): the model answers with \(50, 1\)"),
         (lambda: st.simulate(model, np.zeros((50, 2))), r"u = \(50, 2\): needs one column"),
-        (lambda: st.simulate(design, np.zeros((3, 2))), r"y0 = \(3, 2\): needs one column per channel: 1"),
+        (
+            lambda: st.simulate(design, np.zeros((3, 2))),
+            r"y0 = \(3, 2\): needs one column per channel: 1",
+        ),
     ):
         with pytest.raises(BadRequest, match=said):
             refused()
@@ -134,7 +171,9 @@ def test_study_gives_its_table(design: library.Design) -> None:
 def test_a_program_needs_no_environment(tmp_path: Path) -> None:
     told = f"from ssm_study import library; library.study('results_dir={tmp_path}', 'seed=-1')"
     clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    said = subprocess.run([sys.executable, "-c", told], env=clean, capture_output=True, text=True).stderr
+    said = subprocess.run(
+        [sys.executable, "-c", told], env=clean, capture_output=True, text=True
+    ).stderr
     assert "KeyError" not in said
     assert "BadRequest: seed = -1" in said
 
@@ -152,7 +191,9 @@ def test_a_program_needs_no_environment(tmp_path: Path) -> None:
         (np.arange(100.0), np.arange(100.0), ("model.order=0",), "at least 1"),
     ],
 )
-def test_fit_refuses_as_the_command_does(u: object, y: object, words: tuple[str, ...], said: str) -> None:
+def test_fit_refuses_as_the_command_does(
+    u: object, y: object, words: tuple[str, ...], said: str
+) -> None:
     with pytest.raises(BadRequest, match=said):
         st.fit(u, y, 0.1, *words)
 
@@ -165,7 +206,9 @@ def test_control_refuses(log: pd.DataFrame) -> None:
     with pytest.raises(BadRequest, match="changes model, and with it the model; give it to fit"):
         st.control(model, "model.order=3")
     infeasible = st.control(model, *GIVEN[:1], "synthesis.rate_controller=0.999", GIVEN[2])
-    with pytest.raises(BadRequest, match=r"rate 0\.999 is infeasible: the slopes allow only rates below"):
+    with pytest.raises(
+        BadRequest, match=r"rate 0\.999 is infeasible: the slopes allow only rates below"
+    ):
         infeasible.to_c("never.h")
     with pytest.raises(BadRequest, match="a baseline is scored only"):
         st.control(st.fit(u, y, STEP_S, "model=gru", "training.max_epochs=1"))
@@ -177,7 +220,8 @@ def test_control_refuses(log: pd.DataFrame) -> None:
 
 
 def test_a_hydra_program_may_compose_with_us() -> None:
-    """Whoever calls this from a program of Hydra's own finds the program's composition as it was."""
+    """Whoever calls this from a program of Hydra's own finds the program's composition as it
+    was."""
     folder = str(Path(__file__).parents[2] / "conf")
     with initialize_config_dir(folder, version_base="1.3"):
         theirs = GlobalHydra.instance().hydra

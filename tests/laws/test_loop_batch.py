@@ -1,4 +1,5 @@
-"""Laws of the loop: a batch is its rows, the seed decides the draw, and what the controller sees is what it acts on."""
+"""Laws of the loop: a batch is its rows, the seed decides the draw, and what the controller sees is
+what it acts on."""
 
 from dataclasses import replace
 
@@ -21,20 +22,29 @@ def controller() -> ObserverFeedback:
 
 
 @pytest.mark.parametrize(
-    "reference", [StepReference(before=0.0, after=6.0, at_s=0.2), PeriodicDisturbance(amplitude=4.0, frequency_hz=2.0)]
+    "reference",
+    [
+        StepReference(before=0.0, after=6.0, at_s=0.2),
+        PeriodicDisturbance(amplitude=4.0, frequency_hz=2.0),
+    ],
 )
 def test_a_batch_is_its_rows(reference):
-    loop = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference)
+    loop = Loop(
+        horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference
+    )
     y0, noise = loop.draw(motor(), seed=1)
     together = loop.simulate(motor(), controller(), y0, noise)
     for i in range(len(y0)):
         alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
         for name in ("u", "y", "measured", "estimate", "states"):
-            np.testing.assert_allclose(getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(
+                getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-9, atol=1e-12
+            )
 
 
 def test_the_loop_is_the_equations_written_out():
-    """One case, sample by sample, from the model's numbers alone: the second route to every signal."""
+    """One case, sample by sample, from the model's numbers alone: the second route to every
+    signal."""
     model, design = motor_model(), motor_design()
     k, observer_gain = design.state_feedback.k, design.observer.l
     y0, noise = LOOP.draw(motor(), seed=3)
@@ -63,13 +73,19 @@ def test_the_seed_decides_the_draw_and_nothing_else_does():
 
 
 def test_noise_has_the_stated_variance():
-    noise = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100).draw(motor(), seed=0)[1]
+    noise = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100).draw(
+        motor(), seed=0
+    )[1]
     assert noise.var() == pytest.approx(0.02, rel=0.02)
 
 
 def test_limits_hold_and_the_observer_knows_them():
     limited = Loop(
-        horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=5, input_lower=-1.0, input_upper=0.5
+        horizon_s=0.6,
+        measurement_noise_variance=0.0,
+        initial_conditions=5,
+        input_lower=-1.0,
+        input_upper=0.5,
     )
     result = limited.run(motor(), motor_model(), motor_design(), seed=1)
     assert result.controlled.u.min() == -1.0
@@ -102,13 +118,16 @@ def test_the_model_in_the_plants_place_replays_itself():
 
 
 def test_the_units_of_input_and_output_change_nothing():
-    """A pressure of 1e6 Pa is no input out of hand; the loop of a rescaled model is the rescaled loop."""
+    """A pressure of 1e6 Pa is no input out of hand; the loop of a rescaled model is the rescaled
+    loop."""
     ends = []
     for unit in (1.0, 1e9, 1e-9):
         scale = motor_model().scale
         model = replace(
             motor_model(),
-            scale=replace(scale, input_scale=unit * scale.input_scale, output_scale=unit * scale.output_scale),
+            scale=replace(
+                scale, input_scale=unit * scale.input_scale, output_scale=unit * scale.output_scale
+            ),
         )
         plant, loop = IdentifiedPlant.of(model), Loop(initial_conditions=3, horizon_s=1.0)
         law = ObserverFeedback.of(model, motor_design())
@@ -124,12 +143,22 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     model = replace(model, scale=replace(model.scale, input_equilibrium=np.array([0.7])))
     plant = IdentifiedPlant.of(model)
     x0, noise = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.full((2, 5, 1), 0.01)
-    asked = {"x0": x0, "reference": np.zeros((5, 1)), "noise": noise, "disturbance": np.zeros((2, 5, 1))}
+    asked = {
+        "x0": x0,
+        "reference": np.zeros((5, 1)),
+        "noise": noise,
+        "disturbance": np.zeros((2, 5, 1)),
+    }
     run = close_loop(plant, Uncontrolled.of(plant), **asked, bound=np.full(1, 10.0))
     assert run.left_at_sample.tolist() == [0, STAYED]
     start = plant.output(x0)
     assert np.abs(start[0] - plant.equilibrium().y) > 10
-    for found, shown in ((run.u, [[0.7]]), (run.y, start), (run.measured, start + 0.01), (run.states, x0)):
+    for found, shown in (
+        (run.u, [[0.7]]),
+        (run.y, start),
+        (run.measured, start + 0.01),
+        (run.states, x0),
+    ):
         np.testing.assert_array_equal(found[0], np.tile(shown[0], (5, 1)))
 
 

@@ -1,4 +1,5 @@
-"""A record that starts anywhere: the estimated state replays it; a record that starts at rest stays as it is."""
+"""A record that starts anywhere: the estimated state replays it; a record that starts at rest stays
+as it is."""
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ from ssm_study.systems import StateSpace
 @pytest.fixture
 def model() -> SSM:
     linear = StateSpace(
-        a=np.array([[0.95, 0.1], [0.0, 0.8]]), b=np.array([[0.0], [0.3]]), c=np.array([[1.0, 0.0]]), d=np.zeros((1, 1))
+        a=np.array([[0.95, 0.1], [0.0, 0.8]]),
+        b=np.array([[0.0], [0.3]]),
+        c=np.array([[1.0, 0.0]]),
+        d=np.zeros((1, 1)),
     )
     gain = LinearScaffold(gain=np.array([[0.7]]))
     scales = {"input_scale": np.array([2.0]), "output_scale": np.array([3.0])}
@@ -30,7 +34,8 @@ def record(model: SSM, x0: np.ndarray, noise: float = 0.0) -> Trajectory:
 
 
 def test_the_state_is_found_from_the_samples_that_are_not_scored(model: SSM) -> None:
-    """Without noise what is left of the unknown start after the start-up samples is a few percent of it."""
+    """Without noise what is left of the unknown start after the start-up samples is a few percent
+    of it."""
     seen = record(model, np.array([1.5, -0.4]))
     left = np.abs(free_run(model, seen, 20) - seen.y)[20:].max()
     assert left < 0.05 * np.abs(model.simulate(seen.u) - seen.y)[20:].max()
@@ -55,10 +60,16 @@ def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
 
 
 def test_the_gramian_of_a_record_is_the_sum_over_it() -> None:
-    """For a fast system the Lyapunov solution; with a mode on the unit circle still finite, and the plain sum."""
+    """For a fast system the Lyapunov solution; with a mode on the unit circle still finite, and the
+    plain sum."""
     rng = np.random.default_rng(3)
-    fast, b = np.diag([0.8, -0.5, 0.2]) + 0.02 * rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
-    np.testing.assert_allclose(reachability_gramian(fast, b, 4000), solve_discrete_lyapunov(fast, b @ b.T), rtol=1e-9)
+    fast, b = (
+        np.diag([0.8, -0.5, 0.2]) + 0.02 * rng.standard_normal((3, 3)),
+        rng.standard_normal((3, 2)),
+    )
+    np.testing.assert_allclose(
+        reachability_gramian(fast, b, 4000), solve_discrete_lyapunov(fast, b @ b.T), rtol=1e-9
+    )
     slow, total, reached = np.diag([1.0, 0.99, 0.5]), np.zeros((3, 3)), b
     for _ in range(128):
         total, reached = total + reached @ reached.T, slow @ reached

@@ -1,4 +1,5 @@
-"""One law, two evaluations: convolution and chunks agree with plain stepping, and with the real state space."""
+"""One law, two evaluations: convolution and chunks agree with plain stepping, and with the real
+state space."""
 
 from collections.abc import Callable
 
@@ -19,7 +20,9 @@ EVALUATIONS = {
 Evaluation = Callable[..., torch.Tensor]
 
 
-def by_steps(modes: recurrence.ModalForm, u: torch.Tensor, x0: torch.Tensor | None = None) -> torch.Tensor:
+def by_steps(
+    modes: recurrence.ModalForm, u: torch.Tensor, x0: torch.Tensor | None = None
+) -> torch.Tensor:
     """One sample after the other, as deployed: the oracle."""
     turn = torch.exp(modes.decay)
     x = torch.zeros(u.shape[0], len(turn), dtype=modes.b.dtype) if x0 is None else x0
@@ -30,7 +33,14 @@ def by_steps(modes: recurrence.ModalForm, u: torch.Tensor, x0: torch.Tensor | No
     return torch.stack(y, 1)
 
 
-def unit(seed: int, order: int, real_modes: int, m: int, p: int, radius: tuple[float, float] = (0.3, 0.99)) -> LRU:
+def unit(
+    seed: int,
+    order: int,
+    real_modes: int,
+    m: int,
+    p: int,
+    radius: tuple[float, float] = (0.3, 0.99),
+) -> LRU:
     rng = np.random.default_rng(seed)
     return LRU(on_ring(order, real_modes, radius, (0.05, 2.0), (m, p), rng), feedthrough=True)
 
@@ -39,11 +49,21 @@ def unit(seed: int, order: int, real_modes: int, m: int, p: int, radius: tuple[f
 def cases(draw: st.DrawFn) -> tuple[int, int, int, int, int, int]:
     seed, m, p = draw(st.integers(0, 10_000)), draw(st.integers(1, 3)), draw(st.integers(1, 3))
     pairs, real = draw(st.integers(0, 3)), draw(st.integers(0, 3))
-    return seed, max(2 * pairs + real, 1), real if 2 * pairs + real else 1, m, p, draw(st.integers(2, 300))
+    return (
+        seed,
+        max(2 * pairs + real, 1),
+        real if 2 * pairs + real else 1,
+        m,
+        p,
+        draw(st.integers(2, 300)),
+    )
 
 
-def drawn(seed: int, order: int, real: int, m: int, p: int, samples: int) -> tuple[LRU, torch.Tensor, torch.Tensor]:
-    """Unit, input and initial state; outside the strategy, because what torch loads at its first use draws numbers."""
+def drawn(
+    seed: int, order: int, real: int, m: int, p: int, samples: int
+) -> tuple[LRU, torch.Tensor, torch.Tensor]:
+    """Unit, input and initial state; outside the strategy, because what torch loads at its first
+    use draws numbers."""
     lru, rng = unit(seed, order, real, m, p), np.random.default_rng(seed + 1)
     with torch.no_grad():
         lru.d += torch.from_numpy(rng.normal(size=(p, m)))
@@ -58,8 +78,12 @@ def test_every_evaluation_agrees_with_stepping(name: str, case: tuple[int, ...])
     with torch.no_grad():
         modes, start = lru.modes(), lru.initial_state(x0)
         expected = by_steps(modes, u, start)
-        torch.testing.assert_close(EVALUATIONS[name](modes, u, start), expected, rtol=1e-9, atol=1e-9)
-        torch.testing.assert_close(EVALUATIONS[name](modes, u), by_steps(modes, u), rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(
+            EVALUATIONS[name](modes, u, start), expected, rtol=1e-9, atol=1e-9
+        )
+        torch.testing.assert_close(
+            EVALUATIONS[name](modes, u), by_steps(modes, u), rtol=1e-9, atol=1e-9
+        )
 
 
 @given(case=cases())
@@ -84,13 +108,19 @@ def test_single_precision_stays_within_its_rounding(name: str) -> None:
 
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_single_precision_adds_little_to_the_rounding_of_slow_modes(name: str) -> None:
-    """A memory of 10,000 samples and more: a power of a rounded mode taken in float32 loses its phase."""
+    """A memory of 10,000 samples and more: a power of a rounded mode taken in float32 loses its
+    phase."""
     modes = unit(1, 8, 2, 1, 1, radius=(0.9999, 0.99999)).float().modes()
     u = torch.from_numpy(np.random.default_rng(2).normal(size=(2, 5000, 1))).float()
-    parts = {part: values.to(torch.promote_types(values.dtype, torch.float64)) for part, values in vars(modes).items()}
+    parts = {
+        part: values.to(torch.promote_types(values.dtype, torch.float64))
+        for part, values in vars(modes).items()
+    }
     with torch.no_grad():
         exact = by_steps(recurrence.ModalForm(**parts), u.double())
-        assert (EVALUATIONS[name](modes, u).double() - exact).abs().max() <= 2e-6 * exact.abs().max()
+        assert (
+            EVALUATIONS[name](modes, u).double() - exact
+        ).abs().max() <= 2e-6 * exact.abs().max()
 
 
 @pytest.mark.parametrize("name", EVALUATIONS)
@@ -113,7 +143,9 @@ def test_every_value_of_the_free_parameters_is_stable(seed: int) -> None:
     lru = unit(seed, 6, 2, 1, 1)
     with torch.no_grad():
         for parameter in lru.parameters():
-            parameter += 3 * torch.from_numpy(np.random.default_rng(seed).normal(size=tuple(parameter.shape)))
+            parameter += 3 * torch.from_numpy(
+                np.random.default_rng(seed).normal(size=tuple(parameter.shape))
+            )
         lru.nu[0] = -60.0  # a radius that rounds to one
     assert lru.to_state_space().spectral_radius < 1
 
@@ -124,15 +156,17 @@ def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
     decay = np.log(rng.uniform(0.1, 0.999, 5)) + 1j * rng.uniform(-np.pi, np.pi, 5)
     weights = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
     direct = (weights @ np.exp(decay[:, None] * np.arange(samples))).real
-    fast = recurrence.power_sums(torch.from_numpy(weights), recurrence.tables(torch.from_numpy(decay), samples))[
-        :, :samples
-    ]
+    fast = recurrence.power_sums(
+        torch.from_numpy(weights), recurrence.tables(torch.from_numpy(decay), samples)
+    )[:, :samples]
     np.testing.assert_allclose(fast.numpy(), direct, atol=1e-10)
 
 
 @pytest.mark.parametrize("moving", [True, False])
 @pytest.mark.parametrize("name", ["convolution", "chunks"])
-@pytest.mark.parametrize(("m", "p", "samples"), [(1, 1, 17), (2, 3, 70), (1, 1, 1), (2, 1, 2), (1, 1, 64)])
+@pytest.mark.parametrize(
+    ("m", "p", "samples"), [(1, 1, 17), (2, 3, 70), (1, 1, 1), (2, 1, 2), (1, 1, 64)]
+)
 def test_the_derivatives_written_out_are_those_of_the_law(
     name: str, m: int, p: int, samples: int, moving: bool
 ) -> None:
@@ -169,16 +203,24 @@ def _operands(m: int, p: int, samples: int) -> tuple[torch.Tensor, ...]:
     rng = torch.Generator().manual_seed(m + p + samples)
     real = torch.rand(3, generator=rng, dtype=torch.float64)
     decay = torch.complex(-0.5 * real - 0.01, 3 * torch.rand(3, generator=rng, dtype=torch.float64))
-    b, c, x0 = (torch.randn(*s, generator=rng, dtype=torch.complex128) for s in ((3, m), (p, 3), (2, 3)))
-    d, u = (torch.randn(*shape, generator=rng, dtype=torch.float64) for shape in ((p, m), (2, samples, m)))
+    b, c, x0 = (
+        torch.randn(*s, generator=rng, dtype=torch.complex128) for s in ((3, m), (p, 3), (2, 3))
+    )
+    d, u = (
+        torch.randn(*shape, generator=rng, dtype=torch.float64)
+        for shape in ((p, m), (2, samples, m))
+    )
     return decay, b, c, d, u, x0
 
 
 @pytest.mark.parametrize("hold", [1, 8])
 @pytest.mark.parametrize("order", [2, 6])
 @pytest.mark.parametrize("feedthrough", [False, True])
-def test_a_start_is_nearer_to_its_records_than_no_model(hold: int, order: int, feedthrough: bool) -> None:
-    """Where the input acts at once, a long ARX model without feedthrough is unstable: its start answered thousandfold,
+def test_a_start_is_nearer_to_its_records_than_no_model(
+    hold: int, order: int, feedthrough: bool
+) -> None:
+    """Where the input acts at once, a long ARX model without feedthrough is unstable: its start
+    answered thousandfold,
     and training ended at a fit of -55,000 %."""
     for seed in range(6):
         rng = np.random.default_rng(seed)

@@ -21,7 +21,9 @@ from ssm_study.systems import StateSpace
 KINDS = ("linear", "mlp", "monotone", "residual")
 
 
-def network(rng: np.random.Generator, inputs: int, outputs: int, widths: tuple[int, ...]) -> Network:
+def network(
+    rng: np.random.Generator, inputs: int, outputs: int, widths: tuple[int, ...]
+) -> Network:
     sizes = (inputs, *widths, outputs)
     return Network(
         weights=tuple(rng.normal(size=(h, m)) for m, h in itertools.pairwise(sizes)),
@@ -40,10 +42,15 @@ def random_scaffold(kind: str, seed: int, channels: int) -> Scaffold:
         return MlpScaffold(network=network(rng, channels, channels, widths))
     if kind == "monotone":
         points = np.sort(rng.normal(size=(channels, 5)), axis=1)
-        return MonotoneScaffold(breakpoints=points, slopes=rng.uniform(0.1, 1.0, size=(channels, 6)))
+        return MonotoneScaffold(
+            breakpoints=points, slopes=rng.uniform(0.1, 1.0, size=(channels, 6))
+        )
     multipliers = tuple(rng.uniform(0.5, 2.0, size=h) for h in widths)
     return ResidualScaffold(
-        alpha=0.5, beta=0.4, network=network(rng, channels, channels, widths), multipliers=multipliers
+        alpha=0.5,
+        beta=0.4,
+        network=network(rng, channels, channels, widths),
+        multipliers=multipliers,
     )
 
 
@@ -99,7 +106,9 @@ def random_model(seed: int, kind_in: str = "mlp", kind_out: str = "linear") -> S
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(4, 4))
     a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
-    linear = StateSpace(a=a, b=rng.normal(size=(4, 2)), c=rng.normal(size=(3, 4)), d=rng.normal(size=(3, 2)))
+    linear = StateSpace(
+        a=a, b=rng.normal(size=(4, 2)), c=rng.normal(size=(3, 4)), d=rng.normal(size=(3, 2))
+    )
     return SSM(
         linear=linear,
         scaffold_in=random_scaffold(kind_in, seed, 2),

@@ -1,4 +1,5 @@
-"""Every trainable scaffolding: frozen numbers give its values, slopes stay in the certified sector, zero stays zero."""
+"""Every trainable scaffolding: frozen numbers give its values, slopes stay in the certified sector,
+zero stays zero."""
 
 import itertools
 import json
@@ -56,7 +57,8 @@ def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
 @pytest.mark.parametrize("name", ["mlp", "monotone"])
 @given(seed=st.integers(0, 10_000))
 def test_roughness_is_the_variation_of_the_slope_over_its_largest(name: str, seed: int) -> None:
-    """By differences of the map between its kinks; at each kink at most a hundredth is rounded off."""
+    """By differences of the map between its kinks; at each kink at most a hundredth is rounded
+    off."""
     scaffold = shaken(SPECS[name], seed, 1)
     pieces = scaffold.pieces()
     assert pieces is not None
@@ -68,7 +70,11 @@ def test_roughness_is_the_variation_of_the_slope_over_its_largest(name: str, see
     kept = steps > 1e-7  # pieces that floats can tell apart
     slopes = ((values[1] - values[0]) / np.where(kept, 2 * steps, 1.0))[kept]
     variation = np.abs(np.diff(slopes)).sum() / slopes.max()
-    assert variation - 0.01 * len(kinks) - 1e-3 <= float(scaffold.roughness().detach()) <= variation + 1e-3
+    assert (
+        variation - 0.01 * len(kinks) - 1e-3
+        <= float(scaffold.roughness().detach())
+        <= variation + 1e-3
+    )
 
 
 @pytest.mark.parametrize("name", SPECS)
@@ -77,11 +83,15 @@ def test_frozen_numbers_give_the_same_values(name: str, seed: int, channels: int
     scaffold = shaken(SPECS[name], seed, channels)
     v = np.random.default_rng(seed).normal(size=(4, 5, channels)) * 3
     with torch.no_grad():
-        np.testing.assert_allclose(scaffold(torch.from_numpy(v)).numpy(), scaffold.freeze()(v), rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(
+            scaffold(torch.from_numpy(v)).numpy(), scaffold.freeze()(v), rtol=1e-9, atol=1e-11
+        )
 
 
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
-def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(seed: int, channels: int) -> None:
+def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
+    seed: int, channels: int
+) -> None:
     rng = np.random.default_rng(seed)
     samples = 3 + rng.uniform(size=(50, channels))  # all on one side of zero
     spec = Mlp(depth=1, train_slopes=True, certified=False)
@@ -94,7 +104,10 @@ def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
 def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
     rng = np.random.default_rng(0)
     frame = Frame(width=6, slopes=(LOWER, UPPER), samples=rng.normal(size=(50, 1)))
-    w, b, *_ = (p.detach() for p in Mlp(depth=1, train_slopes=True, certified=False).build(frame, rng).explicit()[0])
+    w, b, *_ = (
+        p.detach()
+        for p in Mlp(depth=1, train_slopes=True, certified=False).build(frame, rng).explicit()[0]
+    )
     bends = torch.sign(w[torch.argsort(-b / w[:, 0]), 0])
     assert (bends[1:] == -bends[:-1]).all()
 
@@ -121,7 +134,8 @@ def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, chann
 @pytest.mark.parametrize("name", SPECS)
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
 def test_every_kind_answers_every_question(name: str, seed: int, channels: int) -> None:
-    """JSON keeps every bit; the Jacobian is the derivative and lies in the ball; what is exported is the same map."""
+    """JSON keeps every bit; the Jacobian is the derivative and lies in the ball; what is exported
+    is the same map."""
     scaffold, rng = shaken(SPECS[name], seed, channels).freeze(), np.random.default_rng(seed)
     v, step = 3 * rng.normal(size=(8, channels)), 1e-7
     again = Scaffold.from_json(json.loads(json.dumps(scaffold.to_json())))
@@ -162,7 +176,8 @@ def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
 
 
 def test_the_free_perceptron_leaves_the_sector() -> None:
-    """Negative control: the paper's perceptron, unconstrained, has negative slopes for some parameters."""
+    """Negative control: the paper's perceptron, unconstrained, has negative slopes for some
+    parameters."""
     slopes = [
         shaken(SPECS["mlp_free deep"], seed, 1).freeze().jacobian(np.array([v]))[0, 0]
         for seed, v in itertools.product(range(5), (-2.0, 0.5, 2.0))
@@ -189,7 +204,9 @@ def test_gradients_agree_with_finite_differences(name: str, channels: int) -> No
             parameter += 1e-6 * direction
         expected = (values[0] - values[1]) / 2e-6
         assert parameter.grad is not None
-        assert (parameter.grad * direction).sum().item() == pytest.approx(expected, rel=1e-5, abs=1e-7)
+        assert (parameter.grad * direction).sum().item() == pytest.approx(
+            expected, rel=1e-5, abs=1e-7
+        )
 
 
 @given(depth=st.integers(1, 5), channels=st.integers(1, 4), ratio=st.floats(0.001, 0.9))
@@ -210,7 +227,9 @@ def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ra
 def test_prepared_inputs_pass_as_they_are(name: str, distinct: int) -> None:
     """Once per level, sorted into runs, or directly: the same values and the same gradients."""
     scaffold = shaken(SPECS[name], 11, 1)
-    u = torch.from_numpy(np.random.default_rng(1).integers(-distinct, distinct, size=(3, 200, 1)) * (2.0 / distinct))
+    u = torch.from_numpy(
+        np.random.default_rng(1).integers(-distinct, distinct, size=(3, 200, 1)) * (2.0 / distinct)
+    )
     weight = torch.from_numpy(np.random.default_rng(2).normal(size=(3, 200, 1)))
     gradients = []
     for evaluate in (lambda: Lift(u)(scaffold), lambda: scaffold(u)):
@@ -218,6 +237,9 @@ def test_prepared_inputs_pass_as_they_are(name: str, distinct: int) -> None:
         values = evaluate()
         if values.requires_grad:
             (values * weight).sum().backward()
-        gradients.append([values.detach()] + [p.grad.clone() for p in scaffold.parameters() if p.grad is not None])
+        gradients.append(
+            [values.detach()]
+            + [p.grad.clone() for p in scaffold.parameters() if p.grad is not None]
+        )
     for prepared, plain in zip(*gradients, strict=True):
         torch.testing.assert_close(prepared, plain, rtol=1e-9, atol=1e-9)

@@ -1,4 +1,5 @@
-"""The structured model: compiled equals stepped, one layer is its case without neurons, slopes lie in [0, 1]."""
+"""The structured model: compiled equals stepped, one layer is its case without neurons, slopes lie
+in [0, 1]."""
 
 import json
 from dataclasses import replace
@@ -23,9 +24,20 @@ def monotone(rng: np.random.Generator, channels: int) -> MonotoneScaffold:
     return MonotoneScaffold(breakpoints=points, slopes=rng.uniform(0.2, 1.5, (channels, 6)))
 
 
-def drawn(seed: int, n: int = 3, m: int = 2, p: int = 2, kinds: tuple[str, ...] = KINDS) -> StructuredSSM:
+def drawn(
+    seed: int, n: int = 3, m: int = 2, p: int = 2, kinds: tuple[str, ...] = KINDS
+) -> StructuredSSM:
     rng, q = np.random.default_rng(seed), len(kinds)
-    shapes = {"b": (n, m), "c": (p, n), "d": (p, m), "e": (n, q), "f": (q, n), "g": (q, m), "h": (p, q), "bias": (q,)}
+    shapes = {
+        "b": (n, m),
+        "c": (p, n),
+        "d": (p, m),
+        "e": (n, q),
+        "f": (q, n),
+        "g": (q, m),
+        "h": (p, q),
+        "bias": (q,),
+    }
     a = rng.normal(size=(n, n))
     return StructuredSSM(
         a=0.6 * a / np.linalg.norm(a, 2),
@@ -66,7 +78,10 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
     rich = drawn(1, kinds=())
     names = ("scaffold_in", "scaffold_out", "scale")
     plain = SSM(linear=rich.linear, step_s=0.01, **{name: getattr(rich, name) for name in names})
-    same, u = StructuredSSM.from_json(plain.to_json()), np.random.default_rng(1).normal(size=(200, 2))
+    same, u = (
+        StructuredSSM.from_json(plain.to_json()),
+        np.random.default_rng(1).normal(size=(200, 2)),
+    )
     assert same.neurons == ()
     np.testing.assert_allclose(same.simulate(u), plain.simulate(u), atol=1e-12, rtol=1e-12)
 
@@ -74,7 +89,10 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
 @pytest.mark.parametrize("kinds", [KINDS, ()])
 def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
     model = drawn(2, kinds=kinds)
-    back, u = model_from_json(json.loads(json.dumps(model.to_json()))), np.random.default_rng(2).normal(size=(50, 2))
+    back, u = (
+        model_from_json(json.loads(json.dumps(model.to_json()))),
+        np.random.default_rng(2).normal(size=(50, 2)),
+    )
     assert isinstance(back, StructuredSSM)
     assert np.array_equal(back.simulate(u), model.simulate(u))
 

@@ -1,4 +1,5 @@
-"""Every yaml of the groups model, scaffold and training trains a model that its own JSON replays."""
+"""Every yaml of the groups model, scaffold and training trains a model that its own JSON
+replays."""
 
 import json
 from pathlib import Path
@@ -42,19 +43,26 @@ def read(group: str, choice: str, *overrides: str) -> Any:
 
 
 def brief(**changes: Any) -> Training:
-    return read("training", "default", "training.max_epochs=2", *(f"{k}={v}" for k, v in changes.items()))
+    return read(
+        "training", "default", "training.max_epochs=2", *(f"{k}={v}" for k, v in changes.items())
+    )
 
 
 @pytest.mark.parametrize("choice", MODELS)
 def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path) -> None:
     if choice in PACKAGES:
         pytest.importorskip(PACKAGES[choice])
-    data, spec = data_set(noise=0.02, samples=120, records=2), read("model", choice, *FEWER.get(choice, ()))
+    data, spec = (
+        data_set(noise=0.02, samples=120, records=2),
+        read("model", choice, *FEWER.get(choice, ())),
+    )
     assert isinstance(spec, ModelSpec)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
     assert np.isfinite(mean_fit(found.model, data.training, data))
     again = model_from_json(json.loads(json.dumps(found.model.to_json())))
-    np.testing.assert_allclose(again.simulate(data.test[0].u), found.model.simulate(data.test[0].u), rtol=1e-13)
+    np.testing.assert_allclose(
+        again.simulate(data.test[0].u), found.model.simulate(data.test[0].u), rtol=1e-13
+    )
 
 
 @pytest.mark.parametrize("choice", MODELS)
@@ -73,26 +81,39 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
 
 
 def test_an_integrated_dynonet_gives_the_running_sum_of_its_rate() -> None:
-    """The stored numbers carry the integrator as one more pole: as the tensors do, and as the rate summed by hand."""
+    """The stored numbers carry the integrator as one more pole: as the tensors do, and as the rate
+    summed by hand."""
     pytest.importorskip("dynonet")
     data = data_set(samples=60, records=2)
-    plain, summed = (read("model", "dynonet", f"+model.integrated={flag}").build(data, 0) for flag in (False, True))
+    plain, summed = (
+        read("model", "dynonet", f"+model.integrated={flag}").build(data, 0)
+        for flag in (False, True)
+    )
     u = data.test[0].u
-    rate = (plain.freeze(data).simulate(u) - data.scale.output_equilibrium) / data.scale.output_scale
+    rate = (
+        plain.freeze(data).simulate(u) - data.scale.output_equilibrium
+    ) / data.scale.output_scale
     position = summed.freeze(data).simulate(u)
-    by_hand = data.scale.output_equilibrium + data.scale.output_scale * data.step_s * np.cumsum(rate, axis=0)
+    by_hand = data.scale.output_equilibrium + data.scale.output_scale * data.step_s * np.cumsum(
+        rate, axis=0
+    )
     np.testing.assert_allclose(position, by_hand, rtol=1e-9, atol=1e-9)
     with torch.no_grad():
         scaled = summed(torch.from_numpy(data.scale.scaled_input(u))[None])[0].numpy()
     np.testing.assert_allclose(
-        position, scaled * data.scale.output_scale + data.scale.output_equilibrium, rtol=1e-9, atol=1e-9
+        position,
+        scaled * data.scale.output_scale + data.scale.output_equilibrium,
+        rtol=1e-9,
+        atol=1e-9,
     )
 
 
 @pytest.mark.parametrize("side", ["scaffold_in", "scaffold_out"])
 @pytest.mark.parametrize("choice", SCAFFOLDS)
 def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: Path) -> None:
-    spec = read("model", "ssm", f"scaffold@model.{side}={choice}", "model.hidden_width=6", "model.order=2")
+    spec = read(
+        "model", "ssm", f"scaffold@model.{side}={choice}", "model.hidden_width=6", "model.order=2"
+    )
     data = data_set(samples=120, records=2)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.training, data) > 30
@@ -108,7 +129,9 @@ def test_every_training_yaml_trains(choice: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("choice", OPTIMISERS)
 def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> None:
     training = read("training", "default", f"training/optimiser={choice}", "training.max_epochs=4")
-    found = training.identify(read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path)
+    found = training.identify(
+        read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path
+    )
     assert found.curve[-1]["fit_training_percent"] > 60
 
 
@@ -123,7 +146,9 @@ def test_an_unknown_stored_model_is_refused() -> None:
         model_from_json({"kind": "transformer"})
 
 
-def test_a_baseline_whose_package_is_missing_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_baseline_whose_package_is_missing_says_how_to_get_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def absent(name: str) -> Any:
         raise ImportError(name)
 

@@ -9,7 +9,13 @@ from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.data import question
 from ssm_study.table.columns import swept
 
-QUESTIONS = ("Which run is best", "Where does feasibility end", "better fit", "prediction hold", "What failed")
+QUESTIONS = (
+    "Which run is best",
+    "Where does feasibility end",
+    "better fit",
+    "prediction hold",
+    "What failed",
+)
 
 
 def said(table: pd.DataFrame, about: str) -> str:
@@ -19,7 +25,11 @@ def said(table: pd.DataFrame, about: str) -> str:
 def row(**values: object) -> dict[str, object]:
     known = {"run": "a", "status": "ok", "controller_certified": True, "observer_certified": True}
     known |= {"stable_fraction": 1.0, "settling_time_mean_s": 0.1, "settling_time_open_loop_s": 0.2}
-    return known | {"fit_test_percent": 90.0, "rate_controller": 0.1, "controller_rate_limit": 0.3} | values
+    return (
+        known
+        | {"fit_test_percent": 90.0, "rate_controller": 0.1, "controller_rate_limit": 0.3}
+        | values
+    )
 
 
 def test_every_question_is_answered_whatever_the_table() -> None:
@@ -30,8 +40,12 @@ def test_every_question_is_answered_whatever_the_table() -> None:
 
 def test_the_best_run_is_the_fastest_of_those_that_are_certified_and_settle() -> None:
     lost = row(run="lost", settling_time_mean_s=0.01, stable_fraction=0.5)
-    text = said(pd.DataFrame([lost, row(run="slow", settling_time_mean_s=0.15), row(run="best")]), "best")
-    assert text.startswith("best. Both certificates hold and every start settles. Of the 2 such runs")
+    text = said(
+        pd.DataFrame([lost, row(run="slow", settling_time_mean_s=0.15), row(run="best")]), "best"
+    )
+    assert text.startswith(
+        "best. Both certificates hold and every start settles. Of the 2 such runs"
+    )
     assert "0.50 of the uncontrolled time" in text
     assert "at most 0.3 can be certified" in text
 
@@ -43,33 +57,55 @@ def test_among_certified_runs_that_settle_the_margin_decides_before_the_plant_do
     text = said(runs, "best")
     assert text.startswith("foretold. ")
     assert "predicted without the plant (margin 1.2 > 1, own radius 0.9 < 1)" in text
-    assert "lucky was faster (0.05 s), yet only the plant itself could tell (margin 0.4 ≤ 1, own" in text
+    assert (
+        "lucky was faster (0.05 s), yet only the plant itself could tell (margin 0.4 ≤ 1, own"
+        in text
+    )
 
 
 def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
     """Ten loops of each of N models are N trials, not ten times as many."""
-    foretold = {"predicted_stable": True, "resolved_margin": 1.3, "controller_radius": 0.9, "stage_synthesis_key": "k"}
-    runs = [row(run=f"{m}-{k}", stage_bounds_key=f"m{m}", **foretold) for m in range(20) for k in range(10)]
+    foretold = {
+        "predicted_stable": True,
+        "resolved_margin": 1.3,
+        "controller_radius": 0.9,
+        "stage_synthesis_key": "k",
+    }
+    runs = [
+        row(run=f"{m}-{k}", stage_bounds_key=f"m{m}", **foretold)
+        for m in range(20)
+        for k in range(10)
+    ]
     text = said(pd.DataFrame(runs), "prediction hold")
-    assert "of 20 models none had a predicted loop that does not settle, so with 95 % confidence" in text
+    assert (
+        "of 20 models none had a predicted loop that does not settle, so with 95 % confidence"
+        in text
+    )
     assert text.endswith(f"below {1 - 0.05 ** (1 / 20):.2g}.")
     runs[7]["stable_fraction"] = runs[8]["stable_fraction"] = 0.5
     text = said(pd.DataFrame(runs), "prediction hold")
     bound = float(text.split("below ")[1].rstrip("."))
     assert "of 20 models 1 had" in text
     assert scipy.stats.binom.cdf(1, 20, bound) == pytest.approx(0.05, abs=0.01)
-    assert "confidence" not in said(pd.DataFrame(runs[10:20]), "prediction hold")  # one model shows nothing
+    assert "confidence" not in said(
+        pd.DataFrame(runs[10:20]), "prediction hold"
+    )  # one model shows nothing
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
-    runs = [row(run="m", plant="DCMotor"), row(run="t", plant="CascadedTanks", settling_time_mean_s=70.0)]
+    runs = [
+        row(run="m", plant="DCMotor"),
+        row(run="t", plant="CascadedTanks", settling_time_mean_s=70.0),
+    ]
     text = said(pd.DataFrame(runs), "best")
     assert "DC motor: m. Both" in text
     assert "Cascaded tanks: t. Both" in text
 
 
 def test_without_a_certified_run_that_settles_none_is_called_best() -> None:
-    assert said(pd.DataFrame([row(stable_fraction=0.9)]), "best").startswith("No run is certified and brings")
+    assert said(pd.DataFrame([row(stable_fraction=0.9)]), "best").startswith(
+        "No run is certified and brings"
+    )
 
 
 def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart() -> None:
@@ -78,7 +114,9 @@ def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart()
     text = said(pd.DataFrame([row(), beyond, missed]), "feasibility")
     assert "1 of 3 requests lie beyond it, and none of those was certified" in text
     assert "certified for is 0.3 per sample" in text
-    two = said(pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}]), "feasibility")
+    two = said(
+        pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}]), "feasibility"
+    )
     assert "certified for is from 0.25 to 0.3 per sample" in two
     assert "Inside it, 1 got no certificate" in text
     assert "2 runs are infeasible, which" in said(pd.DataFrame([row(), beyond, missed]), "failed")
@@ -89,23 +127,36 @@ def test_the_observers_frontier_is_told_where_a_request_went_beyond_it() -> None
     inside = row(rate_observer=0.1, observer_rate_limit=0.5)
     beyond = row(rate_observer=0.7, observer_rate_limit=0.5, observer_certified=None)
     assert "observer" not in said(pd.DataFrame([inside]), "feasibility")
-    assert "any observer can be certified for is 0.5" in said(pd.DataFrame([inside, beyond]), "feasibility")
+    assert "any observer can be certified for is 0.5" in said(
+        pd.DataFrame([inside, beyond]), "feasibility"
+    )
 
 
 def test_where_all_settle_fit_is_held_against_time() -> None:
     runs = [row(fit_test_percent=80.0 + k, settling_time_mean_s=0.3 - 0.01 * k) for k in range(5)]
-    assert "fit and settling time have a rank correlation of -1.00" in said(pd.DataFrame(runs), "better fit")
+    assert "fit and settling time have a rank correlation of -1.00" in said(
+        pd.DataFrame(runs), "better fit"
+    )
 
 
 def test_the_prediction_is_scored_on_both_sides() -> None:
-    missed = [row(mismatch_margin=2.0, predicted_stable=False, stable_fraction=share) for share in (1, 0)]
-    text = said(pd.DataFrame([row(mismatch_margin=0.5, predicted_stable=True), *missed]), "prediction hold")
-    assert text.startswith("Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it")
+    missed = [
+        row(mismatch_margin=2.0, predicted_stable=False, stable_fraction=share) for share in (1, 0)
+    ]
+    text = said(
+        pd.DataFrame([row(mismatch_margin=0.5, predicted_stable=True), *missed]), "prediction hold"
+    )
+    assert text.startswith(
+        "Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it"
+    )
     assert "Where it was not, every start settles in 1 of 2 runs" in text
 
 
 def test_a_plant_lost_under_a_certificate_is_told_among_what_failed() -> None:
-    lost, broken = row(stable_fraction=0.5), row(status="failed", error_message="model.order = 0: too small; use 8.")
+    lost, broken = (
+        row(stable_fraction=0.5),
+        row(status="failed", error_message="model.order = 0: too small; use 8."),
+    )
     text = said(pd.DataFrame([row(), lost, broken]), "What failed")
     assert "1 of 3 runs ended with an error, 1 of them with: model.order = 0" in text
     assert "1 certified run does not settle: both certificates hold" in text
@@ -125,11 +176,20 @@ def test_what_differs_between_runs_is_named_with_its_values() -> None:
 
 
 def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() -> None:
-    by_auto = {"synthesis_method": "auto", "rates_chosen": "controller, observer", "rate_observer": 0.2}
+    by_auto = {
+        "synthesis_method": "auto",
+        "rates_chosen": "controller, observer",
+        "rate_observer": 0.2,
+    }
     requested = by_auto | {"rates_chosen": "observer"}
-    rows = [row(**by_auto) | {"rate_controller": rate, "seed": k} for k, rate in enumerate((0.22, 0.31))]
+    rows = [
+        row(**by_auto) | {"rate_controller": rate, "seed": k} for k, rate in enumerate((0.22, 0.31))
+    ]
     assert swept(pd.DataFrame(rows)) == ["seed"], "what auto chose is a result"
-    rows += [row(**requested) | {"rate_controller": rate, "seed": 0, "rate_observer": rate} for rate in (0.1, 0.3)]
+    rows += [
+        row(**requested) | {"rate_controller": rate, "seed": 0, "rate_observer": rate}
+        for rate in (0.1, 0.3)
+    ]
     table = pd.DataFrame(rows)
     assert parameters_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."
     assert question(table) == "What changes with the controller rate?"

@@ -21,7 +21,9 @@ def table(name: str) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(name: str, tmp_path: Path) -> None:
+def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(
+    name: str, tmp_path: Path
+) -> None:
     files = []
     for folder in (tmp_path / "once", tmp_path / "again"):
         with style.paper():
@@ -54,4 +56,6 @@ def test_every_method_of_the_table_has_its_line(name: str) -> None:
     drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
     for method, group in rows.groupby("method"):
         label = synthesis_figures.METHODS[str(method)][0]
-        np.testing.assert_array_equal(drawn[label], group["gain_norm" if name == "gain_norm" else "measured"])
+        np.testing.assert_array_equal(
+            drawn[label], group["gain_norm" if name == "gain_norm" else "measured"]
+        )

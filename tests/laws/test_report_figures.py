@@ -1,4 +1,5 @@
-"""Every figure draws on the smoke study, on runs of every kind, on an empty study and on one with failures only."""
+"""Every figure draws on the smoke study, on runs of every kind, on an empty study and on one with
+failures only."""
 
 import json
 import os
@@ -19,13 +20,19 @@ from ssm_study.report.figures import learned_dead_zone
 from ssm_study.report.study_folder import RunFolder, StudyFolder
 from ssm_study.table.rank import best_first
 
-STUDIES = {"runs": report_tables.table(40), "empty": report_tables.empty(), "failures": report_tables.failures()}
+STUDIES = {
+    "runs": report_tables.table(40),
+    "empty": report_tables.empty(),
+    "failures": report_tables.failures(),
+}
 
 
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("studies")
-    folders = {name: report_tables.write_study(root / name, table) for name, table in STUDIES.items()}
+    folders = {
+        name: report_tables.write_study(root / name, table) for name, table in STUDIES.items()
+    }
     best = best_first(STUDIES["runs"]).iloc[0]["run"]
     random_run(folders["runs"] / best, kind="mlp", channels=1, seed=1)
     write_recordings(folders["runs"] / best)
@@ -34,7 +41,8 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="session")
 def smoke_copy(smoke_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The finished smoke study, its run and its table as they are, in a folder of one's own to draw into."""
+    """The finished smoke study, its run and its table as they are, in a folder of one's own to draw
+    into."""
     return Path(shutil.copytree(smoke_study, tmp_path_factory.mktemp("figures") / "smoke"))
 
 
@@ -48,7 +56,10 @@ def test_every_figure_draws_png_and_pdf(studies: dict[str, Path], name: str) -> 
     png, pdf = figures.draw([name], studies["runs"])
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
-    assert f"![{name}]({name}.png)\n\n**{name}.** {figures.caption(name)}" in png.with_name("captions.md").read_text()
+    assert (
+        f"![{name}]({name}.png)\n\n**{name}.** {figures.caption(name)}"
+        in png.with_name("captions.md").read_text()
+    )
 
 
 @pytest.mark.parametrize("kind", ["empty", "failures"])
@@ -62,16 +73,27 @@ def test_nothing_is_drawn_of_what_a_study_has_not_and_each_reason_is_a_sentence(
     assert not (studies[kind] / "figures").exists()
 
 
-NEEDS_SEVERAL = {"robustness", "peers", "rates", "fit_against_stability", "feasibility_map"}  # runs or controllers
+NEEDS_SEVERAL = {
+    "robustness",
+    "peers",
+    "rates",
+    "fit_against_stability",
+    "feasibility_map",
+}  # runs or controllers
 
 
-def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(smoke_copy: Path) -> None:
+def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(
+    smoke_copy: Path,
+) -> None:
     drawn = {path.stem for path in figures.draw(None, smoke_copy)}
     assert drawn == set(figures.names()) - NEEDS_SEVERAL
 
 
-def test_one_situation_is_no_robustness(monkeypatch: pytest.MonkeyPatch, studies: dict[str, Path]) -> None:
-    """The peers are compared in the nominal one alone: what would be drawn is a wall of one colour."""
+def test_one_situation_is_no_robustness(
+    monkeypatch: pytest.MonkeyPatch, studies: dict[str, Path]
+) -> None:
+    """The peers are compared in the nominal one alone: what would be drawn is a wall of one
+    colour."""
     whole = StudyFolder(folder=studies["runs"]).comparison
     nominal = whole[whole["situation"] == "nominal"]
     assert len(nominal) < len(whole)
@@ -81,25 +103,40 @@ def test_one_situation_is_no_robustness(monkeypatch: pytest.MonkeyPatch, studies
     assert "several situations" in told[0]
 
 
-def test_the_figure_of_the_fit_shows_the_test_record_first_and_validation_below(smoke_copy: Path) -> None:
+def test_the_figure_of_the_fit_shows_the_test_record_first_and_validation_below(
+    smoke_copy: Path,
+) -> None:
     panels = drawn("validation_trajectory", smoke_copy).axes
-    assert [panel.lines[0].get_label() for panel in panels[:2]] == ["test record", "validation record"]
+    assert [panel.lines[0].get_label() for panel in panels[:2]] == [
+        "test record",
+        "validation record",
+    ]
     assert len(panels) == 3
 
 
-def test_the_figures_after_a_run_are_its_own_and_not_the_bests(studies: dict[str, Path], monkeypatch) -> None:
+def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
+    studies: dict[str, Path], monkeypatch
+) -> None:
     """Until another run's stand in their place: then the run is told again, and drawn again."""
     folder, names = studies["runs"], ("closed_loop_responses",)
     runs = STUDIES["runs"]
     best = best_first(runs).iloc[0]["run"]
-    record = runs[(runs["status"] == "ok") & (runs["run"] != best)].astype(object).iloc[0].dropna().to_dict()
+    record = (
+        runs[(runs["status"] == "ok") & (runs["run"] != best)]
+        .astype(object)
+        .iloc[0]
+        .dropna()
+        .to_dict()
+    )
     random_run(folder / record["run"], kind="mlp", channels=1, seed=2)
     write_recordings(folder / record["run"], seed=1)
     others = figures.draw(names, folder)[0].read_bytes()
     monkeypatch.setattr("ssm_study.table.gather.gather", lambda _: runs)
     pictures = [folder / "figures" / f"{names[0]}.{kind}" for kind in ("png", "pdf")]
     told = folder / "told.json"
-    assert str(pictures[0].relative_to(folder)) in endings._outcome(folder, record, names, pictures, 80)
+    assert str(pictures[0].relative_to(folder)) in endings._outcome(
+        folder, record, names, pictures, 80
+    )
     told.write_text("[1]")
     own = pictures[0].read_bytes()
     assert own == figures.draw(names, folder, run=record["run"])[0].read_bytes()
@@ -118,15 +155,23 @@ def test_the_same_files_give_the_same_bytes(studies: dict[str, Path], name: str)
 
 
 @pytest.mark.parametrize("name", figures.names())
-def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(studies: dict[str, Path], name: str) -> None:
+def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(
+    studies: dict[str, Path], name: str
+) -> None:
     figure = drawn(name, studies["runs"])
     assert figure.get_size_inches()[0] in (style.COLUMN_IN, style.PAGE_IN)
     for axes in figure.axes:
-        assert axes.axison, "the study has what this figure needs, yet it says there is nothing to draw"
+        assert axes.axison, (
+            "the study has what this figure needs, yet it says there is nothing to draw"
+        )
         place = axes.get_subplotspec()  # None: a colour bar, which has one axis
-        lowest = place and (place.is_last_row() or not axes.get_shared_x_axes().joined(axes, figure.axes[-1]))
+        lowest = place and (
+            place.is_last_row() or not axes.get_shared_x_axes().joined(axes, figure.axes[-1])
+        )
         for label in [axes.get_ylabel()] + ([axes.get_xlabel()] if lowest else []):
-            assert "(" in label or label in UNITLESS or (label == "" and name == "peers"), f"{label!r} has no unit"
+            assert "(" in label or label in UNITLESS or (label == "" and name == "peers"), (
+                f"{label!r} has no unit"
+            )
 
 
 def test_a_rate_without_certificate_is_no_bound(studies: dict[str, Path], tmp_path: Path) -> None:
@@ -139,12 +184,19 @@ def test_a_rate_without_certificate_is_no_bound(studies: dict[str, Path], tmp_pa
     assert said == ["not certified, r = 0.894", "bound, r = 0.894"]
 
 
-def test_of_a_model_with_neurons_it_is_not_said_that_there_is_none(studies: dict[str, Path], tmp_path: Path) -> None:
+def test_of_a_model_with_neurons_it_is_not_said_that_there_is_none(
+    studies: dict[str, Path], tmp_path: Path
+) -> None:
     folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
     path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "model.json"
     path.write_text(json.dumps(structured_cases.model().to_json()))
     told: list[str] = []
-    assert figures.draw(["certified_decay", "hankel_spectrum", "learned_dead_zone"], folder, told.append) == []
+    assert (
+        figures.draw(
+            ["certified_decay", "hankel_spectrum", "learned_dead_zone"], folder, told.append
+        )
+        == []
+    )
     assert all(sentence.endswith("model without neurons.") for sentence in told)
 
 
@@ -157,7 +209,9 @@ def test_every_figure_has_a_caption() -> None:
 
 
 def test_an_unknown_figure_is_refused_with_the_choices(studies: dict[str, Path]) -> None:
-    with pytest.raises(BadRequest, match=r"only = pie_chart: there is no such figure; choose among .*rates"):
+    with pytest.raises(
+        BadRequest, match=r"only = pie_chart: there is no such figure; choose among .*rates"
+    ):
         figures.draw(["pie_chart"], studies["runs"])
 
 
@@ -170,8 +224,11 @@ def drawn(name: str, folder: Path) -> Figure:
     return figures.drawn(name, StudyFolder(folder=folder))
 
 
-def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_configured(tmp_path: Path) -> None:
-    """Beside recorded data the loop runs on the identified model, whose band is another than the group's default."""
+def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_configured(
+    tmp_path: Path,
+) -> None:
+    """Beside recorded data the loop runs on the identified model, whose band is another than the
+    group's default."""
     run = RunFolder(path=write_recordings(tmp_path))
     (tmp_path / ".hydra").mkdir()
     (tmp_path / ".hydra" / "config.yaml").write_text("plant: {settling_band: 9.0}")
@@ -181,9 +238,11 @@ def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_con
 
 
 def test_a_recording_has_no_true_dead_zone() -> None:
-    """The plant's group has a default beside recorded data too; its curve is nobody's truth there."""
+    """The plant's group has a default beside recorded data too; its curve is nobody's truth
+    there."""
     simulated, recorded = (
-        {"data": {"_target_": f"x.{name}"}, "plant": {"dead_zone_v": 0.4}} for name in ("SimulatedData", "Rehearsal")
+        {"data": {"_target_": f"x.{name}"}, "plant": {"dead_zone_v": 0.4}}
+        for name in ("SimulatedData", "Rehearsal")
     )
     assert learned_dead_zone.known_dead_zone(simulated) == (0.4, 0.0)
     assert learned_dead_zone.known_dead_zone(recorded) == (None, 0.0)

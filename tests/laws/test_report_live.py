@@ -1,4 +1,5 @@
-"""The live page: it shows what the records say now, only to this machine, and refuses what it cannot serve."""
+"""The live page: it shows what the records say now, only to this machine, and refuses what it
+cannot serve."""
 
 import json
 from collections.abc import Iterator
@@ -22,10 +23,14 @@ def study(tmp_path: Path) -> Path:
     folder = tmp_path / "sweep"
     for k, row in enumerate(report_tables.table(3).to_dict("records")):
         known = {
-            name: value for name, value in row.items() if isinstance(value, (bool, int, float, str)) and value == value
+            name: value
+            for name, value in row.items()
+            if isinstance(value, (bool, int, float, str)) and value == value
         }
         (folder / f"run{k}").mkdir(parents=True)
-        write_record(folder / f"run{k}", known | {"study": "sweep", "run": f"run{k}", "status": "ok"})
+        write_record(
+            folder / f"run{k}", known | {"study": "sweep", "run": f"run{k}", "status": "ok"}
+        )
     return folder
 
 
@@ -46,7 +51,10 @@ def test_it_follows_the_records(study: Path, address: str) -> None:
     assert "run2" in page
     assert "connect-src 'self'" in page, "without it the page may not ask for the state"
     (study / "run3").mkdir()
-    write_record(study / "run3", {"study": "sweep", "run": "run3", "status": "failed", "error_message": "no memory"})
+    write_record(
+        study / "run3",
+        {"study": "sweep", "run": "run3", "status": "failed", "error_message": "no memory"},
+    )
     after = json.load(urlopen(f"{address}state"))
     assert after["line"] == "Live: 4 runs: 1 failed, 3 ok"
     assert after["mark"] != before["mark"], "the page reloads itself by this"
@@ -58,7 +66,9 @@ def test_nothing_else_is_served(address: str) -> None:
         urlopen(f"{address}runs.csv")
 
 
-def test_a_taken_port_and_a_missing_study_are_refused(study: Path, address: str, tmp_path: Path) -> None:
+def test_a_taken_port_and_a_missing_study_are_refused(
+    study: Path, address: str, tmp_path: Path
+) -> None:
     with pytest.raises(BadRequest, match="port"):
         serve(study, int(address.rsplit(":", 1)[1].strip("/")), print)
     with pytest.raises(BadRequest, match="no such study folder"):

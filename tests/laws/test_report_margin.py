@@ -25,7 +25,9 @@ def designs(count: int = 60) -> pd.DataFrame:
             "controller_radius": rng.uniform(0.5, 1.3, count),
             "noise_peak": rng.uniform(0.0, 1.3, count),
             "kind": np.where(settled, "settled", "lost"),
-            "relative_time": np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count)),
+            "relative_time": np.where(
+                rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count)
+            ),
         }
     )
 
@@ -41,10 +43,16 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
 
 def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_margin():
     table = designs()
-    score, stable = loop_margin_figures.prediction_score(table), (table.controller_radius < 1) & (table.noise_peak < 1)
+    score, stable = (
+        loop_margin_figures.prediction_score(table),
+        (table.controller_radius < 1) & (table.noise_peak < 1),
+    )
     assert ((score > 0.5) == (stable & (table.resolved_margin > 1))).all()
     assert score[stable].min() >= score[~stable].max()
-    assert (np.argsort(score[stable], kind="stable") == np.argsort(table.resolved_margin[stable], kind="stable")).all()
+    assert (
+        np.argsort(score[stable], kind="stable")
+        == np.argsort(table.resolved_margin[stable], kind="stable")
+    ).all()
 
 
 def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
@@ -65,4 +73,6 @@ def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
     with style.paper():
         roc, settling = loop_margin_figures.roc(table), loop_margin_figures.settling(table)
     assert len(roc.axes[0].lines) == 1  # the diagonal
-    assert sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections) == len(table)
+    assert sum(
+        len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections
+    ) == len(table)

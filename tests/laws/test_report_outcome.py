@@ -1,4 +1,5 @@
-"""The end-of-run table: 80 columns, plain in a pipe, coloured on a terminal, and never silent about why."""
+"""The end-of-run table: 80 columns, plain in a pipe, coloured on a terminal, and never silent about
+why."""
 
 import io
 from pathlib import Path
@@ -15,7 +16,12 @@ RECORDS = TABLE.where(TABLE.notna(), None).to_dict("records")
 
 def printed(record: dict[str, Any], *figures: Path, terminal: bool = False) -> str:
     stream = io.StringIO()
-    console = Console(file=stream, width=200, force_terminal=terminal, color_system="standard" if terminal else None)
+    console = Console(
+        file=stream,
+        width=200,
+        force_terminal=terminal,
+        color_system="standard" if terminal else None,
+    )
     print_outcome(record, figures, console)
     return stream.getvalue()
 
@@ -43,30 +49,58 @@ def test_an_outcome_that_cannot_be_judged_is_no_success_in_its_colour() -> None:
 
 def test_every_number_of_the_argument_is_there() -> None:
     record = a_run("ok") | {"fit_test_percent": 91.27, "stable_count": 9, "initial_conditions": 10}
-    record |= {"settling_time_mean_s": 0.07, "settling_time_open_loop_s": 0.21, "controller_rate_limit": 0.3141}
+    record |= {
+        "settling_time_mean_s": 0.07,
+        "settling_time_open_loop_s": 0.21,
+        "controller_rate_limit": 0.3141,
+    }
     text = printed(record)
-    for words in ("91.3 %", "9 of 10", "ratio 0.33", "at most 0.314: certified", "Prediction", "Slopes of S_u"):
+    for words in (
+        "91.3 %",
+        "9 of 10",
+        "ratio 0.33",
+        "at most 0.314: certified",
+        "Prediction",
+        "Slopes of S_u",
+    ):
         assert words in text, words
 
 
 def test_it_says_who_chose_each_rate() -> None:
-    text = printed(a_run("ok") | {"synthesis_method": "auto", "rates_chosen": "observer", "rate_controller": 0.123})
+    text = printed(
+        a_run("ok")
+        | {"synthesis_method": "auto", "rates_chosen": "observer", "rate_controller": 0.123}
+    )
     assert "0.123 requested, at most" in text
     assert "0.2 chosen by auto, at most" in text
 
 
 def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
-    text = printed(a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21})
+    text = printed(
+        a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21}
+    )
     assert " of 10 on the identified model" in " ".join(text.split())
     assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
 
 
 def test_a_run_that_settles_on_the_model_alone_is_not_said_to_settle_on_the_plant() -> None:
-    settled = a_run("ok") | {"controller_certified": True, "observer_certified": True, "stable_fraction": 1.0}
-    for loop_on, more in (("identified model", ", on the identified model"), ("plant", ""), (None, "")):
+    settled = a_run("ok") | {
+        "controller_certified": True,
+        "observer_certified": True,
+        "stable_fraction": 1.0,
+    }
+    for loop_on, more in (
+        ("identified model", ", on the identified model"),
+        ("plant", ""),
+        (None, ""),
+    ):
         for fraction in (1.0, 0.5):
-            text = printed(settled | {"loop_on": loop_on, "stable_fraction": fraction}).split("Fit on")[0]
-            assert (", on the identified model" in " ".join(text.split())) is (bool(more) and fraction == 1.0)
+            text = printed(settled | {"loop_on": loop_on, "stable_fraction": fraction}).split(
+                "Fit on"
+            )[0]
+            assert (", on the identified model" in " ".join(text.split())) is (
+                bool(more) and fraction == 1.0
+            )
 
 
 def test_the_prediction_says_what_it_rests_on() -> None:
@@ -74,19 +108,27 @@ def test_the_prediction_says_what_it_rests_on() -> None:
     for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):
         text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
         assert f"Prediction for the plant {words}: margin 1.24 > 1, own radius 0.931 < 1" in text
-    missed = " ".join(printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split())
+    missed = " ".join(
+        printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split()
+    )
     assert "margin 0.98 ≤ 1, own radius 1 ≥ 1" in missed
-    noisy = " ".join(printed(a_run("ok") | known | {"predicted_stable": False, "noise_peak": 1.562}).split())
+    noisy = " ".join(
+        printed(a_run("ok") | known | {"predicted_stable": False, "noise_peak": 1.562}).split()
+    )
     assert "own radius 0.931 < 1, the noise reaches 1.56 ≥ 1 of the band" in noisy
 
 
 def test_a_path_is_never_broken() -> None:
     path = Path("results") / ("long_" * 20) / "figures" / "closed_loop_responses.png"
-    assert printed(a_run("ok"), path, path.with_suffix(".pdf")).splitlines()[-1] == f"  {path}, .pdf"
+    assert (
+        printed(a_run("ok"), path, path.with_suffix(".pdf")).splitlines()[-1] == f"  {path}, .pdf"
+    )
 
 
 def test_a_failed_run_shows_its_message_and_no_empty_lines() -> None:
-    text = printed(a_run("failed") | {"error_message": "model.order = 0: must be at least 1; use 8."})
+    text = printed(
+        a_run("failed") | {"error_message": "model.order = 0: must be at least 1; use 8."}
+    )
     assert "model.order = 0: must be at least 1; use 8." in text
     assert "Prediction" not in text
 
@@ -113,7 +155,10 @@ def test_outputs_that_share_no_range_are_not_given_one() -> None:
     """Two levels that rest apart: `from outputs 6.54 to 6.26` would be of neither."""
     record = a_run("ok") | {"limit_lower": 2.16, "limit_upper": 4.14, "limited_rate": 0.1}
     told = " ".join(printed(record | {"unlimited_from": None, "unlimited_to": None}).split())
-    assert "2.16 to 4.14: rate 0.1 from everywhere, the full rate from a range of each output (see the" in told
+    assert (
+        "2.16 to 4.14: rate 0.1 from everywhere, the full rate from a range of each output (see the"
+        in told
+    )
 
 
 def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None:

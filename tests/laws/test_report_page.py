@@ -1,4 +1,5 @@
-"""The report page in a real browser: it loads from disk without a request, sorts, filters, brushes, is accessible."""
+"""The report page in a real browser: it loads from disk without a request, sorts, filters, brushes,
+is accessible."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,12 +25,16 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = report_tables.table(RUNS)
     table["error_message"] = None
     table.loc[table.status == "failed", "error_message"] = HOSTILE
-    table["run"] = table["run"].where(table.index != best_first(table).index[0], "order8-width8-seed0-0123456789")
+    table["run"] = table["run"].where(
+        table.index != best_first(table).index[0], "order8-width8-seed0-0123456789"
+    )
     folder = report_tables.write_study(tmp_path_factory.mktemp("study") / "sweep", table)
     best, second = best_first(table)["run"].head(2)
     write_recordings(random_run(folder / best, kind="mlp", channels=1, seed=1))
     designs = [f"{k},{0.3 + 0.2 * k},{int(k > 2)}.0" for k in range(6)]
-    (folder / second / "comparison.csv").write_text("design,mismatch_margin,stable_fraction\n" + "\n".join(designs))
+    (folder / second / "comparison.csv").write_text(
+        "design,mismatch_margin,stable_fraction\n" + "\n".join(designs)
+    )
     return write_page(folder)
 
 
@@ -47,7 +52,9 @@ def opened(browser: Any, page: Path) -> Any:
 
 
 def shown(driver: Any) -> int:
-    return int(driver.execute_script("return document.getElementById('count').textContent").split()[0])
+    return int(
+        driver.execute_script("return document.getElementById('count').textContent").split()[0]
+    )
 
 
 def column(driver: Any, name: str) -> list[Any]:
@@ -55,8 +62,12 @@ def column(driver: Any, name: str) -> list[Any]:
     return driver.execute_script(script, name)
 
 
-def test_it_loads_from_disk_without_error_or_request_and_runs_nothing_from_a_record(opened: Any) -> None:
-    assert [entry for entry in opened.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")] == []
+def test_it_loads_from_disk_without_error_or_request_and_runs_nothing_from_a_record(
+    opened: Any,
+) -> None:
+    assert [
+        entry for entry in opened.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")
+    ] == []
     assert opened.execute_script("return performance.getEntriesByType('resource').length") == 0
     assert opened.execute_script("return window.hacked ?? null") is None
     assert shown(opened) == RUNS
@@ -68,7 +79,9 @@ def test_the_table_sorts_both_ways_by_click(opened: Any) -> None:
     button = "[data-column=fit_test_percent]"
     for direction in ("ascending", "descending"):
         opened.find_element("css selector", button).click()
-        wait_for(opened, f"document.querySelector('{button}').parentElement.ariaSort === '{direction}'")
+        wait_for(
+            opened, f"document.querySelector('{button}').parentElement.ariaSort === '{direction}'"
+        )
         values = column(opened, "fit_test_percent")
         assert values == sorted(values, reverse=direction == "descending")
         assert None not in values, "missing values come last, whichever way"
@@ -92,7 +105,11 @@ def test_a_brush_in_one_plot_filters_the_table_and_every_other_plot(opened: Any)
 
     canvas = opened.find_element("css selector", "#plots canvas")
     opened.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
-    drag = ActionChains(opened, duration=60).move_to_element_with_offset(canvas, -60, -60).click_and_hold()
+    drag = (
+        ActionChains(opened, duration=60)
+        .move_to_element_with_offset(canvas, -60, -60)
+        .click_and_hold()
+    )
     drag.move_by_offset(60, 50).move_by_offset(60, 50).release().perform()
     wait_for(opened, f"!document.getElementById('count').textContent.startsWith('{RUNS} ')")
     low, high = opened.execute_script("return state.brushes[0].fit_test_percent")
@@ -126,7 +143,10 @@ def test_an_axis_of_whole_numbers_has_whole_ticks(browser: Any, tmp_path: Path) 
     labels = """const labels = (item) => item.role === 'axis-label' ? item.items.map((one) => one.text)
       : (item.items || []).flatMap(labels);
       return labels(VIEWS.at(-1).scenegraph().root)"""
-    wait_for(browser, "VIEWS.at(-1).scale('x').domain()[0] > 1 && VIEWS.at(-1).scale('x').domain()[1] < 5")
+    wait_for(
+        browser,
+        "VIEWS.at(-1).scale('x').domain()[0] > 1 && VIEWS.at(-1).scale('x').domain()[1] < 5",
+    )
     assert [text for text in browser.execute_script(labels) if float(text) < 5] == ["2", "3", "4"]
 
 
@@ -140,7 +160,9 @@ def test_a_run_opens_and_closes_from_the_keyboard(opened: Any) -> None:
     assert opened.execute_script("return document.activeElement.textContent") == name
     opened.switch_to.active_element.send_keys(Keys.ESCAPE)
     wait_for(opened, "document.getElementById('run').hidden")
-    assert opened.execute_script("return document.activeElement.textContent") == name, "focus returns to where it was"
+    assert opened.execute_script("return document.activeElement.textContent") == name, (
+        "focus returns to where it was"
+    )
 
 
 def test_a_run_shows_the_controllers_and_the_designs_that_it_compared(opened: Any) -> None:
@@ -167,7 +189,9 @@ def test_the_best_run_of_the_answers_opens_by_its_name(opened: Any) -> None:
 def groups_shown(driver: Any) -> dict[str, list[str]]:
     """The cells of each group's row by its label."""
     cells = "row => Array.from(row.children, c => c.textContent)"
-    rows = driver.execute_script(f"return Array.from(document.querySelectorAll('#groups tbody tr'), {cells})")
+    rows = driver.execute_script(
+        f"return Array.from(document.querySelectorAll('#groups tbody tr'), {cells})"
+    )
     return {row[0]: row[1:] for row in rows}
 
 
@@ -177,22 +201,35 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
         box = opened.find_element("css selector", f"#group-form input[value={name}]")
         if box.is_selected() != (name in ("synthesis_method", "order")):
             opened.execute_script("arguments[0].click()", box)
-    wait_for(opened, "[...document.querySelectorAll('#groups tbody th')].every((c) => c.textContent.includes(' · '))")
-    head = opened.execute_script("return [...document.querySelectorAll('#groups thead th')].map(c => c.textContent)")
+    wait_for(
+        opened,
+        "[...document.querySelectorAll('#groups tbody th')].every((c) => c.textContent.includes(' · '))",
+    )
+    head = opened.execute_script(
+        "return [...document.querySelectorAll('#groups thead th')].map(c => c.textContent)"
+    )
     by, metric = opened.execute_script("return [state.group.by, state.group.metric]")
     table = opened.execute_script("return COLUMNS")
-    place, groups = head.index(opened.execute_script("return DATA.words[arguments[0]]", metric)), groups_shown(opened)
-    assert head[0] == " · ".join(opened.execute_script("return arguments[0].map((n) => DATA.words[n])", by))
+    place, groups = (
+        head.index(opened.execute_script("return DATA.words[arguments[0]]", metric)),
+        groups_shown(opened),
+    )
+    assert head[0] == " · ".join(
+        opened.execute_script("return arguments[0].map((n) => DATA.words[n])", by)
+    )
     assert sum(int(row[0]) for row in groups.values()) == RUNS
     assert len(groups) >= 9, "three orders by three methods"
     for label, row in groups.items():
         here = [
-            " · ".join(f"{table[n][i]:g}" if n != "synthesis_method" else table[n][i] for n in by) for i in range(RUNS)
+            " · ".join(f"{table[n][i]:g}" if n != "synthesis_method" else table[n][i] for n in by)
+            for i in range(RUNS)
         ]
         own = [v for v, s in zip(table[metric], here, strict=True) if s == label and v is not None]
         assert int(row[0]) == here.count(label)
         if own:
-            assert float(row[place - 1].split(" ")[0]) == pytest.approx(sum(own) / len(own), rel=6e-3)
+            assert float(row[place - 1].split(" ")[0]) == pytest.approx(
+                sum(own) / len(own), rel=6e-3
+            )
     every = [v for v in table[metric] if v is not None]
     last = opened.execute_script(
         "return [...document.querySelectorAll('#groups tfoot tr > *')].map(c => c.textContent)"
@@ -202,36 +239,50 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
 
 
 def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
-    table = report_tables.table(12).assign(synthesis_method="auto", rates_chosen="controller, observer")
+    table = report_tables.table(12).assign(
+        synthesis_method="auto", rates_chosen="controller, observer"
+    )
     table.loc[::2, ["rate_controller", "rates_chosen"]] = [0.1, "observer"]
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     browser.execute_script("state.group.by = ['rate_controller']; changed(true)")
     wait_for(browser, "document.querySelectorAll('#groups tbody tr').length === 2")
-    assert {label: row[0] for label, row in groups_shown(browser).items()} == {"0.1": "6", "auto": "6"}
+    assert {label: row[0] for label, row in groups_shown(browser).items()} == {
+        "0.1": "6",
+        "auto": "6",
+    }
 
 
 def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_records_are(
     browser: Any, tmp_path: Path
 ) -> None:
     table = report_tables.table(60)
-    table = table[table["status"] == "ok"].head(1).assign(predicted_stable=True, resolved_margin=2.04, evidence="doubt")
+    table = (
+        table[table["status"] == "ok"]
+        .head(1)
+        .assign(predicted_stable=True, resolved_margin=2.04, evidence="doubt")
+    )
     reasons = "note: One amplitude: the record shows no other. doubt: The record is short."
     table = table.assign(stable_fraction=1.0, stable_count=10, evidence_reasons=reasons)
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
-    lines = browser.execute_script("return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)")
+    lines = browser.execute_script(
+        "return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)"
+    )
     said = "the prediction margin is 2 (above 1 is needed) and the controller's own radius 0.9 (below 1 is needed)."
     assert lines[0] == f"Predicted for the plant\nIt stays stable: {said}"
     assert lines[1].startswith("Seen on the simulated plant\nIt settles in 0.")
     told = "The records leave a doubt. The record is short. Note: One amplitude: the record shows no other."
     assert lines[2:] == [f"Evidence: doubt\n{told}"], "what matters first"
-    hidden = "return ['compare', 'filters', 'beside'].every((id) => document.getElementById(id).hidden)"
+    hidden = (
+        "return ['compare', 'filters', 'beside'].every((id) => document.getElementById(id).hidden)"
+    )
     assert browser.execute_script(hidden), "a single run has nothing to compare"
 
 
 @pytest.mark.parametrize(
-    ("loop_on", "said"), [("plant", "simulated plant"), ("device", "device"), ("identified model", "model")]
+    ("loop_on", "said"),
+    [("plant", "simulated plant"), ("device", "device"), ("identified model", "model")],
 )
 def test_the_first_screen_says_what_the_loop_was_closed_on(
     browser: Any, tmp_path: Path, loop_on: str, said: str
@@ -250,16 +301,21 @@ def test_the_first_screen_says_what_the_loop_was_closed_on(
 def test_every_run_that_came_to_less_than_a_certified_loop_is_listed_with_its_reason(
     browser: Any, tmp_path: Path
 ) -> None:
-    """Of a run without certificate the page said that nothing failed and that every certified controller settled."""
+    """Of a run without certificate the page said that nothing failed and that every certified
+    controller settled."""
     table = report_tables.table(60)
-    table = pd.concat([table[table["status"] == "ok"].head(1)] * 2, ignore_index=True).assign(run=["bare", "untried"])
+    table = pd.concat([table[table["status"] == "ok"].head(1)] * 2, ignore_index=True).assign(
+        run=["bare", "untried"]
+    )
     table["uncertified_reason"] = ["observer: not positive definite", None]
     table["observer_certified"], table["stable_fraction"] = [False, True], [1.0, None]
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     text = browser.execute_script("return document.getElementById('failures').textContent")
     assert "not certified: observer: not positive definite" in text
-    assert "certified, not tried: both certificates hold; the model answers its input at once" in text
+    assert (
+        "certified, not tried: both certificates hold; the model answers its input at once" in text
+    )
     assert "Nothing failed" not in text
 
 
@@ -283,7 +339,14 @@ def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
 def test_menus_list_what_varies_by_the_part_that_it_describes(opened: Any) -> None:
     script = "return [...document.querySelectorAll('#range-column optgroup')].map(g => [g.label, g.children.length])"
     groups = dict(opened.execute_script(script))
-    filled = ["Settings", "Model", "Slopes and linear part", "Design", "Closed loop", "Circumstances"]
+    filled = [
+        "Settings",
+        "Model",
+        "Slopes and linear part",
+        "Design",
+        "Closed loop",
+        "Circumstances",
+    ]
     assert list(groups) == filled, "no empty group"
     listed = "return [...document.querySelectorAll('#range-column option')].map(o => o.value).filter(Boolean)"
     names = opened.execute_script(listed)
@@ -292,7 +355,9 @@ def test_menus_list_what_varies_by_the_part_that_it_describes(opened: Any) -> No
     assert "slope_upper" not in names, "every run has the same"
 
 
-def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(browser: Any, tmp_path: Path) -> None:
+def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(
+    browser: Any, tmp_path: Path
+) -> None:
     table = best_first(report_tables.table(4)).reset_index(drop=True)
     digits = [f"{k:010x}" for k in range(4)]
     table["run"] = [f"order{4 + k // 2}-width8-seed0-{digits[k]}" for k in range(4)]
@@ -311,22 +376,33 @@ def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(browse
     assert browser.execute_script("return document.querySelectorAll('#groups .ring').length") == 1
 
 
-def test_an_infeasible_run_says_on_the_first_screen_why_and_what_is_possible(browser: Any, tmp_path: Path) -> None:
+def test_an_infeasible_run_says_on_the_first_screen_why_and_what_is_possible(
+    browser: Any, tmp_path: Path
+) -> None:
     table = report_tables.table(60)
     table = table[table["status"] == "infeasible"].head(1)
-    table = table.assign(rate_controller=0.6, controller_rate_limit=0.359, infeasible_reason="rate 0.6 is infeasible")
+    table = table.assign(
+        rate_controller=0.6, controller_rate_limit=0.359, infeasible_reason="rate 0.6 is infeasible"
+    )
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     text = browser.execute_script("return document.getElementById('lead').innerText")
     assert "0.359\nlargest rate that can be certified; requested: 0.6" in text
-    assert "Infeasible: no certificate exists at the requested rate. Rate 0.6 is infeasible." in text
+    assert (
+        "Infeasible: no certificate exists at the requested rate. Rate 0.6 is infeasible." in text
+    )
 
 
-def test_a_run_that_requested_no_rate_and_is_not_certified_has_a_first_screen(browser: Any, tmp_path: Path) -> None:
-    """A controller's own rate without the observer's certificate: the page stopped at a number that is not there."""
+def test_a_run_that_requested_no_rate_and_is_not_certified_has_a_first_screen(
+    browser: Any, tmp_path: Path
+) -> None:
+    """A controller's own rate without the observer's certificate: the page stopped at a number that
+    is not there."""
     table = report_tables.table(60)
     table = table[table["status"] == "ok"].head(1)
-    table = table.assign(rate_controller=None, controller_certified_rate=0.1, observer_certified=False)
+    table = table.assign(
+        rate_controller=None, controller_certified_rate=0.1, observer_certified=False
+    )
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'", 5)
     text = browser.execute_script("return document.getElementById('lead').innerText")
@@ -343,8 +419,14 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
         driver.execute_script("choose(0)")
         wait_for(driver, "document.querySelectorAll('#run canvas').length === 4")
         driver.execute_script(axe_script())
-        found = driver.execute_async_script("const done = arguments[0]; axe.run().then(r => done(r.violations))")
-        assert [(v["id"], v["nodes"][0]["html"]) for v in found if v["impact"] in ("serious", "critical")] == []
+        found = driver.execute_async_script(
+            "const done = arguments[0]; axe.run().then(r => done(r.violations))"
+        )
+        assert [
+            (v["id"], v["nodes"][0]["html"])
+            for v in found
+            if v["impact"] in ("serious", "critical")
+        ] == []
         ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
         assert ground == ("rgb(22, 24, 27)" if where == "dark" else "rgb(255, 255, 255)")
         painted = driver.execute_script("return VIEWS.map(view => view.background().toLowerCase())")
@@ -353,14 +435,19 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
             told = driver.execute_script("return document.querySelector('#body .settings')")
             shown = driver.execute_script("return getComputedStyle(arguments[0]).display", told)
             assert shown == "none", "the digits alone tell runs apart"
-            assert driver.execute_script("return arguments[0].nextSibling.textContent", told) == "0123456789"
+            assert (
+                driver.execute_script("return arguments[0].nextSibling.textContent", told)
+                == "0123456789"
+            )
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 
 def test_an_error_without_a_place_to_break_fits_on_a_phone(tmp_path: Path) -> None:
     """The path of a file widened the whole page to 581 pixels."""
     table = report_tables.table(20)
-    table["error_message"] = table["status"].map({"failed": f"no such file: /{'folder/' * 12}log.csv"})
+    table["error_message"] = table["status"].map(
+        {"failed": f"no such file: /{'folder/' * 12}log.csv"}
+    )
     with chromium(tmp_path / "profile", phone=True) as driver:
         driver.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
         wait_for(driver, "document.body.dataset.ready === 'yes'")
@@ -368,9 +455,12 @@ def test_an_error_without_a_place_to_break_fits_on_a_phone(tmp_path: Path) -> No
 
 
 def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:
-    """An axis around the runs alone would leave the plant's own time, a limit or margin one far outside the figure."""
+    """An axis around the runs alone would leave the plant's own time, a limit or margin one far
+    outside the figure."""
     one = report_tables.table(60)
-    one = one[one["settling_time_open_loop_s"].notna() & one["settling_time_mean_s"].notna()].head(1)
+    one = one[one["settling_time_open_loop_s"].notna() & one["settling_time_mean_s"].notna()].head(
+        1
+    )
     one = pd.concat([one, one.assign(run="again")], ignore_index=True)
     browser.get(write_page(report_tables.write_study(tmp_path / "one", one)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
@@ -383,7 +473,9 @@ def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_p
     assert browser.execute_script(bars)[0] > 0, "the bars stand on the axis of the points"
 
 
-@pytest.mark.parametrize("table", [report_tables.empty(), report_tables.failures()], ids=["empty", "failures"])
+@pytest.mark.parametrize(
+    "table", [report_tables.empty(), report_tables.failures()], ids=["empty", "failures"]
+)
 def test_a_study_without_results_still_has_a_page(browser: Any, tmp_path: Path, table: Any) -> None:
     browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
@@ -401,7 +493,9 @@ def test_two_studies_stand_on_one_page(browser: Any, tmp_path: Path) -> None:
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     assert shown(browser) == 8
     wait_for(browser, "document.querySelector('#groups tbody tr') !== null")
-    assert browser.execute_script("return state.group.by") == ["study"], "studies against each other first"
+    assert browser.execute_script("return state.group.by") == ["study"], (
+        "studies against each other first"
+    )
     names = browser.execute_script("return COLUMNS.run")
     assert sum(name.startswith("../second/") for name in names) == 3
 

@@ -8,12 +8,20 @@ from ssm_study.table.rank import best_first, predicted
 
 
 def row(**values: object) -> dict[str, object]:
-    good = {"status": "ok", "controller_certified": True, "observer_certified": True, "stable_fraction": 1.0}
+    good = {
+        "status": "ok",
+        "controller_certified": True,
+        "observer_certified": True,
+        "stable_fraction": 1.0,
+    }
     return good | {"settling_time_mean_s": 0.1, "fit_test_percent": 90.0} | values
 
 
 def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
-    slow, quick = row(run="slow", settling_time_mean_s=0.3), row(run="quick", settling_time_mean_s=0.2)
+    slow, quick = (
+        row(run="slow", settling_time_mean_s=0.3),
+        row(run="quick", settling_time_mean_s=0.2),
+    )
     bare = row(run="bare", settling_time_mean_s=0.01, controller_certified=False)
     lost = row(run="lost", settling_time_mean_s=0.02, stable_fraction=0.9)
     failed = {"run": "failed", "status": "failed"}
@@ -23,13 +31,24 @@ def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
 
 def test_a_baseline_that_is_only_scored_is_identified_not_uncertified() -> None:
     baseline = {"run": "gru", "status": "ok", "fit_test_percent": 95.0}
-    assert words.verdicts(pd.DataFrame([baseline, row(run="ours")])).tolist() == ["identified", "certified, settles"]
+    assert words.verdicts(pd.DataFrame([baseline, row(run="ours")])).tolist() == [
+        "identified",
+        "certified, settles",
+    ]
 
 
 def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
-    untried = {"status": "ok", "controller_certified": True, "observer_certified": True, "fit_test_percent": 95.0}
+    untried = {
+        "status": "ok",
+        "controller_certified": True,
+        "observer_certified": True,
+        "fit_test_percent": 95.0,
+    }
     assert words.verdicts(pd.DataFrame([untried])).tolist() == ["certified, not tried"]
-    assert words.verdicts(pd.DataFrame([untried, row(stable_fraction=0.5)])).tolist()[1] == words.LOST.word
+    assert (
+        words.verdicts(pd.DataFrame([untried, row(stable_fraction=0.5)])).tolist()[1]
+        == words.LOST.word
+    )
 
 
 def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
@@ -39,10 +58,14 @@ def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
 
 def test_counts_add_up() -> None:
     table = report_tables.table(50)
-    assert sum(int(part.split()[0]) for part in words.counts(table).split(": ")[1].split("; ")) == 50
+    assert (
+        sum(int(part.split()[0]) for part in words.counts(table).split(": ")[1].split("; ")) == 50
+    )
     assert words.counts(report_tables.empty()) == "0 runs"
 
 
 def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:
-    unjudged = row(run="unjudged", mismatch_margin=7.9, predicted_stable=None, evidence="cannot judge")
+    unjudged = row(
+        run="unjudged", mismatch_margin=7.9, predicted_stable=None, evidence="cannot judge"
+    )
     assert predicted(pd.DataFrame([unjudged])).tolist() == [False]

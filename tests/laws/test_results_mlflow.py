@@ -11,7 +11,13 @@ from ssm_study.export.mlflow import export_mlflow
 from ssm_study.refusal import BadRequest
 
 RECORDS = (
-    {"run": "a", "status": "ok", "order": 8, "fit_test_percent": 91.5, "controller_certified": True},
+    {
+        "run": "a",
+        "status": "ok",
+        "order": 8,
+        "fit_test_percent": 91.5,
+        "controller_certified": True,
+    },
     {"run": "b", "status": "failed", "error_message": "the solver gave up"},
     {"run": "c", "status": "running"},
 )
@@ -22,7 +28,10 @@ def study(tmp_path: Path) -> Path:
     for record in RECORDS:
         folder = tmp_path / "study" / str(record["run"])
         folder.mkdir(parents=True)
-        times = {"started_utc": "2026-11-21T01:00:00+00:00", "ended_utc": "2026-11-21T01:00:30+00:00"}
+        times = {
+            "started_utc": "2026-11-21T01:00:00+00:00",
+            "ended_utc": "2026-11-21T01:00:30+00:00",
+        }
         write_record(folder, record | times)
     return tmp_path / "study"
 
@@ -32,7 +41,8 @@ def test_every_finished_run_is_written_once(study: Path) -> None:
     assert [export_mlflow(study), export_mlflow(study)] == [2, 0]
     client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{study / 'mlflow.db'}")
     runs = {
-        run.info.run_name: run for run in client.search_runs([client.get_experiment_by_name("study").experiment_id])
+        run.info.run_name: run
+        for run in client.search_runs([client.get_experiment_by_name("study").experiment_id])
     }
     assert set(runs) == {"a", "b"}
     assert runs["a"].data.metrics["fit_test_percent"] == 91.5
@@ -45,7 +55,9 @@ def test_every_finished_run_is_written_once(study: Path) -> None:
     assert export_mlflow(study) == 1
 
 
-def test_without_mlflow_it_says_what_to_install(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mlflow_it_says_what_to_install(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = builtins.__import__
 
     def without(name: str, *arguments: Any, **options: Any) -> Any:

@@ -1,4 +1,5 @@
-"""Gathering and showing: typed columns in the agreed order, missing is null, filters compute nothing."""
+"""Gathering and showing: typed columns in the agreed order, missing is null, filters compute
+nothing."""
 
 import json
 from pathlib import Path
@@ -87,7 +88,9 @@ def test_the_agreed_columns_come_first_with_their_types(study: Path) -> None:
     names = [column.name for column in COLUMNS]
     assert list(table.columns[: len(names)]) == names
     assert list(table.columns[len(names) :]) == sorted(table.columns[len(names) :])
-    assert {column.name: str(table[column.name].dtype) for column in COLUMNS} == {c.name: c.kind for c in COLUMNS}
+    assert {column.name: str(table[column.name].dtype) for column in COLUMNS} == {
+        c.name: c.kind for c in COLUMNS
+    }
     assert set(AGREED.split()) <= set(names)  # scripts rely on these
 
 
@@ -97,12 +100,17 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
     assert table.loc["e", "mismatch_gain"] == float("inf")
     assert table.loc["d", "controller_feasible"] == False  # noqa: E712
     lines = (study / "runs.csv").read_text().splitlines()
-    assert lines[0].startswith("study,run,status,plant,seed,excitation,fold,model,order,hidden_width")
+    assert lines[0].startswith(
+        "study,run,status,plant,seed,excitation,fold,model,order,hidden_width"
+    )
     assert lines[3].startswith("study,c,failed,,,,,,8,,")
 
 
 def test_a_value_of_another_type_is_missing(study: Path) -> None:
-    write_record(study / "c", {"status": "ok", "order": "eight", "fit_test_percent": True, "seed": 1.5, "study": "x"})
+    write_record(
+        study / "c",
+        {"status": "ok", "order": "eight", "fit_test_percent": True, "seed": 1.5, "study": "x"},
+    )
     row = gather(study).set_index("run").loc["c"]
     assert row[["order", "fit_test_percent", "seed"]].isna().all()
     assert row["study"] == "study"
@@ -170,7 +178,9 @@ def test_filters_compare_columns(study: Path, expression: str, runs: str) -> Non
         "(" * 500,
     ],
 )
-def test_filters_evaluate_nothing_else(study: Path, expression: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_filters_evaluate_nothing_else(
+    study: Path, expression: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(study)
     with pytest.raises(BadRequest, match="where"):
         where(gather(study), expression)
@@ -196,8 +206,12 @@ def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixt
     assert "\x1b" not in output
 
 
-def test_a_run_without_certificate_is_listed_with_its_reason(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_record(study / "b", {"status": "ok", "run": "b", "uncertified_reason": "observer: too few digits"})
+def test_a_run_without_certificate_is_listed_with_its_reason(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_record(
+        study / "b", {"status": "ok", "run": "b", "uncertified_reason": "observer: too few digits"}
+    )
     show(study)
     output = capsys.readouterr().out
     assert "not certified b: observer: too few digits" in output
@@ -260,21 +274,39 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
     )
     assert swept(table) == ["plant__step_s", "synthesis__invert_input"]
     assert question(table) == "What changes with plant.step_s and synthesis.invert_input?"
-    assert where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"].tolist() == ["r-3"]
+    assert where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"].tolist() == [
+        "r-3"
+    ]
     heads, *_, last = plain_table(table).splitlines()
-    assert (heads.split(), last.split()) == (["run", "status", "step_s", "invert_input"], ["3", "ok", "0.02", "yes"])
+    assert (heads.split(), last.split()) == (
+        ["run", "status", "step_s", "invert_input"],
+        ["3", "ok", "0.02", "yes"],
+    )
 
 
 def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
     rows = [
-        {"run": f"r-{i}", "status": "ok", "controller_certified": controller, "observer_certified": observer}
-        for i, (controller, observer) in enumerate([(True, True), (True, None), (None, True), (None, None)])
+        {
+            "run": f"r-{i}",
+            "status": "ok",
+            "controller_certified": controller,
+            "observer_certified": observer,
+        }
+        for i, (controller, observer) in enumerate(
+            [(True, True), (True, None), (None, True), (None, None)]
+        )
     ]
-    assert [line.split()[2] for line in plain_table(table_of(rows)).splitlines()[1:]] == ["both", "ctl", "obs", "-"]
+    assert [line.split()[2] for line in plain_table(table_of(rows)).splitlines()[1:]] == [
+        "both",
+        "ctl",
+        "obs",
+        "-",
+    ]
 
 
 def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None:
-    """Two model classes differ in five settings: one says which is which, and the reader wants the fit."""
+    """Two model classes differ in five settings: one says which is which, and the reader wants the
+    fit."""
     rows = [
         {"run": "r-1", "status": "ok", "model": "ssm", "order": 4, "hidden_width": 32, "slope_lower": 0.01,
          "scaffold_in": "monotone", "scaffold_out": "linear", "fit_test_percent": 96.3, "stable_count": 10,
@@ -286,7 +318,9 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
     assert heads[2] == "model"
     assert heads[-5:] == ["settled", "fit", "%", "margin", "predicted"]
     assert "scaffold_out" not in heads
-    assert "scaffold_out" in plain_table(table_of(rows), width=160).splitlines()[0]  # where there is room
+    assert (
+        "scaffold_out" in plain_table(table_of(rows), width=160).splitlines()[0]
+    )  # where there is room
 
 
 def test_one_reason_is_told_once() -> None:
@@ -301,7 +335,14 @@ def test_folds_are_told_with_their_mean_and_deviation() -> None:
     """Other rates and methods of a fold are the same model: they weigh no more than one."""
     scores = [(2, 0, 80.0), (2, 0, 80.0), (2, 1, 90.0), (4, 0, 85.0), (4, 1, None)]
     rows = [
-        {"run": f"r-{k}", "status": "ok", "order": order, "fold": fold, "fit_test_percent": fit, "rate_controller": k}
+        {
+            "run": f"r-{k}",
+            "status": "ok",
+            "order": order,
+            "fold": fold,
+            "fit_test_percent": fit,
+            "rate_controller": k,
+        }
         for k, (order, fold, fit) in enumerate(scores)
     ]
     told = summary(table_of(rows), 5)[2:]
@@ -312,42 +353,71 @@ def test_folds_are_told_with_their_mean_and_deviation() -> None:
 
 def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
     rows = [
-        {"run": f"r-{k}", "status": "infeasible", "infeasible_reason": f"rate {k / 10} of S_u2 is above 0.25; ask 3e-1"}
+        {
+            "run": f"r-{k}",
+            "status": "infeasible",
+            "infeasible_reason": f"rate {k / 10} of S_u2 is above 0.25; ask 3e-1",
+        }
         for k in (9, 4, 7)
     ]
-    assert summary(table_of(rows), 3)[2:] == ["  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"]
+    assert summary(table_of(rows), 3)[2:] == [
+        "  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"
+    ]
 
 
-def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_nearest(study: Path) -> None:
+def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_nearest(
+    study: Path,
+) -> None:
     table = gather(study)
-    assert plain_table(ranked(table, "rmse_test"), "rmse_test").splitlines()[0].split()[:3] == ["run", "status", "rmse"]
+    assert plain_table(ranked(table, "rmse_test"), "rmse_test").splitlines()[0].split()[:3] == [
+        "run",
+        "status",
+        "rmse",
+    ]
     heads = plain_table(ranked(table, "fit_test_percent"), "fit_test_percent").splitlines()[0]
     assert heads.split()[2:4] == ["fit", "%"]
-    for refused in (lambda: ranked(table, "fit_tets_percent"), lambda: where(table, "fit_tets_percent > 1")):
+    for refused in (
+        lambda: ranked(table, "fit_tets_percent"),
+        lambda: where(table, "fit_tets_percent > 1"),
+    ):
         with pytest.raises(BadRequest, match="did you mean fit_test_percent"):
             refused()
 
 
-def test_a_path_in_a_reason_stays_in_one_piece(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_path_in_a_reason_stays_in_one_piece(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """It can be copied out of the terminal, however long."""
     path = "/home/somebody/" + "-a-long-name" * 15
-    write_record(study / "c", {"status": "failed", "error_message": f"cannot read {path}", "run": "c"})
+    write_record(
+        study / "c", {"status": "failed", "error_message": f"cannot read {path}", "run": "c"}
+    )
     show(study)
     assert path in capsys.readouterr().out
 
 
 def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> None:
-    write_record(study / "c", {"status": "failed", "error_message": "=HYPERLINK(1)", "plant": "\x1b[2J", "run": "c"})
+    write_record(
+        study / "c",
+        {"status": "failed", "error_message": "=HYPERLINK(1)", "plant": "\x1b[2J", "run": "c"},
+    )
     table = gather(study)
     assert "'=HYPERLINK(1)" in (study / "runs.csv").read_text()
-    assert table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"  # the table itself says what it was
+    assert (
+        table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"
+    )  # the table itself says what it was
     said = plain_table(table) + "\n".join(summary(table, 5))
     assert "\x1b" not in said
     assert "\\x1b[2J" in said
 
 
 FLAT = st.dictionaries(
-    st.text(), st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+    st.text(),
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
 )
 
 
@@ -388,7 +458,9 @@ def change_something(study: Path, what: str) -> None:
     """What may happen between two gatherings."""
     if what == "new run":
         (study / "f").mkdir()
-        write_record(study / "f", {"status": "ok", "run": "f", "seed": 7, "extra": 2.5, "newly": True})
+        write_record(
+            study / "f", {"status": "ok", "run": "f", "seed": 7, "extra": 2.5, "newly": True}
+        )
     if what == "changed run":
         write_record(study / "c", {"status": "ok", "fit_test_percent": 1.0})
     if what == "removed run":
@@ -400,7 +472,9 @@ def change_something(study: Path, what: str) -> None:
         content[len(content) // 3] ^= 4
         (study / "runs.parquet").write_bytes(content)
     if what == "damaged index":
-        (study / ".gathered.json").write_text((study / ".gathered.json").read_text().replace("0", "1", 1))
+        (study / ".gathered.json").write_text(
+            (study / ".gathered.json").read_text().replace("0", "1", 1)
+        )
     if what == "table by hand":
         (study / "runs.csv").write_text("run\nx\n")
 
@@ -434,7 +508,9 @@ def test_only_what_has_changed_is_read_again(study: Path, monkeypatch: pytest.Mo
 
     read: list[str] = []
     original = module.read_record
-    monkeypatch.setattr(module, "read_record", lambda folder: read.append(folder.name) or original(folder))
+    monkeypatch.setattr(
+        module, "read_record", lambda folder: read.append(folder.name) or original(folder)
+    )
     gather(study)
     gather(study)
     change_something(study, "changed run")

@@ -10,7 +10,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.model_selection import FastestCertified, fastest
+from ssm_study.synthesis.model_selection import LargestCertifiableRate, fastest
 from ssm_study.systems import JacobianBall, StructuredSystem
 from tests.structured_cases import drawn, model
 
@@ -30,24 +30,31 @@ def slower(of: StructuredSSM) -> StructuredSSM:
 
 
 def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_not() -> None:
-    fast, slow, rule = model(), slower(model()), FastestCertified(within_percent=0.3)
+    fast, slow, rule = model(), slower(model()), LargestCertifiableRate(within_percent=0.3)
     found = [trained(slow, 98.0), trained(fast, 97.8), trained(fast, 97.6)]
     assert rule(found) is found[1]
     assert rule([trained(slow, 98.0), trained(fast, 97.6)]).model is slow
-    assert FastestCertified(within_percent=0.0)(found) is found[0]
+    assert LargestCertifiableRate(within_percent=0.0)(found) is found[0]
 
 
 def test_neurons_must_gain_a_percent_point() -> None:
-    """A model without them is kept where it fits nearly as well and is faster to control, not where they gain more."""
-    slow, rule = slower(model()), FastestCertified()
-    none = {"e": slow.e[:, :0], "f": slow.f[:0], "g": slow.g[:0], "h": slow.h[:, :0], "bias": slow.bias[:0]}
+    """A model without them is kept where it fits nearly as well and is faster to control, not where
+    they gain more."""
+    slow, rule = slower(model()), LargestCertifiableRate()
+    none = {
+        "e": slow.e[:, :0],
+        "f": slow.f[:0],
+        "g": slow.g[:0],
+        "h": slow.h[:, :0],
+        "bias": slow.bias[:0],
+    }
     plain = replace(model(), **none, neurons=())
     assert rule([trained(slow, 98.0), trained(plain, 97.1)]).model is plain
     assert rule([trained(slow, 98.0), trained(plain, 96.9)]).model is slow
 
 
 def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None:
-    spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=FastestCertified())
+    spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=LargestCertifiableRate())
     sizes = [(one.order, one.neurons) for one in map(spec.at_start, range(spec.trainings))]
     assert sizes == [(5, 4), (3, 4), (5, 4), (3, 0)]
     best = replace(spec, among_starts=None)
@@ -69,12 +76,16 @@ def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
     limits = [fastest(one.system, certified_balls(one).input) for one in (slow, fast)]
     assert limits[0] < limits[1]
     found = [best, first, second]
-    assert FastestCertified(rate_enough=0.5 * sum(limits))(found) is second
-    assert FastestCertified(rate_enough=0.9 * limits[0])(found) is best
-    assert FastestCertified(rate_enough=0.5 * (1 + limits[1]))(found) is first  # none is: the fastest
+    assert LargestCertifiableRate(rate_enough=0.5 * sum(limits))(found) is second
+    assert LargestCertifiableRate(rate_enough=0.9 * limits[0])(found) is best
+    assert (
+        LargestCertifiableRate(rate_enough=0.5 * (1 + limits[1]))(found) is first
+    )  # none is: the fastest
 
 
-@pytest.mark.parametrize(("name", "value"), [("within_percent", -1.0), ("rate_enough", 1.5), ("rate_enough", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("within_percent", -1.0), ("rate_enough", 1.5), ("rate_enough", 0.0)]
+)
 def test_a_share_or_rate_out_of_range_is_refused(name: str, value: float) -> None:
     with pytest.raises(BadRequest, match=name):
-        FastestCertified(**{name: value})
+        LargestCertifiableRate(**{name: value})

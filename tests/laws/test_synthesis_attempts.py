@@ -1,4 +1,5 @@
-"""Laws of what the methods try in turn: each asks for more than was asked and less than the frontier allows."""
+"""Laws of what the methods try in turn: each asks for more than was asked and less than the
+frontier allows."""
 
 from collections.abc import Callable
 
@@ -6,14 +7,17 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.design import REPAIRS
 from ssm_study.synthesis.frontier import Frontier, frontier
-from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
 from ssm_study.synthesis.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall
 
-BALLS = [JacobianBall(alpha=1.0, beta=0.0), JacobianBall.from_slopes(0.4, 1.0)]  # a frontier at r = 0, one above it
+BALLS = [
+    JacobianBall(alpha=1.0, beta=0.0),
+    JacobianBall.from_slopes(0.4, 1.0),
+]  # a frontier at r = 0, one above it
 
 
 def problem(ball: JacobianBall, rate: float = 0.1) -> Problem:
@@ -27,14 +31,16 @@ def limits(asked: Problem) -> Frontier:
 
 
 def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
-    """How far each lies on the way, in log r, from the asked factor to the frontier, or to half where that is zero."""
+    """How far each lies on the way, in log r, from the asked factor to the frontier, or to half
+    where that is zero."""
     floor = max(limits(asked).contraction_limit, asked.contraction / 2)
     return np.log(np.array(contractions) / asked.contraction) / np.log(floor / asked.contraction)
 
 
 @pytest.mark.parametrize("ball", BALLS)
 def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> None:
-    """As the status of each says; no two are the same matrices, as they would be with scales a power of two apart."""
+    """As the status of each says; no two are the same matrices, as they would be with scales a
+    power of two apart."""
     asked = problem(ball)
     made: list[tuple[float, str]] = []
     built: list[float] = []
@@ -70,15 +76,20 @@ def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: Jacobi
             attempt()
     first, *repairs = tried
     assert first == asked.rate
-    np.testing.assert_allclose(shares(asked, [float(np.sqrt(1 - rate)) for rate in repairs]), REPAIRS)
+    np.testing.assert_allclose(
+        shares(asked, [float(np.sqrt(1 - rate)) for rate in repairs]), REPAIRS
+    )
     assert all(asked.rate < rate < limits(asked).rate_limit for rate in repairs)
     assert repairs == sorted(repairs)  # the mildest first
 
 
 def test_the_smallest_tau_itself_is_not_admissible() -> None:
-    """`kappa = 0`: the equation says nothing of the input, though it still has a solution where A is stable."""
+    """`kappa = 0`: the equation says nothing of the input, though it still has a solution where A
+    is stable."""
     one = np.ones((1, 1))
-    asked = Problem(a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=0.1 * one, input_weight=1.0)
+    asked = Problem(
+        a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=0.1 * one, input_weight=1.0
+    )
     assert at_tau(asked, 1.0) is None
     assert at_tau(asked, 2.0) is not None
 
@@ -93,7 +104,9 @@ def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> N
     np.testing.assert_allclose(guaranteed_cost(asked).k, gain, rtol=1e-6)
 
 
-def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_closed_form() -> None:
+def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_closed_form() -> (
+    None
+):
     asked = problem(BALLS[1])
     method = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
     said = [attempt().status.split()[0] for attempt in method.attempts(asked, limits(asked))[:5]]

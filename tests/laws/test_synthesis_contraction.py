@@ -1,4 +1,5 @@
-"""What a certificate promises, measured: contraction in its metric, the separation bound, Gramians on the way."""
+"""What a certificate promises, measured: contraction in its metric, the separation bound, Gramians
+on the way."""
 
 from dataclasses import replace
 
@@ -12,13 +13,13 @@ from ssm_study.bounds.gramians import (
     local_property,
 )
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design, Observer, StateFeedback
+from ssm_study.certificates.problem import dual
 from ssm_study.loop.certified_bound import certified_bound, distances, violations
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Scale
-from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.synthesis.frontier import controller_frontier
-from ssm_study.certificates.problem import dual
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace
@@ -28,7 +29,8 @@ SEEDS = st.integers(0, 10**6)
 
 def kinked(rng: np.random.Generator, channels: int, lower: float) -> MonotoneScaffold:
     return MonotoneScaffold(
-        breakpoints=np.sort(rng.normal(size=(channels, 6)), axis=1), slopes=rng.uniform(lower, 1, size=(channels, 7))
+        breakpoints=np.sort(rng.normal(size=(channels, 6)), axis=1),
+        slopes=rng.uniform(lower, 1, size=(channels, 7)),
     )
 
 
@@ -55,7 +57,9 @@ def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
     balls = certified_balls(model)
     controller = controller_frontier(model.linear, balls.input).rate_limit
     observer = controller_frontier(dual(model.linear), balls.output).rate_limit
-    design = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer).design(model, balls)
+    design = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer).design(
+        model, balls
+    )
     assert design.certified, design
     return design
 
@@ -63,7 +67,8 @@ def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
 def closed_loop(
     model: SSM, design: Design, seed: int, cases: int = 4, steps: int = 60
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States and estimates of the noise-free model under `u = K xh`, as [Z26] eq. (14) writes it."""
+    """States and estimates of the noise-free model under `u = K xh`, as [Z26] eq. (14) writes
+    it."""
     rng = np.random.default_rng(seed)
     x, xh = rng.normal(size=(cases, 4)), rng.normal(size=(cases, 4))
     states, estimates = [], []
@@ -87,7 +92,10 @@ def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, metho
     assert isinstance(design.observer, Observer)
     assert violations(x, xh, design.state_feedback, design.observer) == 0
     _, error = distances(x, xh, design.state_feedback, design.observer)
-    assert (error[:, 1:] <= design.observer.contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]).all()
+    assert (
+        error[:, 1:]
+        <= design.observer.contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]
+    ).all()
 
 
 def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
@@ -120,7 +128,10 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
     ratios = []
     for _ in range(count):
         v, slope = rng.normal(size=len(metric)), part.alpha + part.beta * rng.choice([-1, 1])
-        ratios.append(np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v))) / np.linalg.norm(root @ v))
+        ratios.append(
+            np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v)))
+            / np.linalg.norm(root @ v)
+        )
     return np.array(ratios)
 
 
@@ -133,14 +144,19 @@ def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
 
 
 def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
-    """The printed proof contracts `delta^T P delta`; for this certificate that grows. The LMI is the dual form."""
+    """The printed proof contracts `delta^T P delta`; for this certificate that grows. The LMI is
+    the dual form."""
     worst = max(steps_in(part.p, part).max() / part.contraction for part in _feedbacks())
     assert worst > 1.05
 
 
 def test_the_rate_is_of_the_square_and_not_of_the_distance() -> None:
-    """[Z26]'s lemma reuses rho as the distance factor; the factor is `sqrt(1 - rho)`, larger than `1 - rho`."""
-    assert any(steps_in(np.linalg.inv(part.p), part).max() > 1.02 * (1 - part.rate) for part in _feedbacks())
+    """[Z26]'s lemma reuses rho as the distance factor; the factor is `sqrt(1 - rho)`, larger than
+    `1 - rho`."""
+    assert any(
+        steps_in(np.linalg.inv(part.p), part).max() > 1.02 * (1 - part.rate)
+        for part in _feedbacks()
+    )
 
 
 def _feedbacks() -> list[StateFeedback]:
@@ -149,8 +165,11 @@ def _feedbacks() -> list[StateFeedback]:
 
 
 def test_singular_values_are_not_enough() -> None:
-    """A falling S_u has singular values in [mu, nu] too; the certificate for the rising ball breaks on it."""
-    linear = StateSpace(a=np.array([[0.99]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    """A falling S_u has singular values in [mu, nu] too; the certificate for the rising ball breaks
+    on it."""
+    linear = StateSpace(
+        a=np.array([[0.99]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
+    )
     rising, falling = JacobianBall.from_slopes(0.5, 1.0), JacobianBall.from_slopes(-1.0, -0.5)
     method = ClosedFormSynthesis(rate_controller=0.5, rate_observer=0.5)
     up, down = method.state_feedback(linear, rising), method.state_feedback(linear, falling)
@@ -163,7 +182,8 @@ def test_singular_values_are_not_enough() -> None:
 
 @given(SEEDS, st.integers(1, 2))
 def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channels: int) -> None:
-    """`mu^2 W' <= W <= nu^2 W'` for the variational dynamics along a random trajectory ([Z26] Propositions 1, 2)."""
+    """`mu^2 W' <= W <= nu^2 W'` for the variational dynamics along a random trajectory ([Z26]
+    Propositions 1, 2)."""
     model, rng, steps = random_ssm(seed, channels), np.random.default_rng(seed), 4
     balls = certified_balls(model)
     w, o = np.zeros((4, 4)), np.zeros((4, 4))
@@ -187,9 +207,15 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
     assert local_property(model.linear.a.T, model.linear.c.T, balls.output).holds
 
 
-@pytest.mark.parametrize(("slopes", "b"), [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)])
-def test_local_controllability_is_not_claimed_without_authority(slopes: tuple[float, float], b: float) -> None:
-    linear = StateSpace(a=np.diag([0.9, 0.5]), b=np.array([[b], [1.0]]), c=np.ones((1, 2)), d=np.zeros((1, 1)))
+@pytest.mark.parametrize(
+    ("slopes", "b"), [((0.0, 1.0), 1.0), ((-0.5, 1.0), 1.0), ((0.5, 1.0), 0.0)]
+)
+def test_local_controllability_is_not_claimed_without_authority(
+    slopes: tuple[float, float], b: float
+) -> None:
+    linear = StateSpace(
+        a=np.diag([0.9, 0.5]), b=np.array([[b], [1.0]]), c=np.ones((1, 2)), d=np.zeros((1, 1))
+    )
     local = local_property(linear.a, linear.b, JacobianBall.from_slopes(*slopes))
     assert not local.holds
     assert local.lower == 0.0

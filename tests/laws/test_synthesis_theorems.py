@@ -1,4 +1,5 @@
-"""The form of theorems: every file answers the same questions, its example is right, and one file is all it takes."""
+"""The form of theorems: every file answers the same questions, its example is right, and one file
+is all it takes."""
 
 import ast
 import copy
@@ -13,13 +14,20 @@ import numpy as np
 import pytest
 
 from ssm_study.certificates.certificate import Design, StateFeedback, digest
-from ssm_study.synthesis.design import broken_claims
 from ssm_study.certificates.theorem import theorem_named
+from ssm_study.synthesis.design import failed_checks
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
-FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "synthesis" / "theorems"
+FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "certificates" / "theorems"
 FILES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")
-QUESTIONS = ("Problem.", "Hypotheses.", "Statement.", "When not to use it.", "Reference.", "Example.")
+QUESTIONS = (
+    "Problem.",
+    "Hypotheses.",
+    "Statement.",
+    "When not to use it.",
+    "Reference.",
+    "Example.",
+)
 
 
 def unanswered(text: str) -> list[str]:
@@ -40,12 +48,14 @@ def test_a_theorem_answers_every_question_in_order(path: Path) -> None:
 def test_a_missing_or_misplaced_answer_is_found() -> None:
     text = (FOLDER / "state_feedback.py").read_text()
     assert unanswered(text.replace("When not to use it.", "Otherwise.")) == ["When not to use it."]
-    assert unanswered(text.replace("Problem.", "Hypotheses.", 1).replace("\nHypotheses. E", "\nProblem. E")) == [
-        "order"
-    ]
+    assert unanswered(
+        text.replace("Problem.", "Hypotheses.", 1).replace("\nHypotheses. E", "\nProblem. E")
+    ) == ["order"]
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem
+)
 def test_a_reference_names_its_equation_or_theorem(path: Path) -> None:
     said = ast.get_docstring(ast.parse(path.read_text())) or ""
     (reference,) = (part for part in said.split("\n\n") if part.startswith("Reference."))
@@ -59,7 +69,9 @@ def test_the_example_prints_what_it_says(path: Path) -> None:
     assert found.failed == 0
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem
+)
 def test_an_example_that_is_wrong_is_found(path: Path) -> None:
     """Negative control: the last line that is printed, altered."""
     said = ast.get_docstring(ast.parse(path.read_text())) or ""
@@ -72,7 +84,9 @@ def test_an_example_that_is_wrong_is_found(path: Path) -> None:
 
 
 def test_a_class_that_leaves_a_question_open_is_refused() -> None:
-    with pytest.raises(TypeError, match=r"does not answer: .*conditions.*given.*numbers_of.*rate_limit_of"):
+    with pytest.raises(
+        TypeError, match=r"does not answer: .*conditions.*given.*numbers_of.*rate_limit_of"
+    ):
 
         class Incomplete(StateFeedback):
             pass
@@ -84,8 +98,10 @@ def test_a_name_that_is_no_theorem_is_refused() -> None:
             theorem_named(name)
 
 
-# One file with matrices of its own: `|M^{1/2} (A + J B K) v| <= r |M^{1/2} v|` for every `J` of the ball of one input,
-# from its two ends: convex in J. Two metrics-to-be stand for two matrices that no other theorem has.
+# One file with matrices of its own: `|M^{1/2} (A + J B K) v| <= r |M^{1/2} v|` for every `J` of the
+# ball of one input,
+# from its two ends: convex in J. Two metrics-to-be stand for two matrices that no other theorem
+# has.
 BOTH_ENDS = '''
 """A state feedback for one input, from both ends of its slopes.
 
@@ -158,7 +174,10 @@ class BothEndsSynthesis(Synthesis):
 '''
 BALLS = Balls(input=JacobianBall.from_slopes(0.5, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
 PLANT = StateSpace(
-    a=np.array([[0.95, 0.1], [-0.1, 0.9]]), b=np.array([[0.0], [1.0]]), c=np.array([[1.0, 0.5]]), d=np.zeros((1, 1))
+    a=np.array([[0.95, 0.1], [-0.1, 0.9]]),
+    b=np.array([[0.0], [1.0]]),
+    c=np.array([[1.0, 0.5]]),
+    d=np.zeros((1, 1)),
 )
 
 
@@ -168,7 +187,8 @@ class Model:
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """`certificate.json` of a design by a theorem that is one file in a scratch folder, loaded as a plug-in."""
+    """`certificate.json` of a design by a theorem that is one file in a scratch folder, loaded as a
+    plug-in."""
     folder = tmp_path_factory.mktemp("mine")
     (folder / "both_ends.py").write_text(BOTH_ENDS)
     with pytest.MonkeyPatch.context() as patch:
@@ -183,7 +203,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict:
 def test_one_file_is_stored_read_back_and_verified(stored: dict) -> None:
     assert stored["state_feedback"]["theorem"] == "both_ends"
     assert stored["state_feedback"]["lambda"] == [1.0, 1.0]
-    assert broken_claims(stored, PLANT, BALLS) == []
+    assert failed_checks(stored, PLANT, BALLS) == []
     again = json.loads(json.dumps(Design.from_json(stored).to_json()))
     assert again == stored
     assert sys.modules["both_ends"].BothEnds is type(Design.from_json(stored).state_feedback)
@@ -208,7 +228,10 @@ def test_tampering_with_it_is_found_though_no_code_elsewhere_knows_it(
 ) -> None:
     content = copy.deepcopy(stored)
     content["state_feedback"][name] = altered
-    assert any("digest" in claim or "certificate." in claim for claim in broken_claims(content, PLANT, BALLS))
+    assert any(
+        "digest" in claim or "certificate." in claim
+        for claim in failed_checks(content, PLANT, BALLS)
+    )
     content["state_feedback"]["certified_rate"] = content["state_feedback"]["rate"]
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
-    assert any(found in claim for claim in broken_claims(content, PLANT, BALLS))
+    assert any(found in claim for claim in failed_checks(content, PLANT, BALLS))

@@ -52,7 +52,9 @@ assert main(["verify", str(run)]) == 0
 def scratch_copy(folder: Path) -> Path:
     """The package and its configuration with two more columns, each written into one file."""
     for name in ("ssm_study", "hydra_plugins", "conf"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*", "*.tmp.*"))  # half written
+        shutil.copytree(
+            ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*", "*.tmp.*")
+        )  # half written
     for file, additions in ADDED.items():
         text = (folder / file).read_text()
         for mark, added in additions.items():
@@ -66,11 +68,21 @@ def test_a_new_column_is_one_file(tmp_path: Path) -> None:
     scratch = scratch_copy(tmp_path / "scratch")
     environment = os.environ | {"PYTHONPATH": str(scratch)}
     command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, cwd=scratch, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=scratch, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     columns = list(pd.read_csv(scratch / "results" / "smoke" / "runs.csv").columns)
-    assert columns.index("training_ended") > columns.index("curve_rows") > columns.index("fit_test_percent")
-    assert columns.index("settling_time_mean_s") > columns.index("input_mean_square") > columns.index("resolved_margin")
+    assert (
+        columns.index("training_ended")
+        > columns.index("curve_rows")
+        > columns.index("fit_test_percent")
+    )
+    assert (
+        columns.index("settling_time_mean_s")
+        > columns.index("input_mean_square")
+        > columns.index("resolved_margin")
+    )
     assert "Mean square of the input (V²)" in done.stdout
     assert "not checked: the curve is not kept" in done.stdout
     assert "declared nowhere" not in done.stdout
@@ -92,10 +104,16 @@ def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
 @pytest.mark.parametrize("folder", COMMITTED, ids=lambda path: path.name)
 def test_show_page_figures_and_answers_name_the_same_run(folder: Path) -> None:
     table = table_of(
-        pd.read_csv(folder / "runs.csv").astype(object).where(lambda t: t.notna(), None).to_dict("records")
+        pd.read_csv(folder / "runs.csv")
+        .astype(object)
+        .where(lambda t: t.notna(), None)
+        .to_dict("records")
     )
     best = ranked(table)["run"].iloc[0]
-    assert plain_table(ranked(table)).splitlines()[1].split()[0] == short_names(ranked(table)["run"]).iloc[0]
+    assert (
+        plain_table(ranked(table)).splitlines()[1].split()[0]
+        == short_names(ranked(table)["run"]).iloc[0]
+    )
     assert best_ordered(table)["run"].iloc[0] == best
     if table["plant"].nunique() < 2:  # else each plant has an answer of its own
         assert best in answers(table)[0].sentences[0]
@@ -104,8 +122,16 @@ def test_show_page_figures_and_answers_name_the_same_run(folder: Path) -> None:
 def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
     rows = [
         {"run": name, "status": "ok", "settling_time_mean_s": seconds, "stable_fraction": 1.0}
-        | {f"{side}_{what}": certified for side in ("controller", "observer") for what in ("feasible", "certified")}
-        for name, seconds, certified in (("slow", 2.0, True), ("quick", 1.0, True), ("bare", 0.1, False))
+        | {
+            f"{side}_{what}": certified
+            for side in ("controller", "observer")
+            for what in ("feasible", "certified")
+        }
+        for name, seconds, certified in (
+            ("slow", 2.0, True),
+            ("quick", 1.0, True),
+            ("bare", 0.1, False),
+        )
     ]
     table = table_of(rows)
     table.to_parquet(tmp_path / "runs.parquet")

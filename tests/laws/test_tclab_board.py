@@ -1,4 +1,5 @@
-"""The example's plant on the board: paced, within 0 to 100 %, off however it ends; a fake board in tclab's place."""
+"""The example's plant on the board: paced, within 0 to 100 %, off however it ends; a fake board in
+tclab's place."""
 
 import os
 import signal
@@ -26,7 +27,8 @@ STEP_S = 10.0
 
 @dataclass
 class FakeBoard:
-    """What `tclab.TCLab()` answers: the laboratory's own equation behind a heater, and the clock it goes by."""
+    """What `tclab.TCLab()` answers: the laboratory's own equation behind a heater, and the clock it
+    goes by."""
 
     plant: Any
     now: float = 0.0
@@ -74,7 +76,9 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 def plant(board: ModuleType) -> Any:  # noqa: ARG001  which finds the package
     from tclab_study.laboratory import TemperatureLab
 
-    settings = yaml.safe_load((PACKAGE / "tclab_study" / "conf" / "plant" / "tclab.yaml").read_text())
+    settings = yaml.safe_load(
+        (PACKAGE / "tclab_study" / "conf" / "plant" / "tclab.yaml").read_text()
+    )
     return TemperatureLab(**{name: value for name, value in settings.items() if name != "_target_"})
 
 
@@ -88,8 +92,11 @@ def fake(board: ModuleType, plant: Any, monkeypatch: pytest.MonkeyPatch) -> Fake
     return made
 
 
-def test_a_record_of_the_board_is_what_its_equation_gives_sample_by_sample(plant: Any, fake: FakeBoard) -> None:
-    """Two routes: the model simulated at once, and the board asked in real time; then the heater is off."""
+def test_a_record_of_the_board_is_what_its_equation_gives_sample_by_sample(
+    plant: Any, fake: FakeBoard
+) -> None:
+    """Two routes: the model simulated at once, and the board asked in real time; then the heater is
+    off."""
     u = np.random.default_rng(0).uniform(0, 100, (2, 6, 1))
     _, y = replace(plant, hardware=True).simulate(u)
     start = plant.states_at(np.array([[40.0]]))
@@ -145,14 +152,14 @@ def test_a_request_to_terminate_ends_it_as_an_exception_does(plant: Any) -> None
 
 
 @pytest.mark.usefixtures("fake")
-def test_without_a_board_it_is_refused_in_one_sentence(plant: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_board_it_is_refused_in_one_sentence(
+    plant: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def absent() -> None:
         raise RuntimeError("No Arduino device found.")
 
     monkeypatch.setattr(sys.modules["tclab"], "TCLab", absent)
-    said = (
-        r"plant.hardware = True: no board answers \(No Arduino device found\); connect the board and pip install tclab"
-    )
+    said = r"plant.hardware = True: no board answers \(No Arduino device found\); connect the board and pip install tclab"
     with pytest.raises(BadRequest, match=said):
         replace(plant, hardware=True).simulate(np.full((1, 3, 1), 40.0))
     monkeypatch.setitem(sys.modules, "tclab", None)
@@ -160,12 +167,20 @@ def test_without_a_board_it_is_refused_in_one_sentence(plant: Any, monkeypatch: 
         replace(plant, hardware=True).states_at(np.zeros((1, 1)))
 
 
-def test_many_cases_at_once_are_refused_before_anything_is_heated(plant: Any, fake: FakeBoard) -> None:
+def test_many_cases_at_once_are_refused_before_anything_is_heated(
+    plant: Any, fake: FakeBoard
+) -> None:
     known = Specification.from_config(composed(["experiment=smoke"]))
     asked = replace(known, plant=replace(plant, hardware=True))
-    with pytest.raises(BadRequest, match=r"a device runs one case, from where it is; use loop.initial_conditions=1"):
+    with pytest.raises(
+        BadRequest, match=r"a device runs one case, from where it is; use loop.initial_conditions=1"
+    ):
         asked.refuse_sizes()
-    one = replace(asked, loop=replace(asked.loop, initial_conditions=1), data=replace(asked.data, trials=False))
+    one = replace(
+        asked,
+        loop=replace(asked.loop, initial_conditions=1),
+        data=replace(asked.data, trials=False),
+    )
     one.refuse_sizes()
     with pytest.raises(BadRequest, match="a board runs one case at a time"):
         asked.plant.advance(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 1)))

@@ -1,4 +1,5 @@
-"""Training finds the system it can represent, repeats itself under a seed, and stores what reproduces its fit."""
+"""Training finds the system it can represent, repeats itself under a seed, and stores what
+reproduces its fit."""
 
 import dataclasses
 import json
@@ -27,8 +28,16 @@ from ssm_study.training.training import Training
 LBFGS = Lbfgs(steps_per_epoch=10, history=20)
 
 
-def spec(scaffold_in: Trainable | None = None, scaffold_out: Trainable | None = None, **changes: Any) -> SSMSpec:
-    settings = {"order": 2, "hidden_width": 8, "slope_lower": 0.05, "slope_upper": 1.0, "feedthrough": False}
+def spec(
+    scaffold_in: Trainable | None = None, scaffold_out: Trainable | None = None, **changes: Any
+) -> SSMSpec:
+    settings = {
+        "order": 2,
+        "hidden_width": 8,
+        "slope_lower": 0.05,
+        "slope_upper": 1.0,
+        "feedthrough": False,
+    }
     return SSMSpec(
         scaffold_in=scaffold_in or Mlp(depth=1, train_slopes=True, certified=True),
         scaffold_out=scaffold_out or Linear(),
@@ -37,19 +46,29 @@ def spec(scaffold_in: Trainable | None = None, scaffold_out: Trainable | None = 
 
 
 def training(optimiser: OptimiserSpec = LBFGS, **changes: Any) -> Training:
-    settings = {"max_epochs": 12, "patience": 12, "min_gain_percent": 0.0, "validation_tolerance_percent": 0.0}
+    settings = {
+        "max_epochs": 12,
+        "patience": 12,
+        "min_gain_percent": 0.0,
+        "validation_tolerance_percent": 0.0,
+    }
     return Training(optimiser=optimiser, **{**settings, **changes})
 
 
 @pytest.mark.parametrize(
-    ("scaffold_in", "least"), [(Mlp(depth=1, train_slopes=True, certified=True), 99.0), (Monotone(), 99.0)]
+    ("scaffold_in", "least"),
+    [(Mlp(depth=1, train_slopes=True, certified=True), 99.0), (Monotone(), 99.0)],
 )
-def test_a_system_of_the_model_class_is_found(scaffold_in: Trainable, least: float, tmp_path: Path) -> None:
+def test_a_system_of_the_model_class_is_found(
+    scaffold_in: Trainable, least: float, tmp_path: Path
+) -> None:
     data = data_set()
     found = training().identify(spec(scaffold_in), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > least
     poles = np.sort_complex(np.linalg.eigvals(found.model.linear.a))
-    np.testing.assert_allclose(poles, np.sort_complex(np.linalg.eigvals(true_system().linear.a)), atol=0.01)
+    np.testing.assert_allclose(
+        poles, np.sort_complex(np.linalg.eigvals(true_system().linear.a)), atol=0.01
+    )
 
 
 def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
@@ -71,10 +90,15 @@ def test_a_nonlinear_output_map_trains(scaffold_out: Trainable, tmp_path: Path) 
 @pytest.mark.parametrize("precision", [32, 64])
 def test_the_stored_model_reproduces_its_stored_fit(precision: int, tmp_path: Path) -> None:
     data = data_set(noise=0.05)
-    found = training(precision=precision, max_epochs=8).identify(spec(), data, seed=0, folder=tmp_path)
+    found = training(precision=precision, max_epochs=8).identify(
+        spec(), data, seed=0, folder=tmp_path
+    )
     again = SSM.from_json(json.loads(json.dumps(found.model.to_json())))
     assert mean_fit(again, data.validation, data) == found.fit_validation_percent
-    assert mean_fit(again, data.training, data) > max(row["fit_training_percent"] for row in found.curve) - 0.01
+    assert (
+        mean_fit(again, data.training, data)
+        > max(row["fit_training_percent"] for row in found.curve) - 0.01
+    )
 
 
 def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> None:
@@ -82,7 +106,9 @@ def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> No
     found = training(max_epochs=5).identify(spec(order=6), data, seed=0, folder=tmp_path)
     net = spec(order=6).build(data, 0)
     state = torch.load(tmp_path / "best.ckpt", weights_only=True)["state_dict"]
-    net.load_state_dict({k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")})
+    net.load_state_dict(
+        {k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")}
+    )
     u = data.test[0].u
     with torch.no_grad():
         scaled = torch.from_numpy(data.scale.scaled_input(u))[None]
@@ -110,17 +136,23 @@ def test_the_fit_that_the_curve_shows_is_that_of_the_state_it_stands_beside(
 def test_equal_seeds_give_equal_models(optimiser: OptimiserSpec, tmp_path: Path) -> None:
     data = data_set(noise=0.05)
     one, two = (
-        training(optimiser, max_epochs=4).identify(spec(start="ring", real_modes=0), data, 3, tmp_path / name).model
+        training(optimiser, max_epochs=4)
+        .identify(spec(start="ring", real_modes=0), data, 3, tmp_path / name)
+        .model
         for name in ("one", "two")
     )
     assert one.to_json() == two.to_json()
-    other = training(optimiser, max_epochs=4).identify(spec(start="ring", real_modes=0), data, 4, tmp_path / "other")
+    other = training(optimiser, max_epochs=4).identify(
+        spec(start="ring", real_modes=0), data, 4, tmp_path / "other"
+    )
     assert other.model.to_json() != one.to_json()
 
 
 def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
     data = data_set()
-    short = dataclasses.replace(data.training[0], u=data.training[0].u[:150], y=data.training[0].y[:150])
+    short = dataclasses.replace(
+        data.training[0], u=data.training[0].u[:150], y=data.training[0].y[:150]
+    )
     data = dataclasses.replace(data, training=(short, *data.training[1:]), start_up_samples=20)
     found = training().identify(spec(), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > 99.0
@@ -129,13 +161,16 @@ def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
 
 
 def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
-    """Records that start in motion: with estimated states the system is found, without them it is not."""
+    """Records that start in motion: with estimated states the system is found, without them it is
+    not."""
     data = data_set(records=6)
     moving = tuple(dataclasses.replace(r, u=r.u[60:140], y=r.y[60:140]) for r in data.training)
     data = dataclasses.replace(data, training=moving)
     fits = {
         state: mean_fit(
-            training(initial_state=state, max_epochs=25).identify(spec(), data, 0, tmp_path / state).model,
+            training(initial_state=state, max_epochs=25)
+            .identify(spec(), data, 0, tmp_path / state)
+            .model,
             data.test,
             data,
         )
@@ -146,19 +181,25 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
 
 
 def test_validation_starts_where_a_score_starts(tmp_path: Path) -> None:
-    """Records cut in motion: the fit that stops a training is the fit that is stored, not that of a start at rest."""
+    """Records cut in motion: the fit that stops a training is the fit that is stored, not that of a
+    start at rest."""
     data = data_set(noise=0.01, samples=300, records=1)
-    late = tuple(dataclasses.replace(r, u=r.u[40:], y=r.y[40:] + 3.0) for r in data.training)  # a slow mode, displaced
+    late = tuple(
+        dataclasses.replace(r, u=r.u[40:], y=r.y[40:] + 3.0) for r in data.training
+    )  # a slow mode, displaced
     moving = dataclasses.replace(data, training=late, validation=late, start_up_samples=20)
     found = training(max_epochs=4).identify(spec(), moving, 0, tmp_path)
     kept = max(row["fit_validation_percent"] for row in found.curve)
-    assert found.fit_validation_percent == pytest.approx(kept, abs=0.3)  # 0.2 is the tolerance of what is kept
+    assert found.fit_validation_percent == pytest.approx(
+        kept, abs=0.3
+    )  # 0.2 is the tolerance of what is kept
     at_rest = fit_percent(late[0].y, found.model.simulate(late[0].u), moving.start_up_samples)
     assert kept > at_rest + 5
 
 
 def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
-    """`tanh` needs steep slopes in the middle and flat ones on both sides; an ill-placed sector would stop at 92 %."""
+    """`tanh` needs steep slopes in the middle and flat ones on both sides; an ill-placed sector
+    would stop at 92 %."""
     rng, lift = np.random.default_rng(0), np.tanh
     data = data_set()
 
@@ -167,8 +208,13 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
         y = lfilter([0.0, 0.1], [1.0, -0.9], lift(u), axis=0)
         return dataclasses.replace(record, u=u, y=y)
 
-    parts = {part: tuple(bent(r) for r in getattr(data, part)) for part in ("training", "validation", "test")}
-    scale = dataclasses.replace(Scale.unit(1, 1), input_scale=data.scale.input_scale, output_scale=np.full(1, 0.5))
+    parts = {
+        part: tuple(bent(r) for r in getattr(data, part))
+        for part in ("training", "validation", "test")
+    }
+    scale = dataclasses.replace(
+        Scale.unit(1, 1), input_scale=data.scale.input_scale, output_scale=np.full(1, 0.5)
+    )
     data = dataclasses.replace(data, **parts, scale=scale)
     settings = training(roughness_weight=1e-3)
     found = settings.identify(spec(hidden_width=16), data, 0, tmp_path)
@@ -176,7 +222,8 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
 
 
 def test_the_hankel_penalty_drives_redundant_states_out(tmp_path: Path) -> None:
-    """Of three starting points: what one training reaches is a matter of the processor's last bits."""
+    """Of three starting points: what one training reaches is a matter of the processor's last
+    bits."""
     data = data_set(noise=0.05)
 
     def redundant(weight: float, seed: int) -> float:
@@ -190,22 +237,32 @@ def test_the_hankel_penalty_drives_redundant_states_out(tmp_path: Path) -> None:
         sigma = np.sqrt(np.sort(np.abs(np.linalg.eigvals(reach @ see)))[::-1])
         return float(sigma[3] / sigma[0])
 
-    with_penalty, without = (np.median([redundant(weight, seed) for seed in range(3)]) for weight in (3e-3, 0.0))
+    with_penalty, without = (
+        np.median([redundant(weight, seed) for seed in range(3)]) for weight in (3e-3, 0.0)
+    )
     assert with_penalty < 0.2 * without
 
 
 def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:
-    """With its share on the running sum, training trades output error for position error; both are measured here."""
+    """With its share on the running sum, training trades output error for position error; both are
+    measured here."""
     data, spec_ = data_set(noise=0.3, samples=300), spec(Linear())
     drift = {}
     for share in (0.0, 0.9):
-        model = training(integrated_share=share).identify(spec_, data, 0, tmp_path / str(share)).model
-        drift[share] = sum(np.square(np.cumsum(model.simulate(r.u) - r.y)).sum() for r in data.training)
+        model = (
+            training(integrated_share=share).identify(spec_, data, 0, tmp_path / str(share)).model
+        )
+        drift[share] = sum(
+            np.square(np.cumsum(model.simulate(r.u) - r.y)).sum() for r in data.training
+        )
     assert drift[0.9] < drift[0.0]
 
 
 def test_the_best_of_several_starts_is_returned(tmp_path: Path) -> None:
     data, ring = data_set(noise=0.05, samples=200), spec(start="ring", real_modes=0)
-    fits = {n: training(max_epochs=2, starts=n).identify(ring, data, 5, tmp_path / str(n)) for n in (1, 3)}
+    fits = {
+        n: training(max_epochs=2, starts=n).identify(ring, data, 5, tmp_path / str(n))
+        for n in (1, 3)
+    }
     assert fits[3].fit_validation_percent > fits[1].fit_validation_percent
     assert (tmp_path / "3" / "start_2" / "best.ckpt").exists()

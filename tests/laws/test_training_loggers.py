@@ -1,4 +1,5 @@
-"""Each logger, by its yaml alone, keeps one row per epoch of the record's own curve; a missing package is said."""
+"""Each logger, by its yaml alone, keeps one row per epoch of the record's own curve; a missing
+package is said."""
 
 import csv
 from pathlib import Path
@@ -16,7 +17,9 @@ NAME = "fit_validation_percent"
 
 def logged(choice: str, folder: Path, *overrides: str) -> list[float]:
     """The validation fits of the record's own curve, after a training with that logger."""
-    training = read("training", "default", "training.max_epochs=3", f"training/logger={choice}", *overrides)
+    training = read(
+        "training", "default", "training.max_epochs=3", f"training/logger={choice}", *overrides
+    )
     return [row[NAME] for row in training.identify(spec(), data_set(samples=100), 0, folder).curve]
 
 

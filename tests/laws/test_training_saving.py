@@ -1,4 +1,5 @@
-"""An interrupted training goes on where it stopped; numbers that leave the finite end it in good order."""
+"""An interrupted training goes on where it stopped; numbers that leave the finite end it in good
+order."""
 
 import errno
 import itertools
@@ -20,7 +21,7 @@ from ssm_study.training import saving as room
 from ssm_study.training.fit import Fit
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.optimisers import Adam, OptimiserSpec
-from ssm_study.training.saving import DurableCheckpointIO, Keeper
+from ssm_study.training.saving import BestModelCheckpoint, DurableCheckpointIO
 
 
 class Interrupt(Callback):
@@ -32,7 +33,9 @@ class Interrupt(Callback):
             raise InterruptedError("killed here")
 
 
-@pytest.mark.parametrize("optimiser", [LBFGS, Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)])
+@pytest.mark.parametrize(
+    "optimiser", [LBFGS, Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)]
+)
 def test_a_killed_training_resumes_to_the_same_model(
     optimiser: OptimiserSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -40,14 +43,20 @@ def test_a_killed_training_resumes_to_the_same_model(
     whole = settings.identify(spec(), data, 0, tmp_path / "whole")
     make = room.trainer_of
     with monkeypatch.context() as patch:
-        patch.setattr(room, "trainer_of", lambda told, calls, folder: make(told, [*calls, Interrupt(3)], folder))
+        patch.setattr(
+            room,
+            "trainer_of",
+            lambda told, calls, folder: make(told, [*calls, Interrupt(3)], folder),
+        )
         with pytest.raises(InterruptedError):
             settings.identify(spec(), data, 0, tmp_path / "broken")
     stopped = room.read(last := tmp_path / "broken" / room.LAST)
-    stopped["callbacks"]["Keeper"]["curve"][-1]["seconds"] += 100.0
+    stopped["callbacks"]["BestModelCheckpoint"]["curve"][-1]["seconds"] += 100.0
     DurableCheckpointIO().save_checkpoint(stopped, last)
     resumed = settings.identify(spec(), data, 0, tmp_path / "broken")
-    assert 100.0 < resumed.curve[-1]["seconds"] < resumed.seconds, "the time before the interruption counts"
+    assert 100.0 < resumed.curve[-1]["seconds"] < resumed.seconds, (
+        "the time before the interruption counts"
+    )
     assert resumed.model.to_json() == whole.model.to_json()
     assert [row["epoch"] for row in resumed.curve] == [row["epoch"] for row in whole.curve]
 
@@ -73,12 +82,18 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
 def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data, settings = data_set(samples=100, noise=0.05), training(LBFGS, max_epochs=2, checkpoint_every_s=0.0)
+    data, settings = (
+        data_set(samples=100, noise=0.05),
+        training(LBFGS, max_epochs=2, checkpoint_every_s=0.0),
+    )
     whole = settings.identify(spec(), data, 0, tmp_path / "whole").model.to_json()
     failed: set[str] = set()
     for nth, code in zip((2, 3, 4, 5, 9, 11), itertools.cycle((errno.ENOSPC, errno.EIO))):
         disk, folder = FailingDisk(nth, code), tmp_path / f"{nth}"
-        with pytest.raises(OSError, match=os.strerror(code)), disk.inserted(monkeypatch):  # no error of torch's own
+        with (
+            pytest.raises(OSError, match=os.strerror(code)),
+            disk.inserted(monkeypatch),
+        ):  # no error of torch's own
             settings.identify(spec(), data, 0, folder)
         failed.add(disk.failed)
         for path in folder.glob("*"):
@@ -94,7 +109,9 @@ def test_a_checkpoint_is_whole_whenever_its_writer_is_killed(tmp_path: Path) -> 
         writer = os.fork()
         if writer == 0:
             for epoch in range(10_000):
-                DurableCheckpointIO().save_checkpoint({"epoch": epoch, "weights": torch.full((100_000,), epoch)}, path)
+                DurableCheckpointIO().save_checkpoint(
+                    {"epoch": epoch, "weights": torch.full((100_000,), epoch)}, path
+                )
             os._exit(0)
         before = path.stat().st_ino
         while path.stat().st_ino == before:  # it is at work
@@ -114,7 +131,9 @@ def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> 
     io, path, rng, silent = DurableCheckpointIO(), tmp_path / "last.ckpt", random.Random(0), 0
     io.save_checkpoint({"weights": torch.linspace(0, 1, 1000)}, path)
     whole = path.read_bytes()
-    assert len(torch.load(path, weights_only=True)["weights"]) == 1000  # the sum at its end is in nobody's way
+    assert (
+        len(torch.load(path, weights_only=True)["weights"]) == 1000
+    )  # the sum at its end is in nobody's way
     for trial in range(200):
         harmed = bytearray(whole)
         harmed[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
@@ -127,7 +146,9 @@ def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> 
     assert silent == 0
 
 
-def test_a_write_that_fails_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_write_that_fails_keeps_the_old_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     io, path = DurableCheckpointIO(), tmp_path / "last.ckpt"
     io.save_checkpoint({"epoch": 1}, path)
 
@@ -142,12 +163,15 @@ def test_a_write_that_fails_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch
 
 
 def test_epochs_that_change_nothing_end_the_training() -> None:
-    """Two in a row, to the last bit; a change in either fit starts the count again, and a resumed training knows it."""
-    keeper, module = Keeper(tolerance=0.0), torch.nn.Linear(1, 1)
-    for epoch, fits in enumerate([(80.0, 70.0), (90.0, 75.0), (90.0, 75.0), (90.0, 75.1), (90.0, 75.1)]):
+    """Two in a row, to the last bit; a change in either fit starts the count again, and a resumed
+    training knows it."""
+    keeper, module = BestModelCheckpoint(tolerance=0.0), torch.nn.Linear(1, 1)
+    for epoch, fits in enumerate(
+        [(80.0, 70.0), (90.0, 75.0), (90.0, 75.0), (90.0, 75.1), (90.0, 75.1)]
+    ):
         keeper.see(epoch, *fits, module)
         assert not keeper.ended
-    resumed = Keeper(tolerance=0.0)
+    resumed = BestModelCheckpoint(tolerance=0.0)
     resumed.load_state_dict(keeper.state_dict())
     resumed.see(5, 90.0, 75.1, module)
     assert resumed.ended == "the optimiser no longer moves"

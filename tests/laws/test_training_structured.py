@@ -1,4 +1,5 @@
-"""Training of structured models: the parametrisation is exact both ways, every derivative is that of differences."""
+"""Training of structured models: the parametrisation is exact both ways, every derivative is that
+of differences."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,16 @@ from plants_cases import from_yaml
 from structured_adjoint import stepped_gradient
 
 from ssm_study.bounds.metrics import bound_facts
-from ssm_study.models.contracting import Core, Free, _balancing, explicit, in_metric, metric, parameters, projected
+from ssm_study.models.contracting import (
+    Core,
+    Free,
+    _balancing,
+    explicit,
+    in_metric,
+    metric,
+    parameters,
+    projected,
+)
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.spec import scaled
 from ssm_study.models.structured import StructuredSSM
@@ -29,9 +39,9 @@ from ssm_study.training.structured_problem import (
     Descent,
     Residuals,
     Theta,
-    descended,
     ended,
     loss,
+    minimise,
     pack,
     step,
     unpack,
@@ -39,7 +49,12 @@ from ssm_study.training.structured_problem import (
 from ssm_study.training.structured_start import LONGEST, _drawn_poles, linear_start, screened_poles
 from ssm_study.training.training import Training
 
-SIZES = {"seed": st.integers(0, 2**31), "n": st.integers(1, 5), "q": st.integers(0, 4), "rate": st.floats(0.3, 1.0)}
+SIZES = {
+    "seed": st.integers(0, 2**31),
+    "n": st.integers(1, 5),
+    "q": st.integers(0, 4),
+    "rate": st.floats(0.3, 1.0),
+}
 
 
 def free_core(seed: int, n: int, q: int) -> Free:
@@ -48,7 +63,8 @@ def free_core(seed: int, n: int, q: int) -> Free:
 
 
 def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
-    """The smallest eigenvalue of the open-loop inequality of docs/theory.md with `M = I`, as it stands there."""
+    """The smallest eigenvalue of the open-loop inequality of docs/theory.md with `M = I`, as it
+    stands there."""
     n, lam = len(core.a), np.diag(multipliers)
     sector = np.block([[rate**2 * np.eye(n), -core.f.T @ lam], [-lam @ core.f, 2.0 * lam]])
     moved = np.hstack([core.a, core.e])
@@ -57,7 +73,9 @@ def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
 
 @settings(max_examples=60, deadline=None)
 @given(**SIZES)
-def test_whatever_the_parameters_the_lmi_holds_and_they_are_found_again(seed: int, n: int, q: int, rate: float) -> None:
+def test_whatever_the_parameters_the_lmi_holds_and_they_are_found_again(
+    seed: int, n: int, q: int, rate: float
+) -> None:
     free = free_core(seed, n, q)
     core = explicit(free, rate)
     assert analysis_gap(core, np.exp(-2.0 * free.log_d), rate) > 0
@@ -87,10 +105,16 @@ def test_the_projection_contracts_whatever_it_is_given(seed: int, n: int, q: int
 
 
 def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
-    """A hardly contracting pair: as the neurons' share shrinks, `A + E diag(slope) F` stays what it was."""
+    """A hardly contracting pair: as the neurons' share shrinks, `A + E diag(slope) F` stays what it
+    was."""
     rng = np.random.default_rng(3)
-    core, slope = Core(0.5 * np.eye(2), 4 * rng.normal(size=(2, 2)), 4 * rng.normal(size=(2, 2))), np.array([0.2, 0.3])
-    scaled = core._replace(e=core.e * 0.6 / np.abs(np.linalg.eigvals(core.a + (core.e * slope) @ core.f)).max())
+    core, slope = (
+        Core(0.5 * np.eye(2), 4 * rng.normal(size=(2, 2)), 4 * rng.normal(size=(2, 2))),
+        np.array([0.2, 0.3]),
+    )
+    scaled = core._replace(
+        e=core.e * 0.6 / np.abs(np.linalg.eigvals(core.a + (core.e * slope) @ core.f)).max()
+    )
     found = projected(scaled, slope, 0.9).core
     assert np.abs(found.e).max() < np.abs(scaled.e).max()
     average = scaled.a + scaled.e @ np.diag(slope) @ scaled.f
@@ -118,27 +142,39 @@ def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Re
     read = Pieces(p, 0 if integrated else 3, 0.3, 1.0)
     shapes = {"b": (n, m), "c": (p, n), "d": (p, m), "g": (q, m), "h": (p, q), "bias": (q,)}
     theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
-    theta |= free_core(seed, n, q)._asdict() if rate else explicit(free_core(seed, n, q), 0.9)._asdict()
+    theta |= (
+        free_core(seed, n, q)._asdict() if rate else explicit(free_core(seed, n, q), 0.9)._asdict()
+    )
     theta |= {
         "scaffold_in": 0.6 * rng.normal(size=len(lift.owners)),
         "scaffold_out": 0.6 * rng.normal(size=len(read.owners)),
     }
     theta["x0"] = rng.normal(size=(2, n + p * integrated))
-    one = Residuals(records=Batch.padded(pairs), neurons=KINDS, lift=lift, read=read, rate=rate, integrated=integrated)
+    one = Residuals(
+        records=Batch.padded(pairs),
+        neurons=KINDS,
+        lift=lift,
+        read=read,
+        rate=rate,
+        integrated=integrated,
+    )
     return one, theta
 
 
 @pytest.mark.parametrize("rate", [None, 0.95])
 @pytest.mark.parametrize("integrated", [False, True])
 def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: bool) -> None:
-    """Of all blocks at once: the core through its parametrisation, both scaffoldings, unequal records, their starts."""
+    """Of all blocks at once: the core through its parametrisation, both scaffoldings, unequal
+    records, their starts."""
     one, theta = problem(3, rate, integrated)
     free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
     flat = pack(theta, free)
     r, j, turn = one.linearised(theta, free)
     np.testing.assert_allclose(r, one.residual(theta), atol=1e-13)
     steps = 1e-6 * np.eye(len(flat))
-    ahead, behind = ([one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1))
+    ahead, behind = (
+        [one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1)
+    )
     differences = (np.stack(ahead) - np.stack(behind)).T / 2e-6
     np.testing.assert_allclose(j @ turn, differences, atol=2e-7)
 
@@ -150,13 +186,17 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
     free = (*CORE, *"bcdgh", "bias")
     r, j, _ = one.linearised(theta, free)
     by_adjoint = stepped_gradient(one, theta)
-    np.testing.assert_allclose(2 * j.T @ r, np.concatenate([by_adjoint[name].ravel() for name in free]), rtol=1e-9)
+    np.testing.assert_allclose(
+        2 * j.T @ r, np.concatenate([by_adjoint[name].ravel() for name in free]), rtol=1e-9
+    )
 
 
 def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None:
     one, theta = problem(0, None)
     free, bare = ("a", "b", "bias", "x0"), loss(one, theta, ())
-    squares = float(np.square(theta["b"]).sum() + np.square(theta["bias"]).sum())  # coordinates and starts are free
+    squares = float(
+        np.square(theta["b"]).sum() + np.square(theta["bias"]).sum()
+    )  # coordinates and starts are free
     weighed = replace(one, ridge=0.3)
     assert loss(one, theta, free) == pytest.approx(bare)
     assert loss(weighed, theta, free) == pytest.approx(bare + 0.3 * squares)
@@ -167,9 +207,12 @@ def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None
 
 
 def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
-    """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a damping."""
+    """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a
+    damping."""
     maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
-    one = Residuals(records=Batch.padded([(np.ones((900, 1)), np.arange(900.0)[:, None])]), neurons=(), **maps)  # type: ignore[arg-type]
+    one = Residuals(
+        records=Batch.padded([(np.ones((900, 1)), np.arange(900.0)[:, None])]), neurons=(), **maps
+    )  # type: ignore[arg-type]
     begun = linear_start(one, 1, False, np.random.default_rng(0)) | {"a": np.array([[1.48]])}
     at = Descent(theta=begun, loss=loss(one, begun, ()), damping=1e6)
     normal = np.square(one.linearised(begun, ("a",))[1]).sum()
@@ -183,20 +226,22 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
 
 
 def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
-    """Records of the motor: a step that suits the largest balanced state overturns one of a six hundredth."""
+    """Records of the motor: a step that suits the largest balanced state overturns one of a six
+    hundredth."""
     made = from_yaml("data", "simulated", "validation_samples=20", "test_samples=20")
     data = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
     maps = {"lift": Pieces(1, 16, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
     one = Residuals(records=Batch.padded(scaled(data)).cut(2000), neurons=(), **maps)  # type: ignore[arg-type]
     begun = linear_start(one, 5, False, np.random.default_rng(8))
     assert loss(one, begun, ()) > 0.05
-    assert descended(one, begun, ("a", "b", "c"), 15).loss < 0.0055
+    assert minimise(one, begun, ("a", "b", "c"), 15).loss < 0.0055
     assert not ended(1.0, 1.0, 1.0)
     assert ended(1.0, 1.0, DAMPING_RANGE[1])
 
 
 def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input() -> None:
-    """Time constants of 40 and 25 samples, noise as large as a sample's change, a start far from rest."""
+    """Time constants of 40 and 25 samples, noise as large as a sample's change, a start far from
+    rest."""
     rng = np.random.default_rng(0)
     u, x, y = rng.normal(size=(600, 1)), np.array([20.0, 10.0]), []
     for v in u:
@@ -209,12 +254,15 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     found = screened_poles(one, begun, True, rng)
     assert loss(one, begun, ()) > 0.5
     assert loss(one, found, ()) < 0.1
-    for mode, true in zip(sorted(np.abs(np.linalg.eigvals(found["a"]))), (0.96, 0.975), strict=True):
+    for mode, true in zip(
+        sorted(np.abs(np.linalg.eigvals(found["a"]))), (0.96, 0.975), strict=True
+    ):
         assert mode == pytest.approx(true, abs=0.03)
 
 
 def test_the_projection_leaves_slow_modes_slow() -> None:
-    """A model inside the rate already keeps its A; one outside is pulled in by what it must and a percent."""
+    """A model inside the rate already keeps its A; one outside is pulled in by what it must and a
+    percent."""
     slow = Core(np.diag([0.985, 0.5]), np.full((2, 1), 1e-4), np.ones((1, 2)))
     np.testing.assert_allclose(projected(slow, np.full(1, 0.5), 0.999).core.a, slow.a, atol=1e-12)
     fast = projected(replace_a(slow, 1.1), np.full(1, 0.5), 0.999)
@@ -240,7 +288,12 @@ def recorded(model: StructuredSSM, seed: int) -> DataSet:
 
 @pytest.fixture(scope="module")
 def data() -> DataSet:
-    blocks = {"a": [[0.9, 0.2], [-0.2, 0.8]], "b": [[0.1], [0.4]], "c": [[1.0, 0.0]], "e": [[-0.6], [0.1]]}
+    blocks = {
+        "a": [[0.9, 0.2], [-0.2, 0.8]],
+        "b": [[0.1], [0.4]],
+        "c": [[1.0, 0.0]],
+        "e": [[-0.6], [0.1]],
+    }
     blocks |= {"d": [[0.0]], "f": [[1.5, 0.0]], "g": [[0.0]], "h": [[0.0]], "bias": [0.3]}
     true = StructuredSSM(
         **{name: np.array(block) for name, block in blocks.items()},
@@ -256,7 +309,12 @@ def data() -> DataSet:
 def trained(data: DataSet, folder: Path, epochs: int = 25, **choices: object) -> StructuredSSM:
     spec = StructuredSpec(**({"order": 2, "neurons": 1, "knots": 0, "starts": 1} | choices))  # type: ignore[arg-type]
     no_use = Lbfgs(steps_per_epoch=1, history=1)
-    rule = {"max_epochs": epochs, "patience": 15, "min_gain_percent": 0.0, "validation_tolerance_percent": 0.2}
+    rule = {
+        "max_epochs": epochs,
+        "patience": 15,
+        "min_gain_percent": 0.0,
+        "validation_tolerance_percent": 0.2,
+    }
     training = Training(optimiser=no_use, **rule)  # type: ignore[arg-type]
     identified = training.identify(spec, data, 0, folder)
     assert isinstance(identified.model, StructuredSSM)
@@ -265,14 +323,18 @@ def trained(data: DataSet, folder: Path, epochs: int = 25, **choices: object) ->
     return identified.model
 
 
-def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(data: DataSet, tmp_path: Path) -> None:
+def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(
+    data: DataSet, tmp_path: Path
+) -> None:
     first, second = trained(data, tmp_path / "a"), trained(data, tmp_path / "b")
     assert first.to_json() == second.to_json()
     found = metric(Core(first.a, first.e, first.f), 0.9995)
     assert found is not None
 
 
-def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(data: DataSet, tmp_path: Path) -> None:
+def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
+    data: DataSet, tmp_path: Path
+) -> None:
     spare = trained(data, tmp_path, neurons=1)
     idle = replace(
         spare,
@@ -285,10 +347,17 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(data: DataSe
     )
     left = pruned(idle, [data.training[0].u])
     assert left.neurons == ("tanh",)
-    np.testing.assert_allclose(left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5)
+    np.testing.assert_allclose(
+        left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5
+    )
     through = replace(idle, g=np.array([[0.0], [1.0]]), h=np.array([[0.0, 1e-9]]))
-    assert pruned(through, [data.training[0].u]).neurons == idle.neurons  # its mean slope would be a feedthrough
-    for beside in (replace(idle, h=np.array([[0.0, 1e-9]])), replace(idle, g=np.array([[0.0], [1.0]]))):
+    assert (
+        pruned(through, [data.training[0].u]).neurons == idle.neurons
+    )  # its mean slope would be a feedthrough
+    for beside in (
+        replace(idle, h=np.array([[0.0, 1e-9]])),
+        replace(idle, g=np.array([[0.0], [1.0]])),
+    ):
         assert pruned(beside, [data.training[0].u]).neurons == ("tanh",)
 
 
@@ -313,27 +382,39 @@ def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) ->
 def test_sizes_are_chosen_by_folds_that_never_hold_a_test_sample(
     data: DataSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two states rather than one: the true order; what lies in `test` and `validation` may be anything."""
+    """Two states rather than one: the true order; what lies in `test` and `validation` may be
+    anything."""
     monkeypatch.setattr(structured_choice, "ORDERS", (1, 2))
     monkeypatch.setattr(structured_choice, "NEURONS", (1,))
     spoiled = tuple(replace(record, y=np.full_like(record.y, 1e6)) for record in data.test)
-    asked = StructuredSpec(order="auto", neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1)
-    chosen, table = structured_choice.choose(asked, replace(data, test=spoiled, validation=spoiled), 0)
+    asked = StructuredSpec(
+        order="auto", neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1
+    )
+    chosen, table = structured_choice.choose(
+        asked, replace(data, test=spoiled, validation=spoiled), 0
+    )
     assert chosen.order == 2
     assert [row["chosen"] for row in table].count(True) == 1
-    again = np.sort(np.concatenate([fold.test[0].y for fold in structured_choice.held_out(data)]), axis=0)
+    again = np.sort(
+        np.concatenate([fold.test[0].y for fold in structured_choice.held_out(data)]), axis=0
+    )
     np.testing.assert_array_equal(again, np.sort(data.training[0].y, axis=0))
 
 
-def test_of_sizes_that_fit_nearly_as_well_the_fewest_states_and_neurons_together_are_taken() -> None:
+def test_of_sizes_that_fit_nearly_as_well_the_fewest_states_and_neurons_together_are_taken() -> (
+    None
+):
     fits = {(2, 1): 98.0, (3, 2): 98.9, (3, 4): 98.9, (4, 2): 98.8, (4, 4): 99.0}
     table = [
-        {"order": n, "neurons": q, "input_path": "none", structured_choice.FIT: fit} for (n, q), fit in fits.items()
+        {"order": n, "neurons": q, "input_path": "none", structured_choice.FIT: fit}
+        for (n, q), fit in fits.items()
     ]
     assert structured_choice.smallest(table) == table[1]
 
 
-def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(data: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(
+    data: DataSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(structured_choice, "STEPS", 1)
     monkeypatch.setattr(structured_choice, "mean_fit", lambda *_: -300.0)
     asked = StructuredSpec(order=1, neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1)
@@ -342,14 +423,20 @@ def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(data: DataSet, monkey
 
 def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:
     """The running sum in training, and one more state of the stored model: the same output."""
-    fit = StructuredFit(StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrated=True), data, 0)
+    fit = StructuredFit(
+        StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrated=True), data, 0
+    )
     fit.training_step(None, 0)
     model = fit.stored()
     assert model.order == 3
     assert np.abs(np.linalg.eigvals(model.a)).max() == pytest.approx(1.0)
-    assert "hankel_largest" not in bound_facts(model)  # no infinite-horizon Gramian: withheld, and no refusal
+    assert "hankel_largest" not in bound_facts(
+        model
+    )  # no infinite-horizon Gramian: withheld, and no refusal
     y = fit.problem.output(fit.theta)[0]
-    np.testing.assert_allclose(data.scale.scaled_output(model.simulate(data.training[0].u)), y, atol=1e-9)
+    np.testing.assert_allclose(
+        data.scale.scaled_output(model.simulate(data.training[0].u)), y, atol=1e-9
+    )
 
 
 def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:

@@ -1,4 +1,5 @@
-"""Windows of a record train on the same error as the record, and shooting without defects is single shooting."""
+"""Windows of a record train on the same error as the record, and shooting without defects is single
+shooting."""
 
 import dataclasses
 from pathlib import Path
@@ -27,7 +28,12 @@ from ssm_study.training.windows import Windows
 DEEP = DeepSSMSpec(layers=2, order=3, channels=2, hidden_width=4, scaffold=Monotone())
 MODELS = {
     "ssm": spec(order=3, scaffold_out=Monotone()),
-    "ring": spec(start="ring", order=5, real_modes=1, scaffold_in=Mlp(depth=2, train_slopes=True, certified=True)),
+    "ring": spec(
+        start="ring",
+        order=5,
+        real_modes=1,
+        scaffold_in=Mlp(depth=2, train_slopes=True, certified=True),
+    ),
     "gru": RecurrentSpec(cell="gru", hidden=3),
     "lstm": RecurrentSpec(cell="lstm", hidden=3),
     "deep_ssm": DEEP,
@@ -39,12 +45,16 @@ SHOOTING = Windows(samples=40, continuity_weight=2.0)
 def unequal(samples: int = 100) -> DataSet:
     """Two records, the second shorter; neither a multiple of the windows below."""
     data = data_set(noise=0.1, samples=samples, records=2)
-    short = dataclasses.replace(data.training[1], u=data.training[1].u[:-17], y=data.training[1].y[:-17])
+    short = dataclasses.replace(
+        data.training[1], u=data.training[1].u[:-17], y=data.training[1].y[:-17]
+    )
     return dataclasses.replace(data, training=(data.training[0], short))
 
 
 def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any) -> Fit:
-    return Fit(model.build(data, 0), data, training(**{"windows": windows or Windows(), **settings}))
+    return Fit(
+        model.build(data, 0), data, training(**{"windows": windows or Windows(), **settings})
+    )
 
 
 def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
@@ -56,7 +66,8 @@ def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
 
 @each_model
 def test_two_halves_are_the_whole(model: ModelSpec) -> None:
-    """`advance` over a part, then over the rest from where it ended, is the run over both; `forward` agrees."""
+    """`advance` over a part, then over the rest from where it ended, is the run over both;
+    `forward` agrees."""
     net, u = model.build(unequal(), 0), torch.randn(3, 60, 1, dtype=torch.float64)
     x0 = torch.randn(3, net.states, dtype=torch.float64)
     (whole, end), (head, middle) = net.advance(u, x0), net.advance(u[:, :23], x0)
@@ -71,7 +82,8 @@ def test_two_halves_are_the_whole(model: ModelSpec) -> None:
 def test_a_window_as_long_as_the_record_is_the_record(model: ModelSpec) -> None:
     data = data_set(noise=0.1, samples=80, records=2)
     (loss, gradient), (expected, reference) = (
-        step_of(fit_of(model, data, windows)) for windows in (Windows(samples=80, continuity_weight=1.0), None)
+        step_of(fit_of(model, data, windows))
+        for windows in (Windows(samples=80, continuity_weight=1.0), None)
     )
     torch.testing.assert_close(loss, expected, rtol=1e-12, atol=0)
     for name, value in reference.items():
@@ -85,45 +97,64 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
     y_hat, defects = fit.run()
     assert defects.shape == (4, fit.model.states)  # 100 and 83 samples in windows of 40: three each
     assert defects.abs().max() < 1e-9
-    torch.testing.assert_close(fit.training_records.loss(y_hat), whole.training_records.loss(whole.run()[0]))
+    torch.testing.assert_close(
+        fit.training_records.loss(y_hat), whole.training_records.loss(whole.run()[0])
+    )
 
 
 @pytest.mark.parametrize("start_up", [0, 7])
-@pytest.mark.parametrize("windows", [Windows(samples=30, washout=12), Windows(samples=30), SHOOTING])
+@pytest.mark.parametrize(
+    "windows", [Windows(samples=30, washout=12), Windows(samples=30), SHOOTING]
+)
 def test_every_sample_is_scored_once(windows: Windows, start_up: int) -> None:
     data = dataclasses.replace(unequal(), start_up_samples=start_up)
-    cut, whole = fit_of(MODELS["gru"], data, windows).training_records, fit_of(MODELS["gru"], data).training_records
+    cut, whole = (
+        fit_of(MODELS["gru"], data, windows).training_records,
+        fit_of(MODELS["gru"], data).training_records,
+    )
     scored = [records.y[records.scored.bool()].sort().values for records in (cut, whole)]
     torch.testing.assert_close(*scored, rtol=0, atol=0)
     torch.testing.assert_close(cut.weight.max(), whole.weight.max())
 
 
 def test_washout_makes_windows_at_rest_fair(tmp_path: Path) -> None:
-    """At a good model the windows agree that it is one, unless they score samples that rest cannot explain."""
+    """At a good model the windows agree that it is one, unless they score samples that rest cannot
+    explain."""
     data = data_set(samples=400)
     training(max_epochs=8).identify(spec(), data, 0, tmp_path)
     losses = {}
     for windows in (Windows(), Windows(samples=100, washout=60), Windows(samples=100)):
         fit = fit_of(spec(), data, windows)
-        state = {k: v for k, v in read(tmp_path / "best.ckpt")["state_dict"].items() if k.startswith("model.")}
+        state = {
+            k: v
+            for k, v in read(tmp_path / "best.ckpt")["state_dict"].items()
+            if k.startswith("model.")
+        }
         fit.load_state_dict(state, strict=False)
-        losses[windows.samples, windows.washout] = float(fit.training_records.loss(fit.run()[0]).detach())
+        losses[windows.samples, windows.washout] = float(
+            fit.training_records.loss(fit.run()[0]).detach()
+        )
     assert losses[100, 60] == pytest.approx(losses[None, 0], rel=0.3)
     assert losses[100, 0] > 100 * losses[None, 0]
 
 
 @each_model
 def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec) -> None:
-    """Along a random direction through all parameters, states of the windows included, away from zero defects."""
+    """Along a random direction through all parameters, states of the windows included, away from
+    zero defects."""
     fit = fit_of(model, unequal(), SHOOTING, integrated_share=0.3)
     assert fit.starts is not None
     rng = torch.Generator().manual_seed(1)
     parameters = [p for p in fit.parameters() if p.requires_grad]
     with torch.no_grad():
-        fit.starts.free += 0.3 * torch.randn(fit.starts.free.shape, generator=rng, dtype=torch.float64)
+        fit.starts.free += 0.3 * torch.randn(
+            fit.starts.free.shape, generator=rng, dtype=torch.float64
+        )
     direction = [torch.randn(p.shape, generator=rng, dtype=torch.float64) for p in parameters]
     loss = fit.loss()
-    slope = sum((g * d).sum() for g, d in zip(torch.autograd.grad(loss, parameters), direction, strict=True))
+    slope = sum(
+        (g * d).sum() for g, d in zip(torch.autograd.grad(loss, parameters), direction, strict=True)
+    )
     seen = []
     for side in (1e-6, -1e-6):
         with torch.no_grad():
@@ -154,25 +185,35 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
         (LBFGS, Windows(samples=100, continuity_weight=1.0)),
         (LBFGS, Windows(samples=150, washout=50)),
         (LBFGS, Windows(samples=150, washout=50, stride=30)),
-        (Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5), Windows(samples=100, continuity_weight=1.0)),
+        (
+            Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5),
+            Windows(samples=100, continuity_weight=1.0),
+        ),
     ],
 )
-def test_windows_find_the_system(optimiser: OptimiserSpec, windows: Windows, tmp_path: Path) -> None:
+def test_windows_find_the_system(
+    optimiser: OptimiserSpec, windows: Windows, tmp_path: Path
+) -> None:
     data = data_set()
     found = training(optimiser, windows=windows, max_epochs=12).identify(spec(), data, 0, tmp_path)
     assert mean_fit(found.model, data.test, data) > 95.0  # a linear input map stops below 93
     shown = max(row["fit_training_percent"] for row in found.curve)
-    assert mean_fit(found.model, data.training, data) == pytest.approx(shown, abs=0.5)  # the curve shows whole records
+    assert mean_fit(found.model, data.training, data) == pytest.approx(
+        shown, abs=0.5
+    )  # the curve shows whole records
 
 
 def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
-    """The first window's state is estimated as a whole record's would be; the curve starts whole records from it."""
+    """The first window's state is estimated as a whole record's would be; the curve starts whole
+    records from it."""
     data = data_set(samples=260, records=4)
     moving = tuple(dataclasses.replace(r, u=r.u[60:260], y=r.y[60:260]) for r in data.training)
     data = dataclasses.replace(data, training=moving)
     windows = Windows(samples=50, continuity_weight=1.0)
     fits = {
-        state: training(initial_state=state, windows=windows, max_epochs=10).identify(spec(), data, 0, tmp_path / state)
+        state: training(initial_state=state, windows=windows, max_epochs=10).identify(
+            spec(), data, 0, tmp_path / state
+        )
         for state in ("zero", "estimated")
     }
     shown = {state: found.curve[-1]["fit_training_percent"] for state, found in fits.items()}
@@ -182,9 +223,13 @@ def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
 
 def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
     data, settings = data_set(noise=0.05, samples=120), training(windows=SHOOTING, max_epochs=3)
-    one, two = (settings.identify(MODELS["gru"], data, 3, tmp_path / name).model for name in ("one", "two"))
+    one, two = (
+        settings.identify(MODELS["gru"], data, 3, tmp_path / name).model for name in ("one", "two")
+    )
     assert one.to_json() == two.to_json()
-    levenberg = Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5)  # two steps an epoch go less far
+    levenberg = Levenberg(
+        steps_per_epoch=2, damping=0.01, longest_step=0.5
+    )  # two steps an epoch go less far
     for optimiser, least in ((settings.optimiser, 80.0), (levenberg, 50.0)):
         single = dataclasses.replace(settings, precision=32, optimiser=optimiser)
         low = single.identify(spec(), data, 3, tmp_path / type(optimiser).__name__)
@@ -200,8 +245,14 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
         ({"samples": 40, "stride": 0}, r"training.windows.stride = 0"),
         ({"samples": 40, "stride": 41}, r"training.windows.stride = 41"),
         ({"samples": 40, "continuity_weight": -1.0}, r"training.windows.continuity_weight = -1"),
-        ({"samples": 40, "continuity_weight": float("nan")}, r"training.windows.continuity_weight = nan"),
-        ({"samples": 40, "continuity_weight": 1.0, "washout": 5}, r"follow each other.*use washout 0 and stride null"),
+        (
+            {"samples": 40, "continuity_weight": float("nan")},
+            r"training.windows.continuity_weight = nan",
+        ),
+        (
+            {"samples": 40, "continuity_weight": 1.0, "washout": 5},
+            r"follow each other.*use washout 0 and stride null",
+        ),
         ({"samples": 40, "continuity_weight": 1.0, "stride": 30}, r"follow each other"),
         ({"washout": 5}, r"need windows"),
         ({"continuity_weight": 1.0}, r"need windows"),
@@ -227,7 +278,9 @@ def test_a_model_without_state_is_windowed_but_not_shot_at() -> None:
 
 def test_a_window_that_no_record_can_fill_is_refused(tmp_path: Path) -> None:
     data = unequal()
-    with pytest.raises(BadRequest, match=r"samples = 90: the record training_1 has only 83 samples"):
+    with pytest.raises(
+        BadRequest, match=r"samples = 90: the record training_1 has only 83 samples"
+    ):
         training(windows=Windows(samples=90)).identify(spec(), data, 0, tmp_path)
     late = dataclasses.replace(data, start_up_samples=40)
     with pytest.raises(BadRequest, match="40 start-up samples leave nothing"):

@@ -15,7 +15,8 @@ from ssm_study.systems import JacobianBall, StateSpace
 
 
 def test_a_bias_of_minus_one_is_negative() -> None:
-    """`s1(v - 1) - s1(-1)` is v/4 up to one and `v - 3/4` beyond; the second neuron turns at 1/2, hence at 5/4."""
+    """`s1(v - 1) - s1(-1)` is v/4 up to one and `v - 3/4` beyond; the second neuron turns at 1/2,
+    hence at 5/4."""
     one = np.ones((1, 1))
     net = Network(
         weights=(one, one, one),
@@ -37,7 +38,9 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
         positive_slopes=tuple(np.full(h, 1.5) for h in widths),
     )
     for v in rng.uniform(-5, 5, size=(20, 2)):
-        np.testing.assert_allclose(worst_case._smooth_jacobian(net, v, 1e-7), net.jacobian(v), rtol=1e-9)
+        np.testing.assert_allclose(
+            worst_case._smooth_jacobian(net, v, 1e-7), net.jacobian(v), rtol=1e-9
+        )
     one = np.ones((1, 1))
     single = Network(
         weights=(one, one),
@@ -51,7 +54,10 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
 def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> None:
     """Three modes, a thousandth and a billionth as strongly driven as the first."""
     linear = StateSpace(
-        a=np.diag([0.5, -0.5, 0.1]), b=np.array([[1.0], [1e-3], [1e-9]]), c=np.ones((1, 3)), d=np.zeros((1, 1))
+        a=np.diag([0.5, -0.5, 0.1]),
+        b=np.array([[1.0], [1e-3], [1e-9]]),
+        c=np.ones((1, 3)),
+        d=np.zeros((1, 1)),
     )
     values = hankel_singular_values(linear)
     assert values[2] < 1e-8 * values[0] < values[1]
@@ -73,7 +79,8 @@ def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slo
 
 
 def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
-    """One state, one step: the linear part's Gramian is `b^2 = 4`, the model's `0.2^2` to `0.5^2` of it."""
+    """One state, one step: the linear part's Gramian is `b^2 = 4`, the model's `0.2^2` to `0.5^2`
+    of it."""
     local = local_property(np.array([[0.5]]), np.array([[2.0]]), JacobianBall.from_slopes(0.2, 0.5))
     assert local.holds
     assert (local.lower, local.upper) == pytest.approx((0.16, 1.0))
@@ -81,10 +88,14 @@ def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
 
 def test_a_falling_map_has_an_inverse() -> None:
     """`-v` between -1 and 1, twice as steep below and half as steep above."""
-    falling = MonotoneScaffold(breakpoints=np.array([[-1.0, 1.0]]), slopes=np.array([[-2.0, -1.0, -0.5]]))
+    falling = MonotoneScaffold(
+        breakpoints=np.array([[-1.0, 1.0]]), slopes=np.array([[-2.0, -1.0, -0.5]])
+    )
     inverse = inverse_of(falling.portable())
     assert inverse is not None
-    np.testing.assert_allclose(inverse(np.array([[5.0], [0.5], [-2.0]])), [[-3.0], [-0.5], [3.0]], atol=1e-12)
+    np.testing.assert_allclose(
+        inverse(np.array([[5.0], [0.5], [-2.0]])), [[-3.0], [-0.5], [3.0]], atol=1e-12
+    )
 
 
 def test_a_map_that_couples_its_channels_has_no_inverse_by_channel() -> None:

@@ -1,4 +1,5 @@
-"""Bounds on scaffoldings against sampling, against each other, and against the cases they must not be fooled by."""
+"""Bounds on scaffoldings against sampling, against each other, and against the cases they must not
+be fooled by."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -15,7 +16,13 @@ from ssm_study.bounds.gramians import balance, gramian, hankel_singular_values
 from ssm_study.bounds.lipsdp import lipsdp_ball, lipsdp_bound
 from ssm_study.bounds.network import Network, slope_interval
 from ssm_study.bounds.reduction import Reduction
-from ssm_study.bounds.slopes import certified_balls, enclosing_ball, interval_bound, jacobian_ball, spectral_norm_bound
+from ssm_study.bounds.slopes import (
+    certified_balls,
+    enclosing_ball,
+    interval_bound,
+    jacobian_ball,
+    spectral_norm_bound,
+)
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.mlp import MlpScaffold
@@ -29,7 +36,9 @@ from ssm_study.systems import StateSpace
 def network(seed: int, channels: int, widths: tuple[int, ...], low: float = 0.1) -> Network:
     rng = np.random.default_rng(seed)
     sizes = (channels, *widths, channels)
-    weights = tuple(rng.normal(size=(sizes[i + 1], sizes[i])) / np.sqrt(sizes[i]) for i in range(len(sizes) - 1))
+    weights = tuple(
+        rng.normal(size=(sizes[i + 1], sizes[i])) / np.sqrt(sizes[i]) for i in range(len(sizes) - 1)
+    )
     return Network(
         weights=weights,
         biases=tuple(rng.normal(size=h) for h in widths),
@@ -51,7 +60,9 @@ def test_the_exact_interval_is_what_a_fine_walk_finds(seed: int, widths: tuple[i
     assert slopes.max() <= float(upper) + 1e-9
     outside = [net.jacobian(np.array([x]))[0, 0] for x in (-1e6, 1e6)]
     widest = max(*outside, slopes.max()) - min(*outside, slopes.min())
-    assert widest >= 0.5 * float(upper - lower)  # a piece narrower than the walk's step may hide, not half the range
+    assert widest >= 0.5 * float(
+        upper - lower
+    )  # a piece narrower than the walk's step may hide, not half the range
 
 
 def test_both_ends_of_the_exact_interval_are_attained() -> None:
@@ -68,7 +79,8 @@ def test_both_ends_of_the_exact_interval_are_attained() -> None:
 
 
 def test_neurons_that_bend_at_one_point_are_never_both_active() -> None:
-    """`relu(w) - relu(-w)` of `w = relu(v) - relu(-v)`: the identity, whose only break point lies on an edge."""
+    """`relu(w) - relu(-w)` of `w = relu(v) - relu(-v)`: the identity, whose only break point lies
+    on an edge."""
     turned = np.array([[1.0, -1.0]])
     net = Network(
         weights=(turned.T, np.vstack([turned, -turned]), turned),
@@ -80,7 +92,8 @@ def test_neurons_that_bend_at_one_point_are_never_both_active() -> None:
 
 
 def test_the_papers_lower_bound_is_unsound() -> None:
-    """`W1 = [1, 1]^T, W2 = [1, -1]`: the zero map, whose "smallest slope" the norm product puts at 0.02."""
+    """`W1 = [1, 1]^T, W2 = [1, -1]`: the zero map, whose "smallest slope" the norm product puts at
+    0.02."""
     net = Network(
         weights=(np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]])),
         biases=(np.zeros(2),),
@@ -100,7 +113,9 @@ def test_the_spectral_figure_is_sound_from_above(seed: int, widths: tuple[int, .
 
 @pytest.mark.parametrize("method", [interval_bound, lipsdp_bound])
 @given(st.integers(0, 10**6), st.integers(1, 3), st.sampled_from([(6,), (4, 3)]))
-def test_sampled_jacobians_lie_in_the_ball(method: Any, seed: int, channels: int, widths: tuple[int, ...]) -> None:
+def test_sampled_jacobians_lie_in_the_ball(
+    method: Any, seed: int, channels: int, widths: tuple[int, ...]
+) -> None:
     scaffold = MlpScaffold(network=network(seed, channels, widths))
     bound = method(scaffold.network)
     worst = worst_jacobian(scaffold, bound.ball, seed=seed, starts=1)
@@ -121,7 +136,10 @@ def test_lipsdp_is_tighter_than_the_norm_product_and_the_search_comes_close() ->
 def test_lipsdp_of_one_neuron_is_tight_and_holds_both_slopes() -> None:
     one = np.ones((1, 1))
     net = Network(
-        weights=(one, one), biases=(np.zeros(1),), negative_slopes=(np.full(1, 0.1),), positive_slopes=(np.ones(1),)
+        weights=(one, one),
+        biases=(np.zeros(1),),
+        negative_slopes=(np.full(1, 0.1),),
+        positive_slopes=(np.ones(1),),
     )
     centre, radius = lipsdp_ball(net)
     assert max(1 - centre[0, 0], centre[0, 0] - 0.1) <= radius <= 0.45 * (1 + 1e-5)
@@ -129,9 +147,14 @@ def test_lipsdp_of_one_neuron_is_tight_and_holds_both_slopes() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_lipsdp_proves_a_bound_for_wide_networks(seed: int) -> None:
-    """The solver stops just outside its own inequality on most of these; no worse than interval arithmetic beyond."""
+    """The solver stops just outside its own inequality on most of these; no worse than interval
+    arithmetic beyond."""
     net = network(seed, 1, (32,))
-    found, interval, exact = lipsdp_bound(net), interval_bound(net), jacobian_ball(MlpScaffold(network=net))
+    found, interval, exact = (
+        lipsdp_bound(net),
+        interval_bound(net),
+        jacobian_ball(MlpScaffold(network=net)),
+    )
     assert found.lower <= exact.lower <= exact.upper <= found.upper
     assert found.upper - found.lower <= (interval.upper - interval.lower) * (1 + 1e-3)
 
@@ -144,10 +167,16 @@ def test_interval_arithmetic_goes_through_every_layer(widths: tuple[int, ...]) -
 
 
 def test_the_interval_of_one_neuron_behind_two_inputs_by_hand() -> None:
-    """`J = s e1 [1 1]`, s in [0.1, 1]: centre at s = 0.55, and a radius whose 2-norm its largest column is not."""
+    """`J = s e1 [1 1]`, s in [0.1, 1]: centre at s = 0.55, and a radius whose 2-norm its largest
+    column is not."""
     one, slope = (np.zeros(1),), np.array([[1.0, 1.0], [0.0, 0.0]])
     weights = (np.array([[1.0, 1.0]]), np.array([[1.0], [0.0]]))
-    net = Network(weights=weights, biases=one, negative_slopes=(np.full(1, 0.1),), positive_slopes=(np.ones(1),))
+    net = Network(
+        weights=weights,
+        biases=one,
+        negative_slopes=(np.full(1, 0.1),),
+        positive_slopes=(np.ones(1),),
+    )
     ball = interval_bound(net).ball
     assert ball.alpha == pytest.approx(0.275)
     distance = np.linalg.norm(0.55 * slope - 0.275 * np.eye(2), 2)
@@ -172,10 +201,14 @@ def test_the_enclosing_ball_holds_both_ends_exactly(lower: float, width: float) 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_ball_of_a_matrix_holds_it_in_exact_arithmetic(seed: int) -> None:
-    """`beta^2 I - (G - alpha I)^T (G - alpha I)` has a trace and a determinant that are not negative."""
+    """`beta^2 I - (G - alpha I)^T (G - alpha I)` has a trace and a determinant that are not
+    negative."""
     gain = np.random.default_rng(seed).standard_normal((2, 2))
     ball = jacobian_ball(LinearScaffold(gain=gain)).ball
-    a, b, c, d = (Fraction(float(entry)) - Fraction(ball.alpha) * (k in (0, 3)) for k, entry in enumerate(gain.flat))
+    a, b, c, d = (
+        Fraction(float(entry)) - Fraction(ball.alpha) * (k in (0, 3))
+        for k, entry in enumerate(gain.flat)
+    )
     left, across, right = (
         Fraction(ball.beta) ** 2 - a * a - c * c,
         a * b + c * d,
@@ -209,7 +242,10 @@ TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 def two_channel(inner, outer=None) -> SSM:
     rng = np.random.default_rng(0)
     linear = StateSpace(
-        a=np.diag([0.9, -0.5, 0.3]), b=rng.normal(size=(3, 2)), c=rng.normal(size=(2, 3)), d=rng.normal(size=(2, 2))
+        a=np.diag([0.9, -0.5, 0.3]),
+        b=rng.normal(size=(3, 2)),
+        c=rng.normal(size=(2, 3)),
+        d=rng.normal(size=(2, 2)),
     )
     return SSM(
         linear=linear,
@@ -221,19 +257,25 @@ def two_channel(inner, outer=None) -> SSM:
 
 
 def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
-    """`N(v)` close to `centre v`: leaky slopes between 0.8 and 1 around an almost linear network."""
+    """`N(v)` close to `centre v`: leaky slopes between 0.8 and 1 around an almost linear
+    network."""
     rng = np.random.default_rng(seed)
     first = np.vstack([np.eye(2), 0.2 * rng.normal(size=(2, 2))])
     last = np.hstack([centre / 0.9, 0.1 * rng.normal(size=(2, 2))])
     slopes = (np.full(4, 0.8),), (np.ones(4),)
     return MlpScaffold(
         network=Network(
-            weights=(first, last), biases=(rng.normal(size=4),), negative_slopes=slopes[0], positive_slopes=slopes[1]
+            weights=(first, last),
+            biases=(rng.normal(size=4),),
+            negative_slopes=slopes[0],
+            positive_slopes=slopes[1],
         )
     )
 
 
-SIGNS = MonotoneScaffold(breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array([[1.0, 0.5], [-1.0, -2.0]]))
+SIGNS = MonotoneScaffold(
+    breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array([[1.0, 0.5], [-1.0, -2.0]])
+)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +285,8 @@ SIGNS = MonotoneScaffold(breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array(
 )
 @pytest.mark.parametrize("side", ["in", "out"])
 def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
-    """Singular values alone would pass these as they are; the ball around alpha I refuses them until absorbed."""
+    """Singular values alone would pass these as they are; the ball around alpha I refuses them
+    until absorbed."""
     model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
     assert getattr(certified_balls(model), f"{side}put").relative_radius >= 1
     turned = model.absorbed()
@@ -254,12 +297,18 @@ def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
 
 @pytest.mark.parametrize("side", ["in", "out"])
 def test_channels_of_different_gain_keep_their_map(side: str) -> None:
-    """One channel steeper than one, one flatter, one falling: pieces are turned around for the falling one alone."""
+    """One channel steeper than one, one flatter, one falling: pieces are turned around for the
+    falling one alone."""
     inner = MonotoneScaffold(
-        breakpoints=np.array([[-0.3, 0.8], [0.2, 0.9]]), slopes=np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]])
+        breakpoints=np.array([[-0.3, 0.8], [0.2, 0.9]]),
+        slopes=np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]]),
     )
     for scaffold in (inner, replace(inner, slopes=np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]]))):
-        model = two_channel(scaffold) if side == "in" else two_channel(LinearScaffold.identity(2), scaffold)
+        model = (
+            two_channel(scaffold)
+            if side == "in"
+            else two_channel(LinearScaffold.identity(2), scaffold)
+        )
         turned = model.absorbed()
         assert turned.linear is not model.linear
         u = np.random.default_rng(2).normal(size=(200, 2))
@@ -278,7 +327,9 @@ def test_a_scalar_gain_is_an_exact_bound() -> None:
 
 
 def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
-    folding = MonotoneScaffold(breakpoints=np.zeros((2, 1)), slopes=np.array([[-1.0, 1.0], [1.0, 1.0]]))
+    folding = MonotoneScaffold(
+        breakpoints=np.zeros((2, 1)), slopes=np.array([[-1.0, 1.0], [1.0, 1.0]])
+    )
     assert certified_balls(two_channel(folding).absorbed()).input.relative_radius >= 1
 
 
@@ -292,7 +343,9 @@ def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) ->
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(order, order))
     a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
-    linear = StateSpace(a=a, b=rng.normal(size=(order, 1)), c=rng.normal(size=(1, order)), d=np.zeros((1, 1)))
+    linear = StateSpace(
+        a=a, b=rng.normal(size=(order, 1)), c=rng.normal(size=(1, order)), d=np.zeros((1, 1))
+    )
     hankel = hankel_singular_values(linear)
     if hankel[-1] < 1e-6 * hankel[0]:
         return
@@ -307,7 +360,9 @@ def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) ->
 
 
 def response(linear: StateSpace, z: complex) -> complex:
-    return (linear.c @ np.linalg.solve(z * np.eye(linear.order) - linear.a, linear.b) + linear.d)[0, 0]
+    return (linear.c @ np.linalg.solve(z * np.eye(linear.order) - linear.a, linear.b) + linear.d)[
+        0, 0
+    ]
 
 
 class Model:
@@ -321,10 +376,14 @@ class Model:
 
 
 def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
-    unstable = StateSpace(a=np.array([[1.1]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    unstable = StateSpace(
+        a=np.array([[1.1]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
+    )
     with pytest.raises(BadRequest, match="spectral_radius"):
         balance(unstable)
-    dead = StateSpace(a=np.diag([0.9, 0.5]), b=np.array([[1.0], [1e-12]]), c=np.ones((1, 2)), d=np.zeros((1, 1)))
+    dead = StateSpace(
+        a=np.diag([0.9, 0.5]), b=np.array([[1.0], [1e-12]]), c=np.ones((1, 2)), d=np.zeros((1, 1))
+    )
     largest = f"{hankel_singular_values(dead)[0]:.3g}"
     with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
         balance(dead)
@@ -335,7 +394,8 @@ def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
-    """Two decoupled states, one a thousandth as strong; what unit the output has does not matter."""
+    """Two decoupled states, one a thousandth as strong; what unit the output has does not
+    matter."""
 
     a, b = np.diag([0.5, -0.5]), np.array([[1.0], [1.0]])
     linear = StateSpace(a=a, b=b, c=scale * np.array([[1.0, 1e-3]]), d=np.zeros((1, 1)))
@@ -343,7 +403,9 @@ def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
     assert Reduction(drop_below=1e-6).reduce(Model(linear)).linear.order == 2
 
 
-@pytest.mark.parametrize("bad", [{"truncate_to": 0}, {"drop_below": 0.0}, {"balanced": False, "truncate_to": 2}])
+@pytest.mark.parametrize(
+    "bad", [{"truncate_to": 0}, {"drop_below": 0.0}, {"balanced": False, "truncate_to": 2}]
+)
 def test_reduction_refuses(bad: dict) -> None:
     with pytest.raises(BadRequest, match="reduction"):
         Reduction(**bad)

@@ -1,4 +1,5 @@
-"""The benchmark records: official splits, and our scoring reproduces published rows by ordinary least squares."""
+"""The benchmark records: official splits, and our scoring reproduces published rows by ordinary
+least squares."""
 
 import re
 import sys
@@ -30,16 +31,26 @@ def built(benchmark_data: Path, monkeypatch: pytest.MonkeyPatch):  # type: ignor
 
 def arx(records: tuple[Trajectory, ...], input_lags: range, constant: bool) -> np.ndarray:
     """`y[k] = a1 y[k-1] + a2 y[k-2] + sum_j b_j u[k-j] (+ c)` by ordinary least squares."""
-    rows = [regressors(r.u[:, 0], r.y[:, 0], k, input_lags, constant) for r in records for k in range(2, len(r))]
+    rows = [
+        regressors(r.u[:, 0], r.y[:, 0], k, input_lags, constant)
+        for r in records
+        for k in range(2, len(r))
+    ]
     targets = np.concatenate([r.y[2:, 0] for r in records])
     return np.linalg.lstsq(np.array(rows), targets, rcond=None)[0]
 
 
-def regressors(u: np.ndarray, y: np.ndarray, k: int, input_lags: range, constant: bool) -> np.ndarray:
-    return np.array([y[k - 1], y[k - 2], *(u[k - j] for j in input_lags), *([1.0] if constant else [])])
+def regressors(
+    u: np.ndarray, y: np.ndarray, k: int, input_lags: range, constant: bool
+) -> np.ndarray:
+    return np.array(
+        [y[k - 1], y[k - 2], *(u[k - j] for j in input_lags), *([1.0] if constant else [])]
+    )
 
 
-def free_run(theta: np.ndarray, record: Trajectory, start: int, input_lags: range, constant: bool) -> np.ndarray:
+def free_run(
+    theta: np.ndarray, record: Trajectory, start: int, input_lags: range, constant: bool
+) -> np.ndarray:
     y = record.y[:, 0].copy()
     for k in range(start, len(y)):
         y[k] = regressors(record.u[:, 0], y, k, input_lags, constant) @ theta
@@ -47,7 +58,8 @@ def free_run(theta: np.ndarray, record: Trajectory, start: int, input_lags: rang
 
 
 def test_the_tanks_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-untyped-def]
-    """Champneys et al. 2024 publish 0.685 V for ARX; their lags are not stated, these are of second order."""
+    """Champneys et al. 2024 publish 0.685 V for ARX; their lags are not stated, these are of second
+    order."""
     data = built("cascaded_tanks")
     lags = range(3)
     theta = arx(data.training, lags, constant=True)
@@ -56,11 +68,14 @@ def test_the_tanks_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-u
 
 
 def test_the_drives_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-untyped-def]
-    """Champneys et al. 2024 publish 0.291 / 0.331 ticks/s: one model per record, second order, no constant."""
+    """Champneys et al. 2024 publish 0.291 / 0.331 ticks/s: one model per record, second order, no
+    constant."""
     data = built("ced")
     lags = range(2)
     y_hat = tuple(
-        free_run(arx((train,), lags, constant=False), test, data.start_up_samples, lags, constant=False)
+        free_run(
+            arx((train,), lags, constant=False), test, data.start_up_samples, lags, constant=False
+        )
         for train, test in zip(data.training, data.test, strict=True)
     )
     np.testing.assert_allclose(benchmark_rmse(data, y_hat), [0.291, 0.331], atol=0.0025)
@@ -78,20 +93,27 @@ def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_the_silverbox_is_cut_where_its_loader_cuts_it(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
-    """Multisine: 86,750 samples, three quarters of them before the test; the arrow's first 32,000 stay in range."""
+    """Multisine: 86,750 samples, three quarters of them before the test; the arrow's first 32,000
+    stay in range."""
     data, raw = built("silverbox"), loadmat(benchmark_data / "silverbox" / "SNLS80mV.mat")["V2"][0]
     trained = np.concatenate([record.y[:, 0] for record in (*data.training, *data.validation)])
     np.testing.assert_array_equal(trained, raw[40650:127400][: round(0.75 * 86750)])
     tests = [record.y[:, 0] for record in data.test]
     np.testing.assert_array_equal(tests[0], raw[40650:127400][round(0.75 * 86750) :])
     np.testing.assert_array_equal(tests[1][:32000], tests[2])
-    assert benchmark_rmse(data, tuple(record.y + 1e-3 for record in data.test)) == pytest.approx((1.0, 1.0, 1.0))
+    assert benchmark_rmse(data, tuple(record.y + 1e-3 for record in data.test)) == pytest.approx(
+        (1.0, 1.0, 1.0)
+    )
 
 
-def test_the_servo_velocity_integrates_to_the_measured_position(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
+def test_the_servo_velocity_integrates_to_the_measured_position(
+    built, benchmark_data: Path
+) -> None:  # type: ignore[no-untyped-def]
     record = built("emps").test[0]
     position = loadmat(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")["qm"][:, 0][:24840:10]
-    np.testing.assert_allclose(position[0] + np.cumsum(record.y[:, 0]) * record.step_s, position[1:], atol=1e-12)
+    np.testing.assert_allclose(
+        position[0] + np.cumsum(record.y[:, 0]) * record.step_s, position[1:], atol=1e-12
+    )
 
 
 def test_the_position_score_is_that_of_the_position_itself(built) -> None:  # type: ignore[no-untyped-def]
@@ -107,7 +129,8 @@ def test_the_position_score_is_that_of_the_position_itself(built) -> None:  # ty
 def test_decimation_keeps_what_a_hold_would_have_applied(benchmark_data: Path) -> None:
     path = str(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")
     fine, coarse = (
-        Recording(path=path, input="vir", output="qm", step_s=0.001, decimate=every).read() for every in (1, 10)
+        Recording(path=path, input="vir", output="qm", step_s=0.001, decimate=every).read()
+        for every in (1, 10)
     )
     np.testing.assert_array_equal(coarse.y, fine.y[:24840:10])
     np.testing.assert_allclose(coarse.u[:, 0], fine.u[:24840, 0].reshape(-1, 10).mean(axis=1))
@@ -129,14 +152,22 @@ class TestWhereRecordsLie:
         monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
         monkeypatch.chdir(tmp_path)
         monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", None)
-        with pytest.raises(BadRequest, match=r"data\.folder = None: the ced records are neither .*benchmarks\]"):
+        with pytest.raises(
+            BadRequest, match=r"data\.folder = None: the ced records are neither .*benchmarks\]"
+        ):
             from_yaml("data", "ced").build(0)
 
-    def test_downloaded_as_mat(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, benchmark_data: Path) -> None:
+    def test_downloaded_as_mat(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, benchmark_data: Path
+    ) -> None:
         """The official package keeps MAT files; the yaml names the CSV twin."""
         names = ["u11", "u12", "z11", "z12"]
         table = CsvReader().read(benchmark_data / "ced" / "DATAUNIF.csv", names)
-        savemat(tmp_path / "DATAUNIF.MAT", {n: table.columns[n][:, None] for n in names}, appendmat=False)
+        savemat(
+            tmp_path / "DATAUNIF.MAT",
+            {n: table.columns[n][:, None] for n in names},
+            appendmat=False,
+        )
         monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
         monkeypatch.chdir(tmp_path)
         package = SimpleNamespace(CED=lambda data_file_locations: str(tmp_path / "DATAUNIF.MAT"))  # noqa: ARG005
@@ -156,7 +187,8 @@ class TestWhereRecordsLie:
 
 
 def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-untyped-def]
-    """A position error of 1 mm everywhere, once as a position and once as the velocity that integrates to it."""
+    """A position error of 1 mm everywhere, once as a position and once as the velocity that
+    integrates to it."""
     position, velocity = built("emps_position"), built("emps")
     assert benchmark_rmse(position, (position.test[0].y + 1e-3,))[0] == pytest.approx(1.0)
     kicked = velocity.test[0].y.copy()
@@ -166,10 +198,14 @@ def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-un
 
 @pytest.mark.parametrize("name", ["ced", "cascaded_tanks", "emps_position"])
 def test_a_fold_opens_no_test_file_and_scores_what_it_held_out(built, name: str) -> None:  # type: ignore[no-untyped-def]
-    """The pieces of all folds are the training records, each once; what a fold keeps and holds out do not overlap."""
+    """The pieces of all folds are the training records, each once; what a fold keeps and holds out
+    do not overlap."""
     whole = built(name, "start_up_samples=0")
     folds = [
-        from_yaml("data", name, f"fold={k}", "test.0.path=nowhere.csv", "start_up_samples=0").build(0) for k in range(4)
+        from_yaml("data", name, f"fold={k}", "test.0.path=nowhere.csv", "start_up_samples=0").build(
+            0
+        )
+        for k in range(4)
     ]
     for i, record in enumerate(whole.training):
         np.testing.assert_array_equal(np.concatenate([fold.test[i].y for fold in folds]), record.y)
@@ -187,22 +223,45 @@ def test_a_fold_that_is_none() -> None:
 def test_the_official_package_splits_and_scores_as_we_do(
     built, benchmark_data: Path, monkeypatch, tmp_path: Path
 ) -> None:  # type: ignore[no-untyped-def]
-    """Its own loaders on the same files: equal samples in both parts. Start-up as it says, but for the tanks (50)."""
+    """Its own loaders on the same files: equal samples in both parts. Start-up as it says, but for
+    the tanks (50)."""
     official = pytest.importorskip("nonlinear_benchmarks", reason="extra benchmarks")
-    mat_of_csv(benchmark_data / "ced" / "DATAUNIF.csv", ["u11", "u12", "z11", "z12"], tmp_path / "DATAUNIF.MAT")
+    mat_of_csv(
+        benchmark_data / "ced" / "DATAUNIF.csv",
+        ["u11", "u12", "z11", "z12"],
+        tmp_path / "DATAUNIF.MAT",
+    )
     tanks = tmp_path / "CascadedTanksFiles" / "dataBenchmark.mat"
     names = ["uEst", "uVal", "yEst", "yVal"]
     mat_of_csv(benchmark_data / "cascaded_tanks" / "dataBenchmark.csv", names, tanks, Ts=4.0)
-    places = {"EMPS": str(benchmark_data / "emps"), "CED": str(tmp_path), "Cascaded_Tanks": str(tmp_path)}
-    monkeypatch.setattr("nonlinear_benchmarks.benchmarks.cashed_download", lambda _, name, **__: places[name])
-    for name, ours in (("EMPS", "emps_position"), ("CED", "ced"), ("Cascaded_Tanks", "cascaded_tanks")):
+    places = {
+        "EMPS": str(benchmark_data / "emps"),
+        "CED": str(tmp_path),
+        "Cascaded_Tanks": str(tmp_path),
+    }
+    monkeypatch.setattr(
+        "nonlinear_benchmarks.benchmarks.cashed_download", lambda _, name, **__: places[name]
+    )
+    for name, ours in (
+        ("EMPS", "emps_position"),
+        ("CED", "ced"),
+        ("Cascaded_Tanks", "cascaded_tanks"),
+    ):
         data = built(ours)
-        for theirs, records in zip(as_tuples(getattr(official, name)()), (data.training, data.test), strict=True):
+        for theirs, records in zip(
+            as_tuples(getattr(official, name)()), (data.training, data.test), strict=True
+        ):
             for one, record in zip(theirs, records, strict=True):
                 every = round(record.step_s / float(one.sampling_time))
-                np.testing.assert_array_equal(record.y[:, 0], np.ravel(one.y)[: every * len(record) : every])
+                np.testing.assert_array_equal(
+                    record.y[:, 0], np.ravel(one.y)[: every * len(record) : every]
+                )
         window = theirs[0].state_initialization_window_length
-        assert (window, data.start_up_samples) == {"EMPS": (20, 0), "CED": (10, 10), "Cascaded_Tanks": (50, 5)}[name]
+        assert (window, data.start_up_samples) == {
+            "EMPS": (20, 0),
+            "CED": (10, 10),
+            "Cascaded_Tanks": (50, 5),
+        }[name]
 
 
 def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() -> None:
@@ -214,7 +273,9 @@ def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() ->
         exec(block, names)
     u = np.random.default_rng(0).uniform(-1, 1, 100).repeat(8)
     y = signal.lfilter([0, 0.1], [1, -0.9], u)
-    train, test = (official.Input_output_data(u[part], y[part], 0.1) for part in (slice(500), slice(0, 800)))
+    train, test = (
+        official.Input_output_data(u[part], y[part], 0.1) for part in (slice(500), slice(0, 800))
+    )
     overrides = (
         "model=ssm",
         "model.order=1",
@@ -232,19 +293,24 @@ def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() ->
 
 
 def as_tuples(parts):  # type: ignore[no-untyped-def]
-    """Training and test, each a tuple of records, whether the package gives one record or several."""
+    """Training and test, each a tuple of records, whether the package gives one record or
+    several."""
     return [part if isinstance(part, tuple) else (part,) for part in parts]
 
 
 def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> None:
     """The MAT twin of a record that is at hand as CSV."""
-    columns = {name: values[:, None] for name, values in CsvReader().read(source, names).columns.items()}
+    columns = {
+        name: values[:, None] for name, values in CsvReader().read(source, names).columns.items()
+    }
     target.parent.mkdir(exist_ok=True)
     savemat(target, columns | more, appendmat=False)
 
 
 @pytest.mark.parametrize(("name", "closed"), [("emps", True), ("emps_position", True), ("ced", False),
                                               ("cascaded_tanks", False), ("silverbox", False)])  # fmt: skip
-def test_of_the_benchmarks_only_the_servo_was_recorded_in_a_closed_loop(built, name, closed) -> None:  # type: ignore[no-untyped-def]
+def test_of_the_benchmarks_only_the_servo_was_recorded_in_a_closed_loop(
+    built, name, closed
+) -> None:  # type: ignore[no-untyped-def]
     data = built(name)
     assert (fed_back(data, 1) > EARLIER or fed_back(data, 0) > PRESENT) == closed

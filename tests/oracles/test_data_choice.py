@@ -1,4 +1,5 @@
-"""The settings behind the benchmark table are those that folds and rehearsals chose, as their tables have it."""
+"""The settings behind the benchmark table are those that folds and rehearsals chose, as their
+tables have it."""
 
 import csv
 import math
@@ -14,7 +15,9 @@ DATA = {"emps": "emps_position", "ced": "ced", "cascaded_tanks": "cascaded_tanks
 
 
 def rows(benchmark: str) -> list[dict[str, str]]:
-    with (ROOT / "results" / "reference" / "benchmarks" / f"{TABLES[benchmark]}.csv").open(newline="") as stream:
+    with (ROOT / "results" / "reference" / "benchmarks" / f"{TABLES[benchmark]}.csv").open(
+        newline=""
+    ) as stream:
         return [row for row in csv.DictReader(stream) if row["benchmark"] == benchmark]
 
 
@@ -29,7 +32,9 @@ def test_the_table_ranks_by_the_error_over_all_parts(benchmark: str) -> None:
     pooled = [float(row["held_out_rmse"]) for row in rows(benchmark)]
     assert pooled == sorted(pooled)
     for row, error in zip(rows(benchmark), pooled, strict=True):
-        parts = [float(row[f"{part}_{k}"] or "inf") for k in range(4)]  # a setting that failed on one is out
+        parts = [
+            float(row[f"{part}_{k}"] or "inf") for k in range(4)
+        ]  # a setting that failed on one is out
         assert math.sqrt(sum(e**2 for e in parts) / 4) == pytest.approx(error, rel=1e-3)
 
 

@@ -1,4 +1,5 @@
-"""A log of a known loop: the set point found again from the PI, the bias of a slow drift gone, and what is refused."""
+"""A log of a known loop: the set point found again from the PI, the bias of a slow drift gone, and
+what is refused."""
 
 from pathlib import Path
 
@@ -15,7 +16,9 @@ from ssm_study.signals import Trajectory
 GAIN, INTEGRAL_S, STEP_S, SAMPLES = 3.0, 0.8, 0.1, 3000
 
 
-def loop(seed: int, drift: float = 0.95, integral_s: float = INTEGRAL_S) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def loop(
+    seed: int, drift: float = 0.95, integral_s: float = INTEGRAL_S
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`x+ = 0.9 x + 0.1 u` under a PI, y with noise half as large as what the input moves."""
     rng = np.random.default_rng(seed)
     r, w = rng.uniform(-1, 1, SAMPLES // 10).repeat(10), 0.2 * rng.standard_normal(SAMPLES)
@@ -43,7 +46,14 @@ def fitted(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def written(folder: Path, *columns: np.ndarray) -> str:
-    np.savetxt(folder / "log.csv", np.column_stack(columns), delimiter=",", header="r,u,y", comments="", fmt="%.12g")
+    np.savetxt(
+        folder / "log.csv",
+        np.column_stack(columns),
+        delimiter=",",
+        header="r,u,y",
+        comments="",
+        fmt="%.12g",
+    )
     return str(folder / "log.csv")
 
 
@@ -57,7 +67,8 @@ def test_the_set_point_of_a_pi_is_found_again() -> None:
 
 
 def test_the_bias_of_a_slow_drift_is_gone() -> None:
-    """From the applied input a drift makes the gain too small at every seed; from the set point's share it scatters."""
+    """From the applied input a drift makes the gain too small at every seed; from the set point's
+    share it scatters."""
     direct, staged = [], []
     for seed in range(6):
         r, u, y = loop(seed, integral_s=1e9)
@@ -75,11 +86,19 @@ def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path:
     asked = {"path": path, "input": "u", "output": "y", "step_s": STEP_S}
     plain, named, pi, wrong = (
         RecordedData(**asked, **more).build(0)
-        for more in ({}, {"reference": "r"}, {"controller": [GAIN, INTEGRAL_S]}, {"controller": [-GAIN, 100.0]})
+        for more in (
+            {},
+            {"reference": "r"},
+            {"controller": [GAIN, INTEGRAL_S]},
+            {"controller": [-GAIN, 100.0]},
+        )
     )
     a, b = named.training[0].u[300:, 0], pi.training[0].u[300:, 0]
     assert np.abs(a - b).max() < 0.05 * np.ptp(a)
-    found = {name: fed_back(data, 0) for name, data in (("plain", plain), ("named", named), ("wrong", wrong))}
+    found = {
+        name: fed_back(data, 0)
+        for name, data in (("plain", plain), ("named", named), ("wrong", wrong))
+    }
     assert found["plain"] > PRESENT
     assert found["named"] < EARLIER
     assert found["wrong"] > PRESENT
@@ -99,7 +118,9 @@ def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="are at a limit of the input"):
         set_point_of_pi(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
     with pytest.raises(BadRequest, match="a PI has one each"):
-        set_point_of_pi(Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S), GAIN, INTEGRAL_S)
+        set_point_of_pi(
+            Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S), GAIN, INTEGRAL_S
+        )
     with pytest.raises(BadRequest, match="log longer"):
         from_set_points([log(u[:300], y[:300])], [r[:300, None]])
     with pytest.raises(BadRequest):

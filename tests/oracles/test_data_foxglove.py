@@ -1,7 +1,9 @@
-"""A recording through the libraries that Foxglove opens files with; runs where node and these are installed.
+"""A recording through the libraries that Foxglove opens files with; runs where node and these are
+installed.
 
 npm install --prefix /tmp/foxglove @mcap/core@2.2.2 @mcap/nodejs@1.0.2 @mcap/support@1.1.0
-npm install --prefix /tmp/foxglove @foxglove/studio-base@1.48.0 react@17.0.2 react-dom@17.0.2   # the application
+npm install --prefix /tmp/foxglove @foxglove/studio-base@1.48.0 react@17.0.2 react-dom@17.0.2   #
+the application
 NODE_PATH=/tmp/foxglove/node_modules pytest tests/oracles/test_data_foxglove.py
 """
 
@@ -33,7 +35,10 @@ def node(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module", autouse=True)
 def foxglove() -> None:
-    if shutil.which("node") is None or node("-e", "require('@mcap/core'); require('@mcap/support')").returncode != 0:
+    if (
+        shutil.which("node") is None
+        or node("-e", "require('@mcap/core'); require('@mcap/support')").returncode != 0
+    ):
         pytest.skip("needs node and Foxglove's packages in NODE_PATH, see above")
 
 
@@ -44,12 +49,17 @@ def as_foxglove_reads(path: Path) -> Any:
 
 
 def test_foxglove_reads_what_was_written(tmp_path: Path) -> None:
-    """Topics, protobuf schemas, units, metadata, log times of the sampling clock, and every double to its last bit."""
+    """Topics, protobuf schemas, units, metadata, log times of the sampling clock, and every double
+    to its last bit."""
     rng = np.random.default_rng(0)
     values = np.concatenate([[[0.0, -0.0], [np.inf, 5e-324]], rng.standard_normal((3000, 2))])
     channels = (Channel(name="speed", unit="rad/s"), Channel(name="torque", unit="Nm"))
-    output = SignalGroup(topic="/output", time_s=np.arange(3002) * 0.01, channels=channels, values=values)
-    slow = SignalGroup(topic="/input", time_s=np.arange(9) * 0.5, channels=channels[:1], values=values[:9, :1])
+    output = SignalGroup(
+        topic="/output", time_s=np.arange(3002) * 0.01, channels=channels, values=values
+    )
+    slow = SignalGroup(
+        topic="/input", time_s=np.arange(9) * 0.5, channels=channels[:1], values=values[:9, :1]
+    )
     write_mcap(tmp_path / "a.mcap", (output, slow), {"plant": "DCMotor", "seed": "0"})
     seen = as_foxglove_reads(tmp_path / "a.mcap")
     assert seen["metadata"] == {"ssm-study": {"plant": "DCMotor", "seed": "0"}}
@@ -57,7 +67,11 @@ def test_foxglove_reads_what_was_written(tmp_path: Path) -> None:
     topic = seen["topics"]["/output"]
     assert (topic["message_encoding"], topic["schema_encoding"]) == ("protobuf", "protobuf")
     assert topic["metadata"] == {"unit.speed": "rad/s", "unit.torque": "Nm"}
-    assert topic["log_times_ns"] == topic["publish_times_ns"] == [str(k * 10_000_000) for k in range(3002)]
+    assert (
+        topic["log_times_ns"]
+        == topic["publish_times_ns"]
+        == [str(k * 10_000_000) for k in range(3002)]
+    )
     digits = [[message[channel.name] for channel in channels] for message in topic["messages"]]
     assert digits == [[struct.pack(">d", value).hex() for value in row] for row in values]
     assert seen["topics"]["/input"]["log_times_ns"] == [str(k * 500_000_000) for k in range(9)]
@@ -76,7 +90,9 @@ def test_foxglove_refuses_a_flipped_bit(tmp_path: Path) -> None:
     """The check sums are there and are right: a damaged chunk does not pass for another number."""
     values = np.random.default_rng(1).standard_normal((100, 1))
     channel = Channel(name="speed", unit="rad/s")
-    group = SignalGroup(topic="/output", time_s=np.arange(100) * 0.01, channels=(channel,), values=values)
+    group = SignalGroup(
+        topic="/output", time_s=np.arange(100) * 0.01, channels=(channel,), values=values
+    )
     write_mcap(tmp_path / "a.mcap", (group,), {})
     content = bytearray((tmp_path / "a.mcap").read_bytes())
     content[len(content) // 3] ^= 1
@@ -85,20 +101,33 @@ def test_foxglove_refuses_a_flipped_bit(tmp_path: Path) -> None:
 
 
 def test_the_application_shows_a_recording(smoke_run: Path) -> None:
-    """Foxglove Studio itself: topics with schemas and counts, times, nothing failed, and the numbers of one sample."""
+    """Foxglove Studio itself: topics with schemas and counts, times, nothing failed, and the
+    numbers of one sample."""
     modules = [Path(place) for place in os.environ["NODE_PATH"].split(os.pathsep)]
     holding = [place for place in modules if (place / "@foxglove" / "studio-base").is_dir()]
     if not holding or shutil.which("chromedriver") is None:
         pytest.skip("needs Foxglove Studio in NODE_PATH and chromium with chromedriver")
     recording = smoke_run / "closed_loop.mcap"
-    words = [sys.executable, str(STUDIO), str(recording), "--modules", str(holding[0]), "--beside", "/case_0.states"]
+    words = [
+        sys.executable,
+        str(STUDIO),
+        str(recording),
+        "--modules",
+        str(holding[0]),
+        "--beside",
+        "/case_0.states",
+    ]
     ran = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert ran.returncode == 0, ran.stderr
     seen = json.loads(ran.stdout)
     assert seen["failures"] == []
     groups, _ = read_mcap(recording)
-    for topic in {group.topic.rpartition("/")[0] for group in groups}:  # the groups of a case are fields of its topic
-        assert re.search(rf"{topic}\nssm_study\.\w+\n{len(groups[0].values):,}\n", seen["text"]), topic
+    for topic in {
+        group.topic.rpartition("/")[0] for group in groups
+    }:  # the groups of a case are fields of its topic
+        assert re.search(rf"{topic}\nssm_study\.\w+\n{len(groups[0].values):,}\n", seen["text"]), (
+            topic
+        )
     states = next(group for group in groups if group.topic == "/case_0/states")
     assert f"END TIME\n{states.time_s[-1]:.9f}" in seen["text"]
     at = float(re.findall(r" @ ([0-9.]+) sec", seen["text"])[0])

@@ -24,7 +24,11 @@ KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", ">f8"]
     data=st.data(),
 )
 def test_version_5(
-    tmp_path_factory: pytest.TempPathFactory, kind: str, shape: tuple[int, int], compressed: bool, data: st.DataObject
+    tmp_path_factory: pytest.TempPathFactory,
+    kind: str,
+    shape: tuple[int, int],
+    compressed: bool,
+    data: st.DataObject,
 ) -> None:
     matrix = data.draw(arrays(np.dtype(kind), shape))
     path = tmp_path_factory.mktemp("mat") / "a.mat"
@@ -36,7 +40,9 @@ def test_version_5(
 
 
 @given(kind=st.sampled_from(["f8", "f4", "i4", "i2", "u2", "u1"]), data=st.data())
-def test_version_4(tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject) -> None:
+def test_version_4(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject
+) -> None:
     matrix = data.draw(arrays(np.dtype(kind), (3, 2)))
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     others = {"c": np.ones(2) * 1j, "s": "text", "e": scipy.sparse.eye_array(2, format="csc")}
@@ -48,7 +54,8 @@ def test_version_4(tmp_path_factory: pytest.TempPathFactory, kind: str, data: st
 
 
 def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
-    """`x = [1; 2]` of a machine whose greatest byte is first, and of a VAX, whose numbers are not read."""
+    """`x = [1; 2]` of a machine whose greatest byte is first, and of a VAX, whose numbers are not
+    read."""
     for order, numbers in ((1000, [1.0, 2.0]), (2000, None)):
         content = struct.pack(">5i", order, 2, 1, 0, 2) + b"x\0" + struct.pack(">2d", 1.0, 2.0)
         (tmp_path / "a.mat").write_bytes(content)
@@ -56,11 +63,16 @@ def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
             with pytest.raises(BadRequest, match=r"not a complete MAT file: .*byte ordering"):
                 MatReader().read(tmp_path / "a.mat", ["x"])
         else:
-            np.testing.assert_array_equal(MatReader().read(tmp_path / "a.mat", ["x"]).columns["x"], numbers)
+            np.testing.assert_array_equal(
+                MatReader().read(tmp_path / "a.mat", ["x"]).columns["x"], numbers
+            )
 
 
 def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
-    savemat(tmp_path / "a.mat", {"s": {"f": 1.0}, "c": np.array(["ab", 1.0], dtype=object), "t": "text", "z": 1j})
+    savemat(
+        tmp_path / "a.mat",
+        {"s": {"f": 1.0}, "c": np.array(["ab", 1.0], dtype=object), "t": "text", "z": 1j},
+    )
     assert parse(tmp_path / "a.mat") == {
         "s": "a struct",
         "c": "a cell array",
@@ -78,8 +90,12 @@ def test_the_servo_files(benchmark_data: Path, name: str) -> None:
         np.testing.assert_array_equal(mine[variable], theirs[variable])
 
 
-@pytest.mark.parametrize("content", [b"", b"MATLAB 7.3 MAT-file" + bytes(200), b"\x89HDF\r\n" + bytes(100), b"x" * 200])
+@pytest.mark.parametrize(
+    "content", [b"", b"MATLAB 7.3 MAT-file" + bytes(200), b"\x89HDF\r\n" + bytes(100), b"x" * 200]
+)
 def test_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mat").write_bytes(content)
-    with pytest.raises(BadRequest, match=r"a\.mat: not a complete MAT file: .*; save it again with -v7"):
+    with pytest.raises(
+        BadRequest, match=r"a\.mat: not a complete MAT file: .*; save it again with -v7"
+    ):
         MatReader().read(tmp_path / "a.mat", ["x"])

@@ -1,4 +1,5 @@
-"""MCAP: what is written is read back bit for bit, by our reader and by the reference reader Foxglove builds on."""
+"""MCAP: what is written is read back bit for bit, by our reader and by the reference reader
+Foxglove builds on."""
 
 import resource
 from pathlib import Path
@@ -24,11 +25,19 @@ from ssm_study.signals import Channel
 
 def group(topic: str, values: np.ndarray, step_s: float = 0.01) -> SignalGroup:
     channels = tuple(Channel(name=f"signal_{k}", unit="rad/s") for k in range(values.shape[1]))
-    return SignalGroup(topic=topic, time_s=np.arange(len(values)) * step_s, channels=channels, values=values)
+    return SignalGroup(
+        topic=topic, time_s=np.arange(len(values)) * step_s, channels=channels, values=values
+    )
 
 
-@given(values=arrays(np.float64, st.tuples(st.integers(1, 20), st.integers(1, 20)), elements=st.floats(width=64)))
-def test_every_double_survives(values: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> None:
+@given(
+    values=arrays(
+        np.float64, st.tuples(st.integers(1, 20), st.integers(1, 20)), elements=st.floats(width=64)
+    )
+)
+def test_every_double_survives(
+    values: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     path = tmp_path_factory.mktemp("mcap") / "a.mcap"
     write_mcap(path, (group("/output", values),), {"plant": "DCMotor"})
     (back,), metadata = read_mcap(path)
@@ -62,14 +71,21 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
     assert names == {"ssm_study.Output", "ssm_study.Input"}
     times = [message.log_time for _, _, message, _ in messages]
     assert times == sorted(times)
-    outputs = [(m.log_time, d.signal_0, d.signal_2) for _, c, m, d in messages if c.topic == "/output"]
+    outputs = [
+        (m.log_time, d.signal_0, d.signal_2) for _, c, m, d in messages if c.topic == "/output"
+    ]
     assert outputs == [(10_000_000 * k, values[k, 0], values[k, 2]) for k in range(50)]
 
 
 def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
-    """On one clock: read back as they were given, by the reference reader as fields; half the bytes of topics apart."""
+    """On one clock: read back as they were given, by the reference reader as fields; half the bytes
+    of topics apart."""
     rng = np.random.default_rng(4)
-    groups = [group(f"/case_{i}/{name}", rng.standard_normal((400, 1))) for i in (0, 1) for name in ("input", "output")]
+    groups = [
+        group(f"/case_{i}/{name}", rng.standard_normal((400, 1)))
+        for i in (0, 1)
+        for name in ("input", "output")
+    ]
     late = group("/case_1/late", rng.standard_normal((400, 40)), 0.02)  # on a clock of its own
     write_mcap(tmp_path / "a.mcap", (*groups[:2], *groups[2:], late), {})
     back = {one.topic: one for one in read_mcap(tmp_path / "a.mcap")[0]}
@@ -84,9 +100,14 @@ def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
     assert [d.output.signal_0 for d in seen] == list(groups[1].values[:, 0])
     assert set(channels) == {"/case_0", "/case_1/input", "/case_1/output", "/case_1/late"}
     assert channels["/case_0"]["unit.input.signal_0"] == "rad/s"
-    names = ["/case_0.output.signal_0", "/case_0/input.signal_0"]  # as Foxglove plots them, and as topic.field
+    names = [
+        "/case_0.output.signal_0",
+        "/case_0/input.signal_0",
+    ]  # as Foxglove plots them, and as topic.field
     columns = McapReader().read(tmp_path / "a.mcap", names).columns
-    np.testing.assert_array_equal([columns[name] for name in names], [groups[1].values[:, 0], groups[0].values[:, 0]])
+    np.testing.assert_array_equal(
+        [columns[name] for name in names], [groups[1].values[:, 0], groups[0].values[:, 0]]
+    )
     sizes = []
     for topic in ("/case_0/{}", "/{}_alone"):
         names = [topic.format(name) for name in ("input", "output", "measured", "estimate")]
@@ -133,7 +154,10 @@ def test_no_flipped_bit_changes_a_number_silently(recording: Path) -> None:
 def test_a_name_that_is_no_identifier_is_refused() -> None:
     with pytest.raises(BadRequest, match="unique identifier"):
         SignalGroup(
-            topic="/y", time_s=np.arange(2.0), channels=(Channel(name="a b", unit="V"),), values=np.ones((2, 1))
+            topic="/y",
+            time_s=np.arange(2.0),
+            channels=(Channel(name="a b", unit="V"),),
+            values=np.ones((2, 1)),
         )
 
 
@@ -144,11 +168,16 @@ def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) 
     assert recording.read_bytes() == before
 
 
-def test_a_full_disk_is_the_systems_own_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Known as a fault of the machine, so that the same command tries again; and it fills no terminal."""
+def test_a_full_disk_is_the_systems_own_error(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Known as a fault of the machine, so that the same command tries again; and it fills no
+    terminal."""
     values = np.random.default_rng(0).standard_normal((4000, 2))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))  # bytes of a file: writes beyond fail as on a full disk
+    resource.setrlimit(
+        resource.RLIMIT_FSIZE, (10_000, hard)
+    )  # bytes of a file: writes beyond fail as on a full disk
     try:
         with pytest.raises(OSError, match="File too large"):
             write_mcap(tmp_path / "a.mcap", (group("/output", values),), {})
@@ -159,7 +188,8 @@ def test_a_full_disk_is_the_systems_own_error(tmp_path: Path, capfd: pytest.Capt
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    """A few kilobytes that would unpack to a gigabyte: what the chunk claims does not matter, its frame says it."""
+    """A few kilobytes that would unpack to a gigabyte: what the chunk claims does not matter, its
+    frame says it."""
     press = zstandard.ZstdCompressor().compressobj(size=2**30)
     packed = b"".join([*(press.compress(bytes(2**20)) for _ in range(2**10)), press.flush()])
     for claimed in (2**30, 100):
@@ -178,8 +208,11 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
 
 
 def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[bytes]) -> None:
-    """A topic of another program's: messages of one field or none, or of other messages with a double each."""
-    file = descriptor_pb2.FileDescriptorProto(name=f"{topic}.proto", package="theirs", syntax="proto3")
+    """A topic of another program's: messages of one field or none, or of other messages with a
+    double each."""
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{topic}.proto", package="theirs", syntax="proto3"
+    )
     file.message_type.add(name="Point").field.add(name="x", number=1, type=1, label=1)
     whole = file.message_type.add(name=topic)
     if field:

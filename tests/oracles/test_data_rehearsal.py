@@ -1,4 +1,5 @@
-"""The servo of the rehearsals: its exact step against an integrator, its parameters found again, test files closed."""
+"""The servo of the rehearsals: its exact step against an integrator, its parameters found again,
+test files closed."""
 
 import sys
 from collections.abc import Iterator
@@ -38,12 +39,15 @@ def rehearsed(benchmark_data: Path, monkeypatch: pytest.MonkeyPatch):  # type: i
 
 def moves(samples: int) -> np.ndarray:
     """A reference there and back, with rests: 0.1 m in 1.5 s."""
-    return 0.05 * (1 - np.cos(np.clip(2 * np.pi * (np.arange(samples) * STEP_S % 4.0) / 3.0, 0, 2 * np.pi)))
+    return 0.05 * (
+        1 - np.cos(np.clip(2 * np.pi * (np.arange(samples) * STEP_S % 4.0) / 3.0, 0, 2 * np.pi))
+    )
 
 
 @pytest.mark.parametrize("volt", [2.0, 0.3, -0.3, -2.0])
 def test_a_step_is_what_an_integrator_finds(volt: float) -> None:
-    """From 0.05 m/s over half a second: it slows down, stops and sticks, or turns, as the voltage has it."""
+    """From 0.05 m/s over half a second: it slows down, stops and sticks, or turns, as the voltage
+    has it."""
 
     def motion(_: float, state: np.ndarray) -> list[float]:
         friction = SERVO.coulomb * np.tanh(state[1] / 1e-6)
@@ -66,16 +70,21 @@ def test_it_sticks_exactly_and_steps_add_up() -> None:
 def test_the_parameters_of_a_simulated_servo_are_found_again() -> None:
     volt, position = tracked(SERVO, moves(8000), np.zeros(8000), GAINS, STEP_S)
     found = fitted(volt, position, STEP_S, 35.0)
-    np.testing.assert_allclose((found.mass, found.viscous, found.coulomb), (95.0, 200.0, 20.0), rtol=0.02)
+    np.testing.assert_allclose(
+        (found.mass, found.viscous, found.coulomb), (95.0, 200.0, 20.0), rtol=0.02
+    )
     assert found.offset == pytest.approx(-3.0, abs=0.3)
 
 
 def test_the_servo_of_the_record_is_the_published_one(rehearsed) -> None:  # type: ignore[no-untyped-def]
-    """Janot, Gautier & Brunot (2019): 95.1 kg, 203.5 N s/m, 20.4 N, -3.16 N; and it asks for the recorded voltage."""
+    """Janot, Gautier & Brunot (2019): 95.1 kg, 203.5 N s/m, 20.4 N, -3.16 N; and it asks for the
+    recorded voltage."""
     source = rehearsed()
     fine, reference = source._record(), source._record(output="qg").y[:, 0]
     servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, source.force_per_volt)
-    np.testing.assert_allclose((servo.mass, servo.viscous, servo.coulomb), (95.1, 203.5, 20.4), rtol=0.02)
+    np.testing.assert_allclose(
+        (servo.mass, servo.viscous, servo.coulomb), (95.1, 203.5, 20.4), rtol=0.02
+    )
     volt, _ = tracked(servo, reference, np.zeros(len(fine)), (source.kp, source.kv), fine.step_s)
     assert np.sqrt(np.mean((volt - fine.u[:, 0]) ** 2)) < 0.1  # of 1.54 V
 

@@ -1,4 +1,5 @@
-"""How a log is cut: in time, named intervals, folds, or blocks where its end is unlike its beginning."""
+"""How a log is cut: in time, named intervals, folds, or blocks where its end is unlike its
+beginning."""
 
 from dataclasses import replace
 
@@ -8,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.splits import by_fold, by_intervals, by_time, end_is_unlike, in_blocks, repeats, without_fold
+from ssm_study.data.splits import (
+    by_fold,
+    by_intervals,
+    by_time,
+    end_is_unlike,
+    in_blocks,
+    repeats,
+    without_fold,
+)
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -21,9 +30,15 @@ def record(samples: int) -> Trajectory:
 @given(st.integers(40, 400), st.floats(0.1, 0.4), st.floats(0.1, 0.4))
 def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
     log = record(samples)
-    for parts in (by_time(log, validation, test), in_blocks(log), *(by_fold(log, fold, 5) for fold in range(5))):
+    for parts in (
+        by_time(log, validation, test),
+        in_blocks(log),
+        *(by_fold(log, fold, 5) for fold in range(5)),
+    ):
         pieces = [piece for part in parts for piece in part]
-        np.testing.assert_array_equal(np.sort(np.concatenate([piece.u[:, 0] for piece in pieces])), log.u[:, 0])
+        np.testing.assert_array_equal(
+            np.sort(np.concatenate([piece.u[:, 0] for piece in pieces])), log.u[:, 0]
+        )
         assert [piece.first for piece in pieces] == [piece.u[0, 0] for piece in pieces]
 
 
@@ -58,7 +73,10 @@ def test_stretches_between_rests_count_where_each_repeats_itself():
     rest, period = np.zeros(40), np.random.default_rng(0).uniform(-1, 1, size=40)
     twice = np.concatenate([rest, period, period, rest, 2 * period, 2 * period, rest])
     moved = Trajectory(u=twice[:, None], y=twice[:, None], step_s=0.1)
-    assert [len(piece) for piece in repeats(moved, 0)] == [140, 141]  # half a rest, two periods, a rest
+    assert [len(piece) for piece in repeats(moved, 0)] == [
+        140,
+        141,
+    ]  # half a rest, two periods, a rest
     once = np.concatenate([rest, period, rest, 2 * period, 2 * period, rest])
     assert not repeats(Trajectory(u=once[:, None], y=once[:, None], step_s=0.1), 0)
     assert not repeats(moved[40:], 0)  # begins in motion
@@ -88,7 +106,13 @@ def test_intervals_that_cannot_be_are_refused(wrong):
 
 
 def log(path, y: np.ndarray) -> RecordedData:
-    np.savetxt(path, np.column_stack([np.sin(np.arange(len(y))), y]), delimiter=",", header="u,y", comments="")
+    np.savetxt(
+        path,
+        np.column_stack([np.sin(np.arange(len(y))), y]),
+        delimiter=",",
+        header="u,y",
+        comments="",
+    )
     return RecordedData(path=str(path), input="u", output="y", step_s=0.1, start_up_samples=10)
 
 
@@ -97,20 +121,33 @@ def test_the_default_says_which_it_took(tmp_path):
     alike = log(tmp_path / "alike.csv", rng.standard_normal(1000)).build(0)
     assert alike.metadata["split"] == "in the order of time"
     assert len(alike.training) == 1
-    moved = log(tmp_path / "moved.csv", rng.standard_normal(1000) + 4 * (np.arange(1000) > 800)).build(0)
+    moved = log(
+        tmp_path / "moved.csv", rng.standard_normal(1000) + 4 * (np.arange(1000) > 800)
+    ).build(0)
     assert "interleaved blocks, because its end" in moved.metadata["split"]
     assert (len(moved.training), len(moved.validation), len(moved.test)) == (6, 2, 2)
     (tmp_path / "folds").mkdir()
-    held_out = replace(log(tmp_path / "folds" / "log.csv", rng.standard_normal(1000)), fold=2).build(0)
+    held_out = replace(
+        log(tmp_path / "folds" / "log.csv", rng.standard_normal(1000)), fold=2
+    ).build(0)
     assert held_out.metadata["split"].startswith("into 5 folds, of which number 2 tests")
-    assert (len(held_out.training), len(held_out.validation[0]), len(held_out.test[0])) == (2, 200, 200)
+    assert (len(held_out.training), len(held_out.validation[0]), len(held_out.test[0])) == (
+        2,
+        200,
+        200,
+    )
     assert end_is_unlike(by_time(record(500), 0.2, 0.2))
-    first, odd = (Trajectory(u=y, y=y, step_s=0.1) for y in (rng.standard_normal((200, 1)), 9 + np.zeros((200, 1))))
+    first, odd = (
+        Trajectory(u=y, y=y, step_s=0.1)
+        for y in (rng.standard_normal((200, 1)), 9 + np.zeros((200, 1)))
+    )
     assert not end_is_unlike(([first], [odd], [first]))
     assert end_is_unlike(([odd], [first], [first]))
     nothing = {"validation": [[0.0, 50.0]], "test": [[50.0, 100.0]]}
     with pytest.raises(BadRequest, match="no record is left to train on"):
-        RecordedData(path=str(tmp_path / "alike.csv"), input="u", output="y", step_s=0.1, **nothing).build(0)
+        RecordedData(
+            path=str(tmp_path / "alike.csv"), input="u", output="y", step_s=0.1, **nothing
+        ).build(0)
     with pytest.raises(BadRequest, match="split"):
         RecordedData(path="a", input="u", output="y", split="random")
     with pytest.raises(BadRequest, match="validation"):

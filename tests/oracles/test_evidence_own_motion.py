@@ -1,4 +1,5 @@
-"""An output that moves by itself against one that the input moves, each judged beside a model that fits its pieces."""
+"""An output that moves by itself against one that the input moves, each judged beside a model that
+fits its pieces."""
 
 from dataclasses import replace
 
@@ -8,7 +9,8 @@ from test_loop_prediction import linear_model
 
 from ssm_study.data.assembly import assemble
 from ssm_study.data.splits import by_time, in_blocks
-from ssm_study.evidence import feedback, autonomous_motion as own_motion
+from ssm_study.evidence import autonomous_motion as own_motion
+from ssm_study.evidence import feedback
 from ssm_study.evidence.finding import Case
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
@@ -22,7 +24,9 @@ U = RNG.uniform(-1, 1, 300).repeat(5)
 def swinging(radius: float) -> StateSpace:
     """A resonance at `ANGLE` a sample whose swing keeps `radius` of itself."""
     turn = radius * np.array([[np.cos(ANGLE), -np.sin(ANGLE)], [np.sin(ANGLE), np.cos(ANGLE)]])
-    return StateSpace(a=turn, b=np.array([[0.0], [0.1]]), c=np.array([[1.0, 0.0]]), d=np.zeros((1, 1)))
+    return StateSpace(
+        a=turn, b=np.array([[0.0], [0.1]]), c=np.array([[1.0, 0.0]]), d=np.zeros((1, 1))
+    )
 
 
 def integrating(pole: float) -> StateSpace:
@@ -36,7 +40,9 @@ def case(y: np.ndarray, system: StateSpace, cut=by_time, log: int = 1) -> Case:
     channels = tuple((Channel(name=name, unit=""),) for name in "uy")
     data = assemble(parts, (np.zeros(1), np.zeros(1)), channels, SKIP)
     model = replace(linear_model(0), linear=system)
-    free = {name: Simulation.of(model, getattr(data, name), SKIP) for name in ("validation", "test")}
+    free = {
+        name: Simulation.of(model, getattr(data, name), SKIP) for name in ("validation", "test")
+    }
     return Case(data=data, model=model, **free)
 
 

@@ -1,4 +1,5 @@
-"""Coherence and dead time: what a record says of the answer to the input, on logs where both are known."""
+"""Coherence and dead time: what a record says of the answer to the input, on logs where both are
+known."""
 
 from dataclasses import replace
 
@@ -16,8 +17,8 @@ from ssm_study.evidence.metrics import judge
 from ssm_study.evidence.records import _range
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.signals import Channel, Trajectory
 from ssm_study.robustness.mismatch import mismatch
+from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
 RNG = np.random.default_rng(0)
@@ -33,7 +34,9 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
         ((channel,), (replace(channel, name="b"),)), 0, metadata={"source": source},
     )  # fmt: skip
-    lag = StateSpace(a=np.array([[slow]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    lag = StateSpace(
+        a=np.array([[slow]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1))
+    )
     model = replace(linear_model(0), linear=lag)
     parts = {name: Simulation.of(model, getattr(data, name), 0) for name in ("validation", "test")}
     return Case(data=data, model=model, **parts)
@@ -60,7 +63,11 @@ def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
 
 @pytest.mark.parametrize(
     ("slow", "said"),
-    [(0.3, "3 samples of 0.1 s: sample more often"), (0.9, None), (0.998, "data.decimate=5 keeps one sample in 5")],
+    [
+        (0.3, "3 samples of 0.1 s: sample more often"),
+        (0.9, None),
+        (0.998, "data.decimate=5 keeps one sample in 5"),
+    ],
 )
 def test_a_log_sampled_too_slowly_or_too_fast_is_told_what_to_do(slow, said):
     """A lag has lost nine tenths of its response after ln(0.1) / ln(slow) samples, and one more."""
@@ -68,7 +75,9 @@ def test_a_log_sampled_too_slowly_or_too_fast_is_told_what_to_do(slow, said):
     notes = [found for found in findings(case(LEVELS, y, slow)) if "bulk" in found.sentence]
     assert len(notes) == (said is not None)
     assert all(found.level == "note" and said in found.sentence for found in notes)
-    assert not [found for found in findings(case(LEVELS, y, slow, "simulated")) if "bulk" in found.sentence]
+    assert not [
+        found for found in findings(case(LEVELS, y, slow, "simulated")) if "bulk" in found.sentence
+    ]
 
 
 @pytest.mark.parametrize("noise", [3.0, 100.0])
@@ -88,19 +97,28 @@ def test_a_record_that_noise_hides_is_a_doubt_and_a_good_one_is_none():
 
 
 def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain():
-    """`|0.1 / (exp(j w) - 0.9)|` at steps of pi / 125 from the first on: pieces of 250 samples, of 0.1 s."""
+    """`|0.1 / (exp(j w) - 0.9)|` at steps of pi / 125 from the first on: pieces of 250 samples, of
+    0.1 s."""
     angles, gain = scipy.signal.freqz([0.1], [1, -0.9], np.linspace(0, np.pi, 126)[1:])
     ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
-    (said,) = (found.sentence for found in findings(case(WHITE, answer(WHITE, noise=3.0))) if "band" in found.sentence)
+    (said,) = (
+        found.sentence
+        for found in findings(case(WHITE, answer(WHITE, noise=3.0)))
+        if "band" in found.sentence
+    )
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
 
 
 def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
     """`0.1 / (z - 0.9) - 0.1 / (z - 0.5)`: the states cancel with their phases."""
     noisy = case(WHITE, answer(WHITE, noise=3.0))
-    two = StateSpace(a=np.diag([0.9, 0.5]), b=np.full((2, 1), 0.1), c=np.array([[1.0, -1.0]]), d=np.zeros((1, 1)))
+    two = StateSpace(
+        a=np.diag([0.9, 0.5]), b=np.full((2, 1), 0.1), c=np.array([[1.0, -1.0]]), d=np.zeros((1, 1))
+    )
     told = findings(replace(noisy, model=replace(noisy.model, linear=two)))
-    angles, gain = scipy.signal.freqz([0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:])
+    angles, gain = scipy.signal.freqz(
+        [0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:]
+    )
     ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
     (said,) = (found.sentence for found in told if "band" in found.sentence)
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
@@ -115,24 +133,35 @@ def test_pieces_shorter_than_the_model_s_response_say_nothing():
 
 def test_a_band_that_is_not_excited_is_a_doubt():
     slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), RNG.standard_normal(6000))
-    assert any("excite it there" in found.sentence for found in findings(case(slow, answer(slow, noise=0.02))))
+    assert any(
+        "excite it there" in found.sentence
+        for found in findings(case(slow, answer(slow, noise=0.02)))
+    )
 
 
 def test_a_test_input_where_training_has_no_power_is_a_doubt():
-    """White over the frequencies after training on the lowest; the share is that of the test record's power."""
+    """White over the frequencies after training on the lowest; the share is that of the test
+    record's power."""
     b, a = scipy.signal.butter(8, 0.25)
     slow = scipy.signal.lfilter(b, a, WHITE)
     for scale in (0.1, 1.0):  # a share knows no unit
         u = scale * np.where(np.arange(6000) < 4500, slow, WHITE)
-        told = records.findings(made := case(u, answer(u)), mismatch(made.model, made.data.validation))
-        (said,) = (found.sentence for found in told if "lies where training has none" in found.sentence)
+        told = records.findings(
+            made := case(u, answer(u)), mismatch(made.model, made.data.validation)
+        )
+        (said,) = (
+            found.sentence for found in told if "lies where training has none" in found.sentence
+        )
         assert 60 < float(said.split(" %")[0]) < 80
-    told = records.findings(made := case(WHITE, answer(WHITE)), mismatch(made.model, made.data.validation))
+    told = records.findings(
+        made := case(WHITE, answer(WHITE)), mismatch(made.model, made.data.validation)
+    )
     assert not any("lies where training has none" in found.sentence for found in told)
 
 
 def test_coherence_is_the_share_of_power_that_the_inputs_explain():
-    """`y = u_1 + u_2 + n`, all white: two thirds with unit variances, of either output the least."""
+    """`y = u_1 + u_2 + n`, all white: two thirds with unit variances, of either output the
+    least."""
     u, n = RNG.standard_normal((100_000, 2)), RNG.standard_normal((100_000, 1))
     y = np.hstack([u.sum(axis=1, keepdims=True) + n, 100 * u[:, :1]])
     np.testing.assert_allclose(coherence([(u, y)], 64), 2 / 3, atol=0.05)
@@ -160,19 +189,28 @@ def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.nda
 
 
 def test_what_the_error_owes_to_the_input_is_its_share_of_the_output_s_power():
-    """An output of twice what the model says: the error is half of it, and a short filter of the input."""
+    """An output of twice what the model says: the error is half of it, and a short filter of the
+    input."""
     y = scipy.signal.lfilter([0, 0.2], [1, -0.3], WHITE)
     scored = [part[500 + LAGS :] for part in (y[4000:5000], y[5000:])]
-    power, varied = (sum(float(((part - mean * part.mean()) ** 2).sum()) for part in scored) for mean in (0, 1))
+    power, varied = (
+        sum(float(((part - mean * part.mean()) ** 2).sum()) for part in scored) for mean in (0, 1)
+    )
     assert owed_to_input(case(WHITE, y, slow=0.3)) == pytest.approx(power / 4 / varied, rel=1e-4)
 
 
-REFERENCES = {"steps": LEVELS.repeat(5)[:6000], "sine": 0.5 * np.sin(0.05 * np.arange(6000)), "none": np.zeros(6000)}
+REFERENCES = {
+    "steps": LEVELS.repeat(5)[:6000],
+    "sine": 0.5 * np.sin(0.05 * np.arange(6000)),
+    "none": np.zeros(6000),
+}
 
 
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("reference", REFERENCES)
-def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_is_none(reference, delay):
+def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_is_none(
+    reference, delay
+):
     u, y = in_loop(REFERENCES[reference], 0.03, delay)
     (found,) = feedback.findings(case(u, y))
     assert found.level == "doubt"
@@ -192,27 +230,41 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
     doubted, refused = feedback.findings(case(*log.T))
     assert doubted.level == "doubt"
     assert refused.level == "cannot judge"
-    assert float(refused.sentence.split("a mode at ")[1].split()[0]) == pytest.approx(pole, abs=0.005)
+    assert float(refused.sentence.split("a mode at ")[1].split()[0]) == pytest.approx(
+        pole, abs=0.005
+    )
     assert "log its loop with the set point as the input" in refused.sentence
-    assert not [found for found in feedback.findings(case(asked, log[:, 1])) if found.level == "cannot judge"]
+    assert not [
+        found
+        for found in feedback.findings(case(asked, log[:, 1]))
+        if found.level == "cannot judge"
+    ]
 
 
-@pytest.mark.parametrize("u", [WHITE, LEVELS, np.sign(LEVELS), scipy.signal.lfilter([0.1], [1, -0.9], WHITE)])
+@pytest.mark.parametrize(
+    "u", [WHITE, LEVELS, np.sign(LEVELS), scipy.signal.lfilter([0.1], [1, -0.9], WHITE)]
+)
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
     assert feedback.fed_back(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
-    assert feedback.fed_back(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < feedback.EARLIER / 2
+    assert (
+        feedback.fed_back(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1)
+        < feedback.EARLIER / 2
+    )
 
 
 def test_a_model_with_neurons_is_judged():
     """One that has nothing to do with the log: no judgement of the plant."""
     data, other = case(LEVELS, answer(LEVELS)).data, model()
     validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
-    assert judge(data, other, validation, test, mismatch(other, data.validation)).level == CANNOT_JUDGE
+    assert (
+        judge(data, other, validation, test, mismatch(other, data.validation)).level == CANNOT_JUDGE
+    )
 
 
 def test_inputs_that_oppose_each_other_have_their_own_response():
-    """Of `x+ = 0.9 x + u_1 - u_2` as of either input alone: 90 % of the sum of `0.9^k` are over after 22 samples."""
+    """Of `x+ = 0.9 x + u_1 - u_2` as of either input alone: 90 % of the sum of `0.9^k` are over
+    after 22 samples."""
     a, c = np.array([[0.9]]), np.ones((1, 1))
     for b in ([[1.0]], [[1.0, -1.0]]):
         linear = StateSpace(a=a, b=np.array(b), c=c, d=np.zeros((1, len(b[0]))))
@@ -246,13 +298,16 @@ def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last
     found = case(WHITE, answer(WHITE))
     end = found.data.training[0]
     assert list(records._same(found)) == []
-    taken = replace(found, data=replace(found.data, test=(replace(end, u=end.u[-kept:], y=end.y[-kept:]),)))
+    taken = replace(
+        found, data=replace(found.data, test=(replace(end, u=end.u[-kept:], y=end.y[-kept:]),))
+    )
     (said,) = records._same(taken)
     assert said.startswith("100 % of the test record is part of the training records")
 
 
 def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
-    """With little noise the present output explains less than the limit, and so do those of two samples ago."""
+    """With little noise the present output explains less than the limit, and so do those of two
+    samples ago."""
     u, y = in_loop(REFERENCES["steps"], 0.007, 1)
     present, before, two_ago = (feedback.fed_back(case(u, y).data, first) for first in (0, 1, 2))
     assert two_ago < feedback.EARLIER < before < feedback.PRESENT > present

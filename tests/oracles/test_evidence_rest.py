@@ -1,4 +1,5 @@
-"""What stays off after the input has moved: a valve that sticks rests at rest input, and away from rest."""
+"""What stays off after the input has moved: a valve that sticks rests at rest input, and away from
+rest."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,9 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.signals import Scale, Trajectory
 from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.robustness.return_to_rest import AT_REST, SURE, _apart, _tail, after_returns
+from ssm_study.signals import Scale, Trajectory
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
@@ -23,12 +24,17 @@ THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 def said(u: np.ndarray, y: np.ndarray) -> list[str]:
     log = case(u, y)
     shown: Mismatch = mismatch(log.model, log.data.validation)
-    return [found.sentence for found in findings(log, shown) if "scales off at rest input" in found.sentence]
+    return [
+        found.sentence
+        for found in findings(log, shown)
+        if "scales off at rest input" in found.sentence
+    ]
 
 
 @pytest.mark.parametrize("stick", [0.0, 0.3])
 def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
-    """The stem follows where it is pushed by more than `stick`; the input ends at less, the output stays there."""
+    """The stem follows where it is pushed by more than `stick`; the input ends at less, the output
+    stays there."""
     stem, out = 0.0, np.zeros(len(THEN_REST))
     u = THEN_REST.copy()
     u[5300:5400] = 0.25
@@ -40,7 +46,9 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
     log = case(u, answer(out))
     rest = Trajectory(u=np.zeros((600, 1)), y=np.linspace(-1.5, 0, 600)[:, None] ** 3, step_s=0.1)
     shown = mismatch(log.model, log.data.validation, 0, (*log.data.test, rest))
-    assert shown.stuck == pytest.approx((0.25 / log.model.scale.output_scale[0],) if stick else (), abs=0.01)
+    assert shown.stuck == pytest.approx(
+        (0.25 / log.model.scale.output_scale[0],) if stick else (), abs=0.01
+    )
     assert shown.farthest == pytest.approx(1.5**3 / log.model.scale.output_scale[0])
     assert (shown.offset > 0) == (stick > 0)
 
@@ -54,21 +62,32 @@ EXCITED = OwnPlantRecord(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4
 UNKNOWN = "whether the output rests by itself is unknown"
 
 
-def fitted_log(folder: Path, u: np.ndarray, y: np.ndarray, slow: float = 0.9) -> tuple[Case, Mismatch, str]:
-    """The log as a user fits it: cut, about its mean, with the lag for its model; and what is said of its rests."""
-    np.savetxt(folder / "log.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
-    data = RecordedData(path=str(folder / "log.csv"), input="u", output="y", step_s=0.1, start_up_samples=20).build(0)
+def fitted_log(
+    folder: Path, u: np.ndarray, y: np.ndarray, slow: float = 0.9
+) -> tuple[Case, Mismatch, str]:
+    """The log as a user fits it: cut, about its mean, with the lag for its model; and what is said
+    of its rests."""
+    np.savetxt(
+        folder / "log.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments=""
+    )
+    data = RecordedData(
+        path=str(folder / "log.csv"), input="u", output="y", step_s=0.1, start_up_samples=20
+    ).build(0)
     known = case(LEVELS, answer(LEVELS), slow).model
     model = replace(known, scale=data.scale)
     parts = {name: Simulation.of(model, getattr(data, name), 20) for name in ("validation", "test")}
-    log, shown = Case(data=data, model=model, **parts), mismatch(model, data.validation, 20, data.trials)
+    log, shown = (
+        Case(data=data, model=model, **parts),
+        mismatch(model, data.validation, 20, data.trials),
+    )
     told = [found.sentence for found in findings(log, shown)]
     return log, shown, " ".join(one for one in told if "rest input" in one)
 
 
 @pytest.mark.parametrize("slow", [0.9, 0.98])
 def test_the_log_made_for_the_purpose_shows_that_the_output_rests(tmp_path, slow):
-    """Its returns are cut apart, and its mean is not its rest; also where the model is slower than the plant."""
+    """Its returns are cut apart, and its mean is not its rest; also where the model is slower than
+    the plant."""
     log, shown, told = fitted_log(tmp_path, EXCITED, answer(EXCITED), slow)
     assert np.any(np.abs(log.data.scale.scaled_input(np.array([0.1]))) > 1e-3)
     assert shown.left_at_rest is not None
@@ -87,8 +106,16 @@ def test_a_log_that_ends_moving_or_rests_once_is_told_so(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (lambda u: answer(u) + 0.3 * np.sin(0.2 * np.arange(len(u))), "does not come to rest by itself"),
-        (lambda u: answer(u) + 0.05 * np.cumsum(np.random.default_rng(3).standard_normal(len(u))), "rest"),
+        (
+            lambda u: answer(u) + 0.3 * np.sin(0.2 * np.arange(len(u))),
+            "does not come to rest by itself",
+        ),
+        (
+            lambda u: (
+                answer(u) + 0.05 * np.cumsum(np.random.default_rng(3).standard_normal(len(u)))
+            ),
+            "rest",
+        ),
         (lambda u: answer(u) + 0.01 * np.cumsum(u - 0.1), "scales off at rest input"),
     ],
     ids=["swings", "drifts", "integrates"],
@@ -102,7 +129,8 @@ def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong
 
 @pytest.mark.parametrize("hunts", [0.0, 0.01])
 def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
-    """A burner that hunts by a hundredth of its range was sound, and no loop settled in a band narrower than that."""
+    """A burner that hunts by a hundredth of its range was sound, and no loop settled in a band
+    narrower than that."""
     log, k = case(LEVELS, answer(LEVELS)), np.arange(600)[:, None]
     y = log.model.scale.output_scale * (
         hunts * np.sin(0.2 * k) + 0.001 * np.random.default_rng(0).standard_normal(k.shape)
@@ -116,7 +144,8 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
 
 @pytest.mark.parametrize("hunts", [0.0, 0.01])
 def test_a_faint_swing_that_motion_sets_off_counts(hunts):
-    """A decay from a given output starts the mode that hunts at zero: the rest after a motion shows it."""
+    """A decay from a given output starts the mode that hunts at zero: the rest after a motion shows
+    it."""
     log = case(THEN_REST, answer(THEN_REST, noise=0.001))
     last = log.data.test[-1]
     k = np.arange(len(last))[:, None]
@@ -127,7 +156,8 @@ def test_a_faint_swing_that_motion_sets_off_counts(hunts):
 
 
 def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
-    """Shorter than the response: the output may still be on its way, which is no friction, and no rest either."""
+    """Shorter than the response: the output may still be on its way, which is no friction, and no
+    rest either."""
     slowly = scipy.signal.lfilter([0, 0.01], [1, -0.99], EXCITED)
     _, shown, told = fitted_log(tmp_path, EXCITED, slowly, slow=0.99)
     assert (shown.left_at_rest, shown.stuck) == (None, ())
@@ -155,24 +185,32 @@ def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
 
 @pytest.mark.parametrize("stick", [0.0, 0.3])
 def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, stick):
-    """A slow model makes them short; a valve that sticks leaves each elsewhere, and the log was called sound."""
+    """A slow model makes them short; a valve that sticks leaves each elsewhere, and the log was
+    called sound."""
     stem, out = 0.1, np.zeros(len(EXCITED))
     for k, pushed in enumerate(EXCITED):
         stem = pushed if abs(pushed - stem) > stick else stem
         out[k] = stem
     _, shown, told = fitted_log(tmp_path, EXCITED, answer(out), slow=0.995)
     assert (shown.left_at_rest is None) == (stick > 0)
-    assert ("scales apart, where none seems to move: friction, play or a slow mode" in told) == (stick > 0)
+    assert ("scales apart, where none seems to move: friction, play or a slow mode" in told) == (
+        stick > 0
+    )
 
 
 def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
-    """The first amplitude does not repeat itself, so the log is not made of repeated periods alone."""
+    """The first amplitude does not repeat itself, so the log is not made of repeated periods
+    alone."""
     excited = EXCITED.copy()
     excited[120:1000] *= np.linspace(0.9, 0.8, 880)
     log, shown, _ = fitted_log(tmp_path, excited, answer(excited))
     assert len(log.data.trials) == 3
     alone = mismatch(log.model, log.data.validation, 20)
-    assert (shown.gain, shown.spread, len(shown.views)) == (alone.gain, alone.spread, len(alone.views))
+    assert (shown.gain, shown.spread, len(shown.views)) == (
+        alone.gain,
+        alone.spread,
+        len(alone.views),
+    )
 
 
 @pytest.mark.parametrize("times", [1.1, 1.5])
@@ -188,7 +226,8 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
 
 @pytest.mark.parametrize("count", [2, 3, 6])
 def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
-    """Of means with equal variances v the difference from the mean of n others has the variance v + v / n."""
+    """Of means with equal variances v the difference from the mean of n others has the variance v +
+    v / n."""
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal((400, 1))
     outputs = [level + noise for level in rng.uniform(-1, 1, count)]

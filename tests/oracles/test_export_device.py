@@ -1,4 +1,5 @@
-"""The C code against the same law in NumPy, the law against the Python loop, rounding against exact arithmetic."""
+"""The C code against the same law in NumPy, the law against the Python loop, rounding against exact
+arithmetic."""
 
 import hashlib
 import json
@@ -14,6 +15,7 @@ from report_runs import KINDS, random_scaffold
 
 import ssm_study as st
 from ssm_study.bounds.network import inverse_of
+from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.export.c import c_files, harmless
 from ssm_study.export.device import Device
@@ -22,14 +24,17 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import set_points
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
-from ssm_study.certificates.certificate import Design
 
 SAMPLES = 150
 
 
 def signals(model: SSM, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Measurements that go far, and set points that inputs well within the limits hold."""
-    levels = np.random.default_rng(seed).uniform(-1, 1, (2, SAMPLES // 15, model.scale.outputs)).repeat(15, axis=1)
+    levels = (
+        np.random.default_rng(seed)
+        .uniform(-1, 1, (2, SAMPLES // 15, model.scale.outputs))
+        .repeat(15, axis=1)
+    )
     lifted = model.scaffold_in(levels[1])
     rest = np.linalg.solve(np.eye(model.order) - model.linear.a, model.linear.b)
     return model.scale.physical_output(1000 * levels[0]), model.read(lifted @ rest.T, lifted)
@@ -42,12 +47,18 @@ def test_c_equals_the_law_to_the_last_digit(tmp_path: Path, kind: str, real: str
     folder = written(made, tmp_path / "c")
     assert compiled(folder, "-std=c99").startswith("0 of 200 inputs differ")
     separate = ("controller_replay.c", "controller.c")
-    assert compiled(folder, "-std=c11", "-DCONTROLLER_EXTERN", sources=separate).startswith("0 of 200")
+    assert compiled(folder, "-std=c11", "-DCONTROLLER_EXTERN", sources=separate).startswith(
+        "0 of 200"
+    )
 
 
-@pytest.mark.parametrize("words", [("-std=c++17", "-x", "c++"), ("-fsanitize=address,undefined", "-g")])
+@pytest.mark.parametrize(
+    "words", [("-std=c++17", "-x", "c++"), ("-fsanitize=address,undefined", "-g")]
+)
 def test_as_cpp_and_under_sanitizers(tmp_path: Path, words: tuple[str, ...]) -> None:
-    folder = written(device(tmp_path, kind="monotone", channels=2, real="float", integral=True), tmp_path / "c")
+    folder = written(
+        device(tmp_path, kind="monotone", channels=2, real="float", integral=True), tmp_path / "c"
+    )
     compiler = "g++" if "c++" in words else "gcc"
     assert compiled(folder, *words, compiler=compiler).startswith("0 of 400 inputs differ")
 
@@ -63,7 +74,9 @@ def test_a_wrong_number_is_seen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 2)])
-def test_the_header_counts_the_multiplications_of_a_sample(tmp_path: Path, kind: str, channels: int) -> None:
+def test_the_header_counts_the_multiplications_of_a_sample(
+    tmp_path: Path, kind: str, channels: int
+) -> None:
     """With pieces and matrices, with set points and without; while a limit acts there are fewer."""
     made = device(tmp_path, kind=kind, channels=channels, integral=True)
     free = replace(made, lower=made.lower - 1e9, upper=made.upper + 1e9)
@@ -72,16 +85,23 @@ def test_the_header_counts_the_multiplications_of_a_sample(tmp_path: Path, kind:
 
 @pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
 def test_the_header_counts_the_bytes_of_its_constants(tmp_path: Path, real: str, size: int) -> None:
-    header = (written(device(tmp_path, kind="mlp", real=real), tmp_path / "c") / "controller.h").read_text()
+    header = (
+        written(device(tmp_path, kind="mlp", real=real), tmp_path / "c") / "controller.h"
+    ).read_text()
     tables = re.findall(rf"static const {real} \w+\[\d+\] = \{{(.*?)\}};", header, re.DOTALL)
     numbers = sum(len(table.split(",")) for table in tables)
     assert f"CONSTANT_BYTES {numbers * size} " in header
 
 
 @pytest.mark.parametrize("integral", [False, True, ["ramp"]])
-@pytest.mark.parametrize(("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 1), ("residual", 1)])
-def test_the_law_is_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool | list[str]) -> None:
-    """At rest points of the model, found by root search there and by the inverse's pieces here; limits act in both."""
+@pytest.mark.parametrize(
+    ("kind", "channels"), [("linear", 2), ("monotone", 2), ("mlp", 1), ("residual", 1)]
+)
+def test_the_law_is_the_python_loop(
+    tmp_path: Path, kind: str, channels: int, integral: bool | list[str]
+) -> None:
+    """At rest points of the model, found by root search there and by the inverse's pieces here;
+    limits act in both."""
     made = device(tmp_path, kind=kind, channels=channels, integral=integral)
     model = SSM.from_json(json.loads((tmp_path / "run" / "model.json").read_text()))
     law = ObserverFeedback.of(model, Design.load(tmp_path / "run" / "certificate.json"))
@@ -139,19 +159,31 @@ def test_a_map_with_a_flat_piece_has_no_inverse() -> None:
 
 @pytest.fixture(scope="module")
 def certified(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    plant = control.StateSpace([[0.95, 0.1], [0.0, 0.8]], [[0.02], [0.3]], [[1.0, 0.0]], [[0.0]], 0.1)
+    plant = control.StateSpace(
+        [[0.95, 0.1], [0.0, 0.8]], [[0.02], [0.3]], [[1.0, 0.0]], [[0.0]], 0.1
+    )
     rates = ("synthesis.rate_controller=0.3", "synthesis.rate_observer=0.4")
-    return st.control(plant, "synthesis=riccati", *rates).save(tmp_path_factory.mktemp("certified") / "run")
+    return st.control(plant, "synthesis=riccati", *rates).save(
+        tmp_path_factory.mktemp("certified") / "run"
+    )
 
 
 def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
-    """float64 changes nothing; float32 has its own verdict; float32 of a spoilt gain, or of a huge rate, has none."""
-    design, controller, none = Design.load(certified / "certificate.json"), load(certified), np.array([np.inf])
+    """float64 changes nothing; float32 has its own verdict; float32 of a spoilt gain, or of a huge
+    rate, has none."""
+    design, controller, none = (
+        Design.load(certified / "certificate.json"),
+        load(certified),
+        np.array([np.inf]),
+    )
     exact = deployed_rates(Device.of(controller, "double", -none, none), design)
     assert exact == {"state_feedback": 0.3, "observer": 0.4}
     single = Device.of(controller, "float", -none, none)
     rounded = deployed_rates(single, design)
-    a, b, k = (np.asarray(x, dtype=float) for x in (single.controller.a, single.controller.b, single.controller.k))
+    a, b, k = (
+        np.asarray(x, dtype=float)
+        for x in (single.controller.a, single.controller.b, single.controller.k)
+    )
     assert not np.array_equal(a, controller.a)
     assert 0 < rounded["state_feedback"] <= 0.3
     radius = np.abs(np.linalg.eigvals(a + b @ k)).max()
@@ -161,7 +193,8 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
 
 
 def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path) -> None:
-    """As if 0.99 were stored, which its matrices do not prove: what they do prove, to a 4096th of that."""
+    """As if 0.99 were stored, which its matrices do not prove: what they do prove, to a 4096th of
+    that."""
     design, none = Design.load(certified / "certificate.json"), np.array([np.inf])
     part, device = design.state_feedback, Device.of(load(certified), "double", -none, none)
     faster = replace(design, state_feedback=replace(part, rate=0.99), beside={})
@@ -174,14 +207,20 @@ def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path)
 
 def test_what_rounding_does_to_the_loop_is_measured_and_told(certified: Path) -> None:
     """In single precision a few of its units; in double nothing is said."""
-    single, double = (c_sources(certified, real=real)["controller.h"] for real in ("float", "double"))
+    single, double = (
+        c_sources(certified, real=real)["controller.h"] for real in ("float", "double")
+    )
     assert "Rounding to" not in double
-    (told,) = re.findall(r"Rounding to float moves the loop on the model by at most (\S+) output scales", single)
+    (told,) = re.findall(
+        r"Rounding to float moves the loop on the model by at most (\S+) output scales", single
+    )
     unit = float(np.finfo(np.float32).eps)
     assert 0.01 * unit < float(told) < 100 * unit
 
 
-@pytest.mark.parametrize("name", ["evil */ int x; /*", "back\\\\slash\\", "new\nline\\\n*/", "what??/\n"])
+@pytest.mark.parametrize(
+    "name", ["evil */ int x; /*", "back\\\\slash\\", "new\nline\\\n*/", "what??/\n"]
+)
 def test_a_name_ends_no_comment(tmp_path: Path, name: str) -> None:
     folder = written(device(tmp_path, kind="linear"), tmp_path / "c", about=name)
     assert compiled(folder, "-std=c99").startswith("0 of 200")
@@ -191,20 +230,30 @@ def test_a_name_ends_no_comment(tmp_path: Path, name: str) -> None:
 def test_export_writes_what_was_asked(tmp_path: Path, smoke_run: Path) -> None:
     """Limits of the record, units and digest in the header; an own prefix and float."""
     to = tmp_path / "out"
-    assert main(["export", str(smoke_run), "--to", str(to), "--real", "float", "--prefix", "drive"]) == 0
+    assert (
+        main(["export", str(smoke_run), "--to", str(to), "--real", "float", "--prefix", "drive"])
+        == 0
+    )
     text = (to / "drive.h").read_text()
     assert "input 0: armature_voltage (V), limited to" in text
-    assert text.count(hashlib.sha256((smoke_run / "certificate.json").read_bytes()).hexdigest()) == 2
+    assert (
+        text.count(hashlib.sha256((smoke_run / "certificate.json").read_bytes()).hexdigest()) == 2
+    )
     assert "output 0: load_speed (rad/s), seen from" in text
     assert "controller" not in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
-    assert re.search(r"Rates proved for the numbers below, in float: state feedback 0\.\d+, observer 0\.\d+", text)
+    assert re.search(
+        r"Rates proved for the numbers below, in float: state feedback 0\.\d+, observer 0\.\d+",
+        text,
+    )
     assert compiled(to, "-std=c99", sources=("drive_replay.c",)).startswith("0 of 200")
 
 
 def test_two_controllers_in_one_program(tmp_path: Path) -> None:
     for name, kind in (("inner", "mlp"), ("outer", "monotone")):
         written(device(tmp_path / name, kind=kind), tmp_path / "c", name=name)
-    (tmp_path / "c" / "both.c").write_text('#include "inner.h"\n#include "outer.h"\nint main(void) { return 0; }\n')
+    (tmp_path / "c" / "both.c").write_text(
+        '#include "inner.h"\n#include "outer.h"\nint main(void) { return 0; }\n'
+    )
     assert compiled(tmp_path / "c", "-std=c99", sources=("both.c",)) == ""
 
 

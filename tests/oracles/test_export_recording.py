@@ -18,9 +18,17 @@ RUNS = {"order4-seed0-0a1b2c3d4e": 30, "order4-seed1-9f8e7d6c5b": 40}  # name: s
 def study(tmp_path: Path) -> Path:
     """Two runs with two cases each, one run that failed, and a folder that is no run."""
     for seed, (name, samples) in enumerate(RUNS.items()):
-        values, time_s = np.random.default_rng(seed).standard_normal((2, 2, samples, 1)), 0.01 * np.arange(samples)
+        values, time_s = (
+            np.random.default_rng(seed).standard_normal((2, 2, samples, 1)),
+            0.01 * np.arange(samples),
+        )
         groups = [
-            SignalGroup(topic=f"/case_{k}/{what}", time_s=time_s, channels=(Channel(name=what, unit="V"),), values=one)
+            SignalGroup(
+                topic=f"/case_{k}/{what}",
+                time_s=time_s,
+                channels=(Channel(name=what, unit="V"),),
+                values=one,
+            )
             for k in range(2)
             for what, one in zip(("input", "output"), values[k], strict=True)
         ]
@@ -54,7 +62,9 @@ def test_runs_whose_names_end_alike_are_all_there(study: Path) -> None:
     assert len({group.topic for group in groups}) == len(groups) == 8
 
 
-def test_refusals(study: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refusals(
+    study: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(BadRequest, match="no run closed a loop"):
         one_recording.export_mcap(tmp_path_factory.mktemp("empty"))
     monkeypatch.setattr(one_recording, "MOST", 1)

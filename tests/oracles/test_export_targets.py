@@ -1,4 +1,5 @@
-"""Every export target computes what the Python loop computes, for every scaffolding, in one and several channels."""
+"""Every export target computes what the Python loop computes, for every scaffolding, in one and
+several channels."""
 
 import json
 import runpy
@@ -15,12 +16,12 @@ from report_runs import KINDS, random_run, write_recordings
 from structured_cases import model as structured
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
 from ssm_study.export.device import Device
 from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json
-from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 SAMPLES = 300
@@ -43,13 +44,17 @@ int main(void) {
 MAIN_LIMITED_C = MAIN_C.replace(
     "controller_step(&state, y, u);",
     """controller_input(&state, u);
-        for (int i = 0; i < (int)(sizeof u / sizeof *u); ++i) u[i] = u[i] > 3 ? 3 : u[i] < -3 ? -3 : u[i];
+        for (int i = 0; i < (int)(sizeof u / sizeof *u); ++i) u[i] = u[i] > 3 ? 3 : u[i] < -3 ? -3 :
+        u[i];
         controller_advance(&state, y, u);""",
 )
 
 
 def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
-    model, design = model_from_json(json.loads((run / "model.json").read_text())), Design.load(run / "certificate.json")
+    model, design = (
+        model_from_json(json.loads((run / "model.json").read_text())),
+        Design.load(run / "certificate.json"),
+    )
     law = ObserverFeedback(model=model, gains=design.pair)
     memory, m = law.start(1), model.scale.inputs
     target = np.concatenate([np.zeros(model.order + m), model.scale.output_equilibrium])
@@ -75,7 +80,9 @@ def c_replay(folder: Path, y: np.ndarray, main: str = MAIN_C) -> np.ndarray:
 
 def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     runtime = pytest.importorskip("onnxruntime", reason="the extra `export` is not installed")
-    session = runtime.InferenceSession(folder / "controller.onnx", providers=["CPUExecutionProvider"])
+    session = runtime.InferenceSession(
+        folder / "controller.onnx", providers=["CPUExecutionProvider"]
+    )
     state, u = np.zeros((1, session.get_inputs()[1].shape[1])), []
     for seen in y:
         given, state = session.run(["u", "next_state"], {"y": seen[None], "state": state})
@@ -86,16 +93,26 @@ def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
 def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     control = pytest.importorskip("control", reason="the extra `export` is not installed")
     system = runpy.run_path(str(folder / "controller.py"))["controller"]
-    return control.input_output_response(system, np.arange(len(y)) * system.dt, y.T, squeeze=False).outputs.T
+    return control.input_output_response(
+        system, np.arange(len(y)) * system.dt, y.T, squeeze=False
+    ).outputs.T
 
 
-REPLAYS: dict[Replay, float] = {c_replay: 1e-9, onnx_replay: 1e-6, control_replay: 1e-9}  # tolerances
+REPLAYS: dict[Replay, float] = {
+    c_replay: 1e-9,
+    onnx_replay: 1e-6,
+    control_replay: 1e-9,
+}  # tolerances
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("channels", "integral"), [(1, False), (2, False), (1, True), (2, True)])
-def test_export_replays_the_python_loop(tmp_path: Path, kind: str, channels: int, integral: bool) -> None:
-    run = random_run(tmp_path / "run", kind=kind, channels=channels, seed=channels, integral=integral)
+def test_export_replays_the_python_loop(
+    tmp_path: Path, kind: str, channels: int, integral: bool
+) -> None:
+    run = random_run(
+        tmp_path / "run", kind=kind, channels=channels, seed=channels, integral=integral
+    )
     export(run, tmp_path / "out")
     y = 3 + 5 * np.random.default_rng(7).standard_normal((SAMPLES, channels))
     expected = python_loop(run, y)
@@ -106,11 +123,15 @@ def test_export_replays_the_python_loop(tmp_path: Path, kind: str, channels: int
 
 
 def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> None:
-    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=["step", "sine(5Hz)"])
+    run = random_run(
+        tmp_path / "run", kind="mlp", channels=1, seed=3, integral=["step", "sine(5Hz)"]
+    )
     export(run, tmp_path / "out")
     y = 40 * np.sign(np.sin(2 * np.pi * np.arange(SAMPLES) / 60))[:, None]
     limited = python_loop(run, y, limit=3.0)
-    assert np.abs(limited - python_loop(run, y).clip(-3, 3)).max() > 0.1, "without the hold it would do otherwise"
+    assert np.abs(limited - python_loop(run, y).clip(-3, 3)).max() > 0.1, (
+        "without the hold it would do otherwise"
+    )
     assert np.abs(c_replay(tmp_path / "out", y, MAIN_LIMITED_C) - limited).max() <= 1e-9
 
 
@@ -118,15 +139,26 @@ def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=0)
     names = {path.name for path in export(run, tmp_path / "out")}
     assert {"controller.h", "controller.json", "controller.py", "certificate.json"} <= names
-    assert (tmp_path / "out" / "certificate.json").read_bytes() == (run / "certificate.json").read_bytes()
-    assert "NOT certified" in (tmp_path / "out" / "controller.h").read_text()  # its numbers prove nothing
+    assert (tmp_path / "out" / "certificate.json").read_bytes() == (
+        run / "certificate.json"
+    ).read_bytes()
+    assert (
+        "NOT certified" in (tmp_path / "out" / "controller.h").read_text()
+    )  # its numbers prove nothing
 
 
-def structured_run(folder: Path, kinds: tuple[str, ...], seen: float, integral: bool = False) -> Path:
-    """A certified pair of a model with these neurons, which the output sees directly where `seen` is not zero."""
+def structured_run(
+    folder: Path, kinds: tuple[str, ...], seen: float, integral: bool = False
+) -> Path:
+    """A certified pair of a model with these neurons, which the output sees directly where `seen`
+    is not zero."""
     made = replace(structured(kinds, seed=2), h=np.full((1, len(kinds)), seen))
-    asked = RiccatiSynthesis(rate_controller=0.05 if integral else 0.5, rate_observer=0.5, input_weight=0.1)
-    design = replace(asked, internal_model=["step"] if integral else []).design(made, certified_balls(made))
+    asked = RiccatiSynthesis(
+        rate_controller=0.05 if integral else 0.5, rate_observer=0.5, input_weight=0.1
+    )
+    design = replace(asked, internal_model=["step"] if integral else []).design(
+        made, certified_balls(made)
+    )
     assert design.certified
     folder.mkdir(parents=True)
     (folder / "model.json").write_text(json.dumps(made.to_json()))
@@ -134,7 +166,9 @@ def structured_run(folder: Path, kinds: tuple[str, ...], seen: float, integral: 
     return folder
 
 
-def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_found(tmp_path: Path) -> None:
+def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_found(
+    tmp_path: Path,
+) -> None:
     run = write_recordings(structured_run(tmp_path / "run", ("tanh",), 0.0))
     header = c_sources(run, prefix="drive")["drive.h"]
     assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
@@ -143,10 +177,13 @@ def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_foun
 
 
 def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
-    """Rest points of the model by Newton's method, and the device's own curve; then the loop on the model itself."""
+    """Rest points of the model by Newton's method, and the device's own curve; then the loop on the
+    model itself."""
     run = structured_run(tmp_path / "run", ("tanh", "softplus"), 0.05)
     model = model_from_json(json.loads((run / "model.json").read_text()))
-    device = Device.of(load(run), "double", *(model.scale.physical_input(np.array([end])) for end in (-2.0, 2.0)))
+    device = Device.of(
+        load(run), "double", *(model.scale.physical_input(np.array([end])) for end in (-2.0, 2.0))
+    )
     assert device.set_points is not None
     missed = device.set_points.missed
     assert 1e-6 < missed < 1e-2
@@ -163,7 +200,9 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
             y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
             applied, state = device.track(state, y, r)
             truth = model.advance(truth, lift(model, applied))
-        assert np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r)).max() < 20 * missed
+        assert (
+            np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r)).max() < 20 * missed
+        )
 
 
 def lift(model: StructuredSSM, u: np.ndarray) -> np.ndarray:
@@ -181,7 +220,12 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     """A relu that turns the falling output back at large inputs."""
     made = load(structured_run(tmp_path / "run", ("relu",), 0.0))
     assert made.neurons is not None
-    turned = {"f": np.zeros((1, 3)), "g": np.ones((1, 1)), "h": np.full((1, 1), 100.0), "bias": np.array([-0.1])}
+    turned = {
+        "f": np.zeros((1, 3)),
+        "g": np.ones((1, 1)),
+        "h": np.full((1, 1), 100.0),
+        "bias": np.array([-0.1]),
+    }
     folded = replace(made, neurons=replace(made.neurons, **turned, phi_bias=np.zeros(1)))
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
     assert Device.of(folded, "double", *ends).set_points is None
@@ -199,7 +243,8 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("kinds", "integral"), [*(((kind,), kind == "tanh") for kind in NEURONS), (tuple(NEURONS), False)]
+    ("kinds", "integral"),
+    [*(((kind,), kind == "tanh") for kind in NEURONS), (tuple(NEURONS), False)],
 )
 def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: bool) -> None:
     """Far from rest, so that every neuron bends; a controller without them would not agree."""
@@ -210,7 +255,10 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
     assert np.ptp(expected) > 0.01
     bare = json.loads((run / "model.json").read_text())
     (run / "model.json").write_text(json.dumps(bare | {"e": (0 * np.array(bare["e"])).tolist()}))
-    assert np.abs(python_loop(run, y) - expected).max() > 100 * max(REPLAYS.values()) * np.abs(expected).max()
+    assert (
+        np.abs(python_loop(run, y) - expected).max()
+        > 100 * max(REPLAYS.values()) * np.abs(expected).max()
+    )
     for replay, tolerance in REPLAYS.items():
         replayed, size = replay(tmp_path / "out", y), max(1.0, float(np.abs(expected).max()))
         assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
@@ -219,16 +267,29 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("kinds", [("relu", "saturation"), ("tanh", "softplus", "clipped_cubic")])
 def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real: str) -> None:
-    """To the last digit where they are piecewise linear, else within the bound that the replay itself holds."""
+    """To the last digit where they are piecewise linear, else within the bound that the replay
+    itself holds."""
     made = load(structured_run(tmp_path / "run", kinds, 0.02))
-    device = Device.of(made, real, *(made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)))
+    device = Device.of(
+        made, real, *(made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5))
+    )
     folder = written(device, tmp_path / "c")
     words = ("-fsanitize=address,undefined", "-lm") if real == "double" else ("-std=c99", "-lm")
     text = compiled(folder, sources=("controller_replay.c", *words))
     assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
-    free = Device.of(made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6)))
-    assert real == "float" or "tanh" in kinds or free.multiplications == products(free, tmp_path / "counted")
-    broken = (folder / "controller.h").read_text().replace("controller_phi_bias[0];", "controller_phi_bias[0] + 1;")
+    free = Device.of(
+        made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6))
+    )
+    assert (
+        real == "float"
+        or "tanh" in kinds
+        or free.multiplications == products(free, tmp_path / "counted")
+    )
+    broken = (
+        (folder / "controller.h")
+        .read_text()
+        .replace("controller_phi_bias[0];", "controller_phi_bias[0] + 1;")
+    )
     (folder / "controller.h").write_text(broken)
     with pytest.raises(AssertionError, match="of 200 inputs differ"):
         compiled(folder, sources=("controller_replay.c", *words))
@@ -238,6 +299,8 @@ def test_rates_of_neurons_are_proved_for_the_deployed_floats(tmp_path: Path) -> 
     run = structured_run(tmp_path / "run", ("tanh", "relu"), 0.0)
     design = Design.load(run / "certificate.json")
     for real in ("double", "float"):
-        rates = deployed_rates(Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf])), design)
+        rates = deployed_rates(
+            Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf])), design
+        )
         assert 0.45 < rates["state_feedback"] <= 0.5
         assert 0.45 < rates["observer"] <= 0.5

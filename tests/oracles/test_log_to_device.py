@@ -1,4 +1,5 @@
-"""The way from a log to a device, as its page tells it: every file and command of the page, and what comes of them."""
+"""The way from a log to a device, as its page tells it: every file and command of the page, and
+what comes of them."""
 
 import json
 import shutil
@@ -18,7 +19,11 @@ def test_the_page_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
     said = told(tmp_path)
     (path,) = (tmp_path / "results" / "device").glob("*/record.json")
     record = json.loads(path.read_text())
-    assert (record["evidence"], record["predicted_stable"], record["controller_certified"]) == ("sound", True, True)
+    assert (record["evidence"], record["predicted_stable"], record["controller_certified"]) == (
+        "sound",
+        True,
+        True,
+    )
     assert record["certified_tolerance"] > record["mismatch_seen"]
     assert said["replay"].startswith("0 of 200 inputs differ, the largest by 0")
     trial = pd.read_csv(tmp_path / "first_trial.csv")
@@ -26,4 +31,6 @@ def test_the_page_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
     error = (trial["speed"] - trial["set_point"]).groupby(trial.index // 300)
     assert (error.apply(lambda one: one.iloc[SETTLED:].mean()).abs() < 0.1).all()
     assert (error.apply(lambda one: one.iloc[SETTLED:].std()) < 0.2).all()
-    assert "the loop comes to rest, so it shows nothing that makes it swing;" in capfd.readouterr().out
+    assert (
+        "the loop comes to rest, so it shows nothing that makes it swing;" in capfd.readouterr().out
+    )

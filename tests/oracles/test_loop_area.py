@@ -1,4 +1,5 @@
-"""The response area that ranks designs, written out sample by sample, and what it is released from."""
+"""The response area that ranks designs, written out sample by sample, and what it is released
+from."""
 
 from dataclasses import replace
 
@@ -6,17 +7,19 @@ import numpy as np
 import pytest
 from loop_cases import motor_design, motor_model, motor_record, random_model
 
+from ssm_study.certificates.theorems.integral_action import output_gain
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.integrated_error import relative_areas, release
-from ssm_study.certificates.theorems.integral_action import output_gain
-from ssm_study.systems import Pair, StateSpace
+from ssm_study.systems import Gains, StateSpace
 
 PAIR = np.zeros((1, 2), dtype=int)
 
 
 def record(model: SSM, samples: int = 240, seed: int = 0) -> Trajectory:
-    u = model.scale.input_equilibrium + np.random.default_rng(seed).normal(size=(samples, model.scale.inputs))
+    u = model.scale.input_equilibrium + np.random.default_rng(seed).normal(
+        size=(samples, model.scale.inputs)
+    )
     return Trajectory(u=u, y=np.zeros((samples, model.scale.outputs)), step_s=0.01)
 
 
@@ -43,12 +46,17 @@ def test_twelve_states_of_the_records_evenly_spaced() -> None:
 
 
 @pytest.mark.parametrize(
-    ("modulus", "samples"), [(0.0, 50), (0.5, 50), (0.96, 98), (0.97, 132), (0.98, 150), (1.0, 150), (1.2, 150)]
+    ("modulus", "samples"),
+    [(0.0, 50), (0.5, 50), (0.96, 98), (0.97, 132), (0.98, 150), (1.0, 150), (1.2, 150)],
 )
-def test_the_horizon_is_four_time_constants_between_50_and_150_samples(modulus: float, samples: int) -> None:
+def test_the_horizon_is_four_time_constants_between_50_and_150_samples(
+    modulus: float, samples: int
+) -> None:
     """A mode `lambda^k` falls by e in `-1 / ln |lambda|` samples."""
     model = motor_model()
-    linear = StateSpace(a=np.diag([modulus, 0.0]), b=model.linear.b, c=model.linear.c, d=model.linear.d)
+    linear = StateSpace(
+        a=np.diag([modulus, 0.0]), b=model.linear.b, c=model.linear.c, d=model.linear.d
+    )
     assert release(model.with_linear(linear), (motor_record(),), loaded=False)[2] == samples
 
 
@@ -71,8 +79,11 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     assert not loads[:, 1].any()
 
 
-def by_hand(model: SSM, k: np.ndarray, gain: np.ndarray, x0: np.ndarray, load: np.ndarray, horizon: int) -> float:
-    """Plant and observer are the model; integrators sum the output; the load enters behind the scaffolding."""
+def by_hand(
+    model: SSM, k: np.ndarray, gain: np.ndarray, x0: np.ndarray, load: np.ndarray, horizon: int
+) -> float:
+    """Plant and observer are the model; integrators sum the output; the load enters behind the
+    scaffolding."""
     linear, n = model.linear, model.order
     x, x_hat, z, sizes = x0, np.zeros(n), np.zeros(k.shape[1] - n), []
     for _ in range(horizon):
@@ -80,7 +91,10 @@ def by_hand(model: SSM, k: np.ndarray, gain: np.ndarray, x0: np.ndarray, load: n
         y = model.scaffold_out(linear.c @ x + linear.d @ (drive + load))
         seen = model.scaffold_out(linear.c @ x_hat + linear.d @ drive)
         sizes.append(float(np.linalg.norm(y)))
-        x, x_hat = linear.a @ x + linear.b @ (drive + load), linear.a @ x_hat + linear.b @ drive + gain @ (seen - y)
+        x, x_hat = (
+            linear.a @ x + linear.b @ (drive + load),
+            linear.a @ x_hat + linear.b @ drive + gain @ (seen - y),
+        )
         z = z + y[: len(z)]
     settled = next(after for after in range(horizon + 1) if max(sizes[after:], default=0.0) <= 0.05)
     return sum(sizes) + settled
@@ -97,7 +111,7 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     given = record(model)
     given.u[60:] = model.scale.input_equilibrium  # where the record rests
     x0s, loads, horizon = release(model, (given,), loaded=integrators > 0)
-    found = relative_areas(model, Pair(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (given,))
+    found = relative_areas(model, Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (given,))
     none = np.zeros((2, n)), np.zeros((n, 2))
     cases = list(zip(x0s, loads, strict=True))
     alone = np.array([by_hand(model, *none, x0, load, horizon) for x0, load in cases])
@@ -113,7 +127,9 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
     k, gain = design.state_feedback.k, design.observer.l
     ks, ls = np.stack([0 * k, k, 1e3 * k]), np.stack([gain, -1e3 * gain])
     pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
-    none, own, wild, blind = relative_areas(model, Pair(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (motor_record(),))
+    none, own, wild, blind = relative_areas(
+        model, Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (motor_record(),)
+    )
     assert none == pytest.approx(1.0)
     assert own < 0.9
     assert np.isfinite([wild, blind]).all()

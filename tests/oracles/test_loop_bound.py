@@ -1,4 +1,5 @@
-"""Measured distance never exceeds the certified bound on the model; on a claim that is false, it does."""
+"""Measured distance never exceeds the certified bound on the model; on a claim that is false, it
+does."""
 
 from dataclasses import replace
 
@@ -6,24 +7,35 @@ import numpy as np
 import pytest
 from loop_cases import random_model
 
-from ssm_study.loop.certified_bound import certified_bound, decay_rate, distances, excess, violations
+from ssm_study.certificates.certificate import Observer, StateFeedback
+from ssm_study.loop.certified_bound import (
+    certified_bound,
+    decay_rate,
+    distances,
+    excess,
+    violations,
+)
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.loop.rollout import Rollouts, close_loop
 from ssm_study.models.identified import SSM
-from ssm_study.certificates.certificate import Observer, StateFeedback
 from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import JacobianBall, Pair
+from ssm_study.systems import Gains, JacobianBall
 
 IDENTITY = JacobianBall(alpha=1.0, beta=0.0)
 
 
 def certified(model: SSM) -> tuple[StateFeedback, Observer]:
-    ball = JacobianBall.from_slopes(float(model.scaffold_in.slopes.min()), float(model.scaffold_in.slopes.max()))
+    ball = JacobianBall.from_slopes(
+        float(model.scaffold_in.slopes.min()), float(model.scaffold_in.slopes.max())
+    )
     limit = controller_frontier(model.linear, ball).rate_limit
     synthesis = RiccatiSynthesis(rate_controller=0.9 * limit, rate_observer=0.5, input_weight=0.1)
-    feedback, observer = synthesis.state_feedback(model.linear, ball), synthesis.observer(model.linear, IDENTITY)
+    feedback, observer = (
+        synthesis.state_feedback(model.linear, ball),
+        synthesis.observer(model.linear, IDENTITY),
+    )
     assert feedback.certified
     assert observer.certified
     return feedback, observer
@@ -33,7 +45,7 @@ def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int)
     m, p = model.scale.inputs, model.scale.outputs
     return close_loop(
         IdentifiedPlant.of(model),
-        ObserverFeedback(model=model, gains=Pair(k=feedback.k, l=observer.l)),
+        ObserverFeedback(model=model, gains=Gains(k=feedback.k, l=observer.l)),
         x0=np.random.default_rng(seed).standard_normal((20, model.order)),
         reference=np.tile(model.scale.output_equilibrium, (120, 1)),
         noise=np.zeros((20, 120, p)),
@@ -69,7 +81,9 @@ def test_decay_of_a_known_error_is_that_decay():
     feedback, observer = certified(random_model(1))
     x, direction = np.zeros((2, 200, 4)), np.random.default_rng(0).standard_normal(4)
     shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
-    assert decay_rate(x, shrink[:, :, None] * direction, feedback, observer) == pytest.approx(1 - 0.64, rel=1e-9)
+    assert decay_rate(x, shrink[:, :, None] * direction, feedback, observer) == pytest.approx(
+        1 - 0.64, rel=1e-9
+    )
     assert decay_rate(x, x, feedback, observer) is None
 
 
@@ -108,4 +122,6 @@ def test_the_bound_is_the_sum_it_says():
     c = float(model.scaffold_in.slopes.max()) * into * out
     k = 7
     expected = r_c**k * 2.0 + c * 3.0 * sum(r_c ** (k - 1 - i) * r_o**i for i in range(k))
-    assert certified_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(expected, rel=1e-9)
+    assert certified_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(
+        expected, rel=1e-9
+    )

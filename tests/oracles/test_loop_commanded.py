@@ -1,4 +1,5 @@
-"""The law that undoes the input map: the model with the identity in its place is its other route."""
+"""The law that undoes the input map: the model with the identity in its place is its other
+route."""
 
 import json
 from dataclasses import replace
@@ -10,23 +11,25 @@ from loop_cases import flat, motor_model, motor_record
 from structured_cases import model as with_neurons
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design, digest
+from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.export.portable import portable
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.integrated_error import relative_areas
-from ssm_study.synthesis.auto import Auto
-from ssm_study.certificates.certificate import Design, digest
-from ssm_study.synthesis.input_inversion import commanded, shown_behind
-from ssm_study.synthesis.deployed import as_deployed
-from ssm_study.synthesis.design import broken_claims
 from ssm_study.robustness.mismatch import ANGLES, mismatch
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.deployed import with_gain_certificates
+from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.synthesis.input_inversion import commanded, shown_behind
+from ssm_study.synthesis.integrated_error import relative_areas
 
-ASKED = RiccatiSynthesis(rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True)
+ASKED = RiccatiSynthesis(
+    rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True
+)
 SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
 MODELS = {"one layer": motor_model, "neurons": with_neurons}
 
@@ -39,11 +42,15 @@ def made(request: pytest.FixtureRequest) -> tuple:
     return (
         stand,
         balls,
-        as_deployed(asked.design(stand, balls), stand, balls, SHOWN, (np.array([-4.0]), np.array([4.0]))),
+        with_gain_certificates(
+            asked.design(stand, balls), stand, balls, SHOWN, (np.array([-4.0]), np.array([4.0]))
+        ),
     )
 
 
-def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file(made: tuple) -> None:
+def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file(
+    made: tuple,
+) -> None:
     stand, balls, design = made
     assert design.certified
     assert design.inverts
@@ -51,7 +58,7 @@ def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file
     assert design.state_feedback.rate_limit > plain.rate_limit
     content = json.loads(json.dumps(design.to_json()))
     controlled = controlled_system(stand, design.state_feedback)
-    assert broken_claims(content, stand.system, balls, controlled) == []
+    assert failed_checks(content, stand.system, balls, controlled) == []
     assert Design.from_json(content).inverts
     content["state_feedback"]["theorem"] = content["state_feedback"]["theorem"].replace(
         "inverted_input", "state_feedback"
@@ -59,7 +66,7 @@ def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
     assert any(
         "the model's Jacobians fill the ball" in claim
-        for claim in broken_claims(content, stand.system, balls, controlled)
+        for claim in failed_checks(content, stand.system, balls, controlled)
     )
 
 
@@ -70,7 +77,9 @@ def test_a_map_that_may_turn_gives_no_claim(made: tuple) -> None:
     content = json.loads(json.dumps(design.to_json()))
     assert any(
         "alpha, beta" in claim
-        for claim in broken_claims(content, stand.system, wide, controlled_system(stand, design.state_feedback))
+        for claim in failed_checks(
+            content, stand.system, wide, controlled_system(stand, design.state_feedback)
+        )
     )
 
 
@@ -84,7 +93,9 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     for controller in (law, other):
         plant = IdentifiedPlant.of(controller.model)
         y0, noise = asked.draw(plant, 0)
-        runs.append(asked.simulate(replace(plant, initial_range=(-1.0, 1.0)), controller, y0, noise))
+        runs.append(
+            asked.simulate(replace(plant, initial_range=(-1.0, 1.0)), controller, y0, noise)
+        )
     np.testing.assert_allclose(runs[0].y, runs[1].y, atol=1e-9)
     np.testing.assert_allclose(runs[0].estimate, runs[1].estimate, atol=1e-9)
     assert np.abs(runs[0].u).max() > 0
@@ -116,13 +127,17 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
     y = stand.simulate(u) + 0.05 * rng.standard_normal((400, 1))
     record = Trajectory(u=u, y=y, step_s=stand.step_s)
     size = np.linalg.norm(stand.scale.scaled_input(u)) / np.linalg.norm(stand.lift(u))
-    assert shown_behind(stand, (record,), 0, ()).gain == pytest.approx(mismatch(stand, (record,)).gain * size, rel=1e-9)
+    assert shown_behind(stand, (record,), 0, ()).gain == pytest.approx(
+        mismatch(stand, (record,)).gain * size, rel=1e-9
+    )
 
 
 def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None:
     stand, _, design = made
     with pytest.raises(BadRequest, match="undoes the input map, which no target computes"):
         portable(stand, design)
-    flat_map = MonotoneScaffold(breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.0, 0.9]]))
+    flat_map = MonotoneScaffold(
+        breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.0, 0.9]])
+    )
     with pytest.raises(BadRequest, match="not strictly monotone in each channel"):
         commanded(replace(stand, scaffold_in=flat_map))

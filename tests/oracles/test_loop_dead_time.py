@@ -1,4 +1,5 @@
-"""A dead time of known length is states of the model: the same output later, and a loop that reckons with it."""
+"""A dead time of known length is states of the model: the same output later, and a loop that
+reckons with it."""
 
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from ssm_study.models.spec import SSMSpec
 from ssm_study.plants.wrapper import DelayedInput
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
-from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
@@ -29,7 +30,9 @@ def bent() -> SSM:
         c=np.array([[1.0, 0.0]]),
         d=np.zeros((1, 1)),
     )
-    lifted = MonotoneScaffold(breakpoints=np.array([[-1.0, 0.5]]), slopes=np.array([[1.0, 0.8, 1.0]]))
+    lifted = MonotoneScaffold(
+        breakpoints=np.array([[-1.0, 0.5]]), slopes=np.array([[1.0, 0.8, 1.0]])
+    )
     return replace(SSM.of(linear, 0.1), scaffold_in=lifted)
 
 
@@ -37,29 +40,42 @@ def bent() -> SSM:
 def test_the_output_is_the_same_later(inputs: int) -> None:
     rng = np.random.default_rng(inputs)
     matrices = {"a": 0.3 * rng.standard_normal((3, 3)), "b": rng.standard_normal((3, inputs))}
-    model = SSM.of(StateSpace(**matrices, c=rng.standard_normal((1, 3)), d=rng.standard_normal((1, inputs))), 0.1)
+    model = SSM.of(
+        StateSpace(**matrices, c=rng.standard_normal((1, 3)), d=rng.standard_normal((1, inputs))),
+        0.1,
+    )
     u = rng.standard_normal((80, inputs))
     y, late = model.simulate(u), model.delayed(5).simulate(u)
     assert not late[:5].any()
     assert np.allclose(late[5:], y[:-5], atol=1e-12)
     assert model.delayed(5).order == 3 + 5 * inputs
     record = Trajectory(u=u, y=late, step_s=0.1)
-    data = DataSet(training=(record,), validation=(record,), test=(record,), inputs=(), outputs=(), scale=model.scale)
-    (moved,) = data.undelayed(5).training
+    data = DataSet(
+        training=(record,),
+        validation=(record,),
+        test=(record,),
+        inputs=(),
+        outputs=(),
+        scale=model.scale,
+    )
+    (moved,) = data.shift_out_dead_time(5).training
     assert np.allclose(model.simulate(moved.u), moved.y, atol=1e-12)
 
 
 def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() -> None:
-    """On the plant behind a dead time, which the simulator of delays makes, not the model that was designed for."""
+    """On the plant behind a dead time, which the simulator of delays makes, not the model that was
+    designed for."""
     model = bent()
     plant = DelayedInput(plant=IdentifiedPlant.of(model), samples=LATE)
-    balls = Balls(input=JacobianBall.from_slopes(0.8, 1.0), output=JacobianBall(alpha=1.0, beta=0.0))
+    balls = Balls(
+        input=JacobianBall.from_slopes(0.8, 1.0), output=JacobianBall(alpha=1.0, beta=0.0)
+    )
     wanted = RiccatiSynthesis(rate_controller=0.08, rate_observer=0.1, input_weight=0.1)
     loop = Loop(horizon_s=20.0, measurement_noise_variance=0.0)
     told, untold = (wanted.design(known, balls) for known in (model.delayed(LATE), model))
     assert told.certified
     assert untold.certified
-    assert broken_claims(told.to_json(), model.delayed(LATE).linear, balls) == []
+    assert failed_checks(told.to_json(), model.delayed(LATE).linear, balls) == []
     aware = loop.run(plant, model.delayed(LATE), told, seed=0)
     assert behaviour(aware)["stable_count"] == 10
     assert certified(aware, told)["certified_bound_violations"] == 0
@@ -69,10 +85,23 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
 
 def test_no_dead_time_is_less_than_none_or_longer_than_a_record() -> None:
     one = Linear()
-    shape = {"order": 1, "hidden_width": 1, "slope_lower": 0.1, "slope_upper": 1.0, "feedthrough": False}
+    shape = {
+        "order": 1,
+        "hidden_width": 1,
+        "slope_lower": 0.1,
+        "slope_upper": 1.0,
+        "feedthrough": False,
+    }
     with pytest.raises(BadRequest, match=r"model\.dead_time = -1"):
         SSMSpec(**shape, scaffold_in=one, scaffold_out=one, dead_time=-1)
     record = Trajectory(u=np.zeros((9, 1)), y=np.zeros((9, 1)), step_s=0.1)
-    data = DataSet(training=(record,), validation=(record,), test=(record,), inputs=(), outputs=(), scale=bent().scale)
+    data = DataSet(
+        training=(record,),
+        validation=(record,),
+        test=(record,),
+        inputs=(),
+        outputs=(),
+        scale=bent().scale,
+    )
     with pytest.raises(BadRequest, match=r"model\.dead_time = 9: .*9 samples"):
-        data.undelayed(9)
+        data.shift_out_dead_time(9)

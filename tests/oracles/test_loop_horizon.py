@@ -1,4 +1,5 @@
-"""The horizon of a loop comes from the model's own response; noise that alone crosses the band does not judge."""
+"""The horizon of a loop comes from the model's own response; noise that alone crosses the band does
+not judge."""
 
 from dataclasses import replace
 
@@ -10,7 +11,9 @@ from ssm_study.loop.metrics import behaviour
 from ssm_study.loop.regulation import SAMPLES, Loop
 
 
-@pytest.mark.parametrize(("pole", "samples"), [(0.9, 180), (0.98, 916), (0.5, SAMPLES[0]), (0.9999, SAMPLES[1])])
+@pytest.mark.parametrize(
+    ("pole", "samples"), [(0.9, 180), (0.98, 916), (0.5, SAMPLES[0]), (0.9999, SAMPLES[1])]
+)
 def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pole, samples):
     """One pole: what is left after k samples is `pole^k`; the input takes one sample to arrive."""
     model = motor_model()
@@ -23,9 +26,13 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
 
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
     """Twice as large a band needs no such care; a band within the noise does, and says so."""
-    quiet = Loop(measurement_noise_variance=0.02).run(motor(), motor_model(), motor_design(), seed=0)
+    quiet = Loop(measurement_noise_variance=0.02).run(
+        motor(), motor_model(), motor_design(), seed=0
+    )
     assert quiet.noise_free is None
-    noisy = Loop(measurement_noise_variance=20.0).run(motor(), motor_model(), motor_design(), seed=0)
+    noisy = Loop(measurement_noise_variance=20.0).run(
+        motor(), motor_model(), motor_design(), seed=0
+    )
     columns = behaviour(noisy)
     assert columns["judged_noise_free"]
     assert columns["stable_count"] == 10
@@ -34,7 +41,10 @@ def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
 
 
 def test_without_noise_there_is_nothing_to_leave_out():
-    lost = replace(motor_design(), state_feedback=replace(motor_design().state_feedback, k=np.array([[8.0, 8.0]])))
+    lost = replace(
+        motor_design(),
+        state_feedback=replace(motor_design().state_feedback, k=np.array([[8.0, 8.0]])),
+    )
     run = Loop(measurement_noise_variance=0.0).run(motor(), motor_model(), lost, seed=0)
     assert run.noise_free is None
     assert behaviour(run)["stable_count"] < 10

@@ -1,4 +1,5 @@
-"""Internal models: modes, certificate and frequency responses by two routes; loads and references on the true motor."""
+"""Internal models: modes, certificate and frequency responses by two routes; loads and references
+on the true motor."""
 
 from dataclasses import replace
 
@@ -6,6 +7,13 @@ import numpy as np
 import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
 
+from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.theorems.integral_action import (
+    controlled_system,
+    internal_model,
+    with_modes,
+)
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.cli.request import quoted
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import certified
@@ -14,18 +22,11 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
+from ssm_study.robustness.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
 from ssm_study.study.specification import part
 from ssm_study.synthesis.auto import Auto
-from ssm_study.certificates.certificate import Design
-from ssm_study.synthesis.design import broken_claims
-from ssm_study.robustness.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
+from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.certificates.theorems.integral_action import (
-    controlled_system,
-    internal_model,
-    with_modes,
-)
-from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.systems import StateSpace
 
 HERTZ, STEP_S = 0.5, 0.01
@@ -38,16 +39,21 @@ QUIET = {"initial_conditions": 1, "horizon_s": 8.0, "measurement_noise_variance"
 
 
 def made(*words: str) -> Design:
-    inner = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=1.0, output_noise=0.1)
+    inner = RiccatiSynthesis(
+        rate_controller=0.03, rate_observer=0.2, input_weight=1.0, output_noise=0.1
+    )
     return replace(inner, integral_weight=1e-4, internal_model=words).design(motor_model(), BALLS)
 
 
 def simulated(loop: Loop, design: Design) -> Rollouts:
-    return loop.simulate(motor(), ObserverFeedback.of(motor_model(), design), *loop.draw(motor(), seed=0))
+    return loop.simulate(
+        motor(), ObserverFeedback.of(motor_model(), design), *loop.draw(motor(), seed=0)
+    )
 
 
 def test_the_modes_are_those_of_the_signals():
-    """Free, each copy makes the signals that it is for: `w[k+1] = A_z w[k]` annihilates nothing else."""
+    """Free, each copy makes the signals that it is for: `w[k+1] = A_z w[k]` annihilates nothing
+    else."""
     modes, k = internal_model(["sine(0.5Hz)", "ramp", "step"], STEP_S, outputs=2), np.arange(60)
     angle = 2 * np.pi * HERTZ * STEP_S
     roots = [1, 1, np.exp(1j * angle), np.exp(-1j * angle)]
@@ -66,10 +72,16 @@ def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
     np.testing.assert_array_equal(part_.a, system.a)
     numbers = {name: getattr(part_, name) for name in ("rate", "p", "y", "k", "sigma")}
     assert part_.certified
-    assert StateFeedbackOfBall.holds(a=system.a, b=system.b, alpha=INPUT_BALL.alpha, beta=INPUT_BALL.beta, **numbers)
-    assert broken_claims(design.to_json(), model.linear, BALLS, controlled_system(model, part_)) == []
+    assert StateFeedbackOfBall.holds(
+        a=system.a, b=system.b, alpha=INPUT_BALL.alpha, beta=INPUT_BALL.beta, **numbers
+    )
+    assert (
+        failed_checks(design.to_json(), model.linear, BALLS, controlled_system(model, part_)) == []
+    )
     other = replace(design, state_feedback=replace(part_, a=part_.a + 1e-6 * np.eye(len(part_.a))))
-    assert broken_claims(other.to_json(), model.linear, BALLS, controlled_system(model, other.state_feedback))
+    assert failed_checks(
+        other.to_json(), model.linear, BALLS, controlled_system(model, other.state_feedback)
+    )
 
 
 @pytest.mark.parametrize(("words", "load"), LOADS.items())
@@ -84,7 +96,8 @@ def test_on_the_motor_the_load_is_removed_and_without_its_mode_it_is_not(words, 
 
 
 def test_at_its_frequency_the_model_passes_no_load():
-    """Route two: the linear loop from a load at the input to the output, at constant slopes of S_u, by hand."""
+    """Route two: the linear loop from a load at the input to the output, at constant slopes of S_u,
+    by hand."""
     model, angle = motor_model(), np.array([2 * np.pi * HERTZ * STEP_S])
     passed = {}
     for words in (("step", "sine(0.5Hz)"), ("step",)):
@@ -106,10 +119,18 @@ def test_at_its_frequency_the_model_passes_no_load():
 
 
 def test_the_margin_by_two_routes():
-    model, pair, angles = motor_model(), made("ramp", "sine(0.5Hz)").pair, np.geomspace(1e-3, np.pi, 200)
+    model, pair, angles = (
+        motor_model(),
+        made("ramp", "sine(0.5Hz)").pair,
+        np.geomspace(1e-3, np.pi, 200),
+    )
     slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
-    by_space = max(gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes)
-    by_factors = peaks_on_grid(model.linear, pair.k[None], pair.l[None], BALLS, angles, internal=pair.internal)
+    by_space = max(
+        gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes
+    )
+    by_factors = peaks_on_grid(
+        model.linear, pair.k[None], pair.l[None], BALLS, angles, internal=pair.internal
+    )
     assert by_factors[0, 0] == pytest.approx(by_space, rel=1e-9)
 
 
@@ -126,7 +147,12 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
 
 def test_the_certified_bound_holds_with_a_sine():
     run, design = Loop(initial_conditions=3, horizon_s=2.0), made("step", "sine(0.5Hz)")
-    assert certified(run.run(motor(), motor_model(), design, seed=1), design)["certified_bound_violations"] == 0
+    assert (
+        certified(run.run(motor(), motor_model(), design, seed=1), design)[
+            "certified_bound_violations"
+        ]
+        == 0
+    )
 
 
 def test_auto_takes_the_words_and_weighs_what_they_make():
@@ -137,10 +163,13 @@ def test_auto_takes_the_words_and_weighs_what_they_make():
 
 
 @pytest.mark.parametrize(
-    "word", ["sine", "sine(0.5)", "sine(0Hz)", "cosine(1Hz)", "Step", "", "sine(-1Hz)", "sine(1e9Hz)x"]
+    "word",
+    ["sine", "sine(0.5)", "sine(0Hz)", "cosine(1Hz)", "Step", "", "sine(-1Hz)", "sine(1e9Hz)x"],
 )
 def test_a_word_that_is_no_internal_model_is_refused(word):
-    with pytest.raises(BadRequest, match="is no internal model; use step, ramp, or a sine such as sine"):
+    with pytest.raises(
+        BadRequest, match="is no internal model; use step, ramp, or a sine such as sine"
+    ):
         Auto(internal_model=("step", word))
 
 
@@ -150,7 +179,8 @@ def test_a_sine_beyond_half_the_sampling_rate_is_refused():
 
 
 def test_a_mode_at_a_zero_of_the_model_is_refused():
-    """`x+ = 0.9 x + ...` behind a notch at 2 Hz: nothing that the input does shows in the output there."""
+    """`x+ = 0.9 x + ...` behind a notch at 2 Hz: nothing that the input does shows in the output
+    there."""
     angle, poles = 2 * np.pi * 2.0 * STEP_S, np.poly([0.9, 0.5, 0.3])
     numerator = np.array([[1.0, -2 * np.cos(angle), 1.0]])
     a = np.vstack([-poles[1:], np.eye(2, 3)])
@@ -168,7 +198,13 @@ def test_a_gain_of_another_internal_model_is_refused():
 
 
 def test_the_command_takes_a_sine_without_quotes():
-    words = ["synthesis.internal_model=[step,sine(0.5Hz)]", 'synthesis.internal_model=["sine(1Hz)"]', "seed=range(3)"]
+    words = [
+        "synthesis.internal_model=[step,sine(0.5Hz)]",
+        'synthesis.internal_model=["sine(1Hz)"]',
+        "seed=range(3)",
+    ]
     assert quoted(words) == ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
-    found = part("synthesis", {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]})
+    found = part(
+        "synthesis", {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
+    )
     assert found.modes == ("ramp",)

@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_cases import BALLS, INPUT_BALL, flat, motor_design, motor_model, motor_record, random_model
+from loop_cases import (
+    BALLS,
+    INPUT_BALL,
+    flat,
+    motor_design,
+    motor_model,
+    motor_record,
+    random_model,
+)
 
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import Trajectory
 from ssm_study.robustness.mismatch import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.robustness.prediction import Prediction, predict
@@ -21,28 +28,36 @@ from ssm_study.robustness.sensitivity import (
     sensitivity,
     sensitivity_peak,
 )
-from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace
+from ssm_study.signals import Trajectory
+from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
-# A mode of radius 0.999 is 0.001 wide: half a step of 0.0004 beside its peak, the gain is 2 % lower.
+# A mode of radius 0.999 is 0.001 wide: half a step of 0.0004 beside its peak, the gain is 2 %
+# lower.
 ANGLES = np.concatenate([np.linspace(0, np.pi, 8001), np.geomspace(1e-5, np.pi, 2000)])
 
 
 @given(st.floats(-0.999, 0.999))
 def test_first_order_peak_is_known(pole):
-    system = StateSpace(a=np.array([[pole]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    system = StateSpace(
+        a=np.array([[pole]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
+    )
     assert hinf_norm(system) == pytest.approx(1 / (1 - abs(pole)), rel=1e-7)
 
 
 @given(st.floats(0.5, 0.9999), st.floats(0.05, 3.0))
 def test_resonance_is_found(radius, angle):
     turn = radius * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    system = StateSpace(a=turn, b=np.array([[1.0], [0.3]]), c=np.array([[0.5, 1.0]]), d=np.zeros((1, 1)))
+    system = StateSpace(
+        a=turn, b=np.array([[1.0], [0.3]]), c=np.array([[0.5, 1.0]]), d=np.zeros((1, 1))
+    )
     near = angle + np.linspace(-1, 1, 20001) * 20 * (1 - radius)
     reference = gains(system, np.concatenate([near, ANGLES])).max()
     assert hinf_norm(system) == pytest.approx(reference, rel=1e-6)
 
 
-@given(st.integers(0, 10_000), st.integers(1, 10), st.integers(1, 3), st.integers(1, 3), st.booleans())
+@given(
+    st.integers(0, 10_000), st.integers(1, 10), st.integers(1, 3), st.integers(1, 3), st.booleans()
+)
 def test_no_frequency_exceeds_the_norm(seed, n, m, p, feedthrough):
     rng = np.random.default_rng(seed)
     a = rng.standard_normal((n, n))
@@ -66,18 +81,22 @@ def test_the_norm_agrees_with_python_control():
         a *= 0.95 / np.abs(np.linalg.eigvals(a)).max()
         b, c = rng.standard_normal((5, 2)), rng.standard_normal((2, 5))
         theirs = control.system_norm(control.ss(a, b, c, np.zeros((2, 2)), True), "inf", tol=1e-8)
-        assert hinf_norm(StateSpace(a=a, b=b, c=c, d=np.zeros((2, 2)))) == pytest.approx(theirs, rel=1e-5)
+        assert hinf_norm(StateSpace(a=a, b=b, c=c, d=np.zeros((2, 2)))) == pytest.approx(
+            theirs, rel=1e-5
+        )
 
 
 def test_an_unstable_system_has_no_finite_norm():
-    system = StateSpace(a=np.array([[1.01]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    system = StateSpace(
+        a=np.array([[1.01]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
+    )
     assert hinf_norm(system) == np.inf
 
 
 def test_the_peak_by_state_space_and_by_factors():
     design, model = motor_design(), motor_model()
     k, gain = design.state_feedback.k, design.observer.l
-    exact = sensitivity_peak(model.linear, Pair(k=k, l=gain), BALLS)
+    exact = sensitivity_peak(model.linear, Gains(k=k, l=gain), BALLS)
     angles = np.concatenate([ANGLES[1:], np.linspace(1e-4, np.pi, 5000)])
     grid = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
     assert grid <= exact * (1 + 1e-9)
@@ -88,20 +107,27 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
     rng = np.random.default_rng(2)
     a = rng.standard_normal((4, 4))
     a *= 0.5 / np.abs(np.linalg.eigvals(a)).max()
-    linear = StateSpace(a=a, b=rng.standard_normal((4, 2)), c=rng.standard_normal((3, 4)), d=np.zeros((3, 2)))
+    linear = StateSpace(
+        a=a, b=rng.standard_normal((4, 2)), c=rng.standard_normal((3, 4)), d=np.zeros((3, 2))
+    )
     k, gain = 0.05 * rng.standard_normal((2, 4)), 0.05 * rng.standard_normal((4, 3))
-    balls = Balls(input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1))
+    balls = Balls(
+        input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1)
+    )
     angles = np.linspace(0.01, np.pi, 50)
     by_space = max(
-        gains(sensitivity(linear, Pair(k=k, l=gain), i, o), angles).max()
+        gains(sensitivity(linear, Gains(k=k, l=gain), i, o), angles).max()
         for i in (0.4, 0.7, 1.0)
         for o in (0.8, 0.95, 1.1)
     )
-    assert peaks_on_grid(linear, k[None], gain[None], balls, angles)[0, 0] == pytest.approx(by_space, rel=1e-9)
+    assert peaks_on_grid(linear, k[None], gain[None], balls, angles)[0, 0] == pytest.approx(
+        by_space, rel=1e-9
+    )
 
 
 def test_the_sensitivity_is_the_loops_own_response_to_output_error():
-    """Time domain: the loop written out with a sine added to the output answers with the gain of T_ue."""
+    """Time domain: the loop written out with a sine added to the output answers with the gain of
+    T_ue."""
     model, design = motor_model(), motor_design()
     k, gain, angle = design.state_feedback.k, design.observer.l, 0.4
     a, b, c, slope = model.linear.a, model.linear.b, model.linear.c, INPUT_BALL.alpha
@@ -109,16 +135,23 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
     for sample in range(3000):
         u.append(float((k @ x_hat)[0]))
         y = c @ x + np.sin(angle * sample)
-        x, x_hat = a @ x + b[:, 0] * slope * u[-1], a @ x_hat + b[:, 0] * slope * u[-1] + gain @ (c @ x_hat - y)
+        x, x_hat = (
+            a @ x + b[:, 0] * slope * u[-1],
+            a @ x_hat + b[:, 0] * slope * u[-1] + gain @ (c @ x_hat - y),
+        )
     amplitude = np.abs(np.array(u[-1500:]) @ np.exp(-1j * angle * np.arange(1500))) * 2 / 1500
-    expected = gains(sensitivity(model.linear, Pair(k=k, l=gain), slope, 1.0), np.array([angle]))[0]
+    expected = gains(sensitivity(model.linear, Gains(k=k, l=gain), slope, 1.0), np.array([angle]))[
+        0
+    ]
     assert amplitude == pytest.approx(expected, rel=0.01)
 
 
 def test_the_gain_is_the_ratio_of_what_the_record_shows():
     model, record = motor_model(), motor_record()
     error = (record.y - model.simulate(record.u)) / 5.0
-    assert mismatch(model, (record,)).gain == pytest.approx(np.linalg.norm(error) / np.linalg.norm(record.u / 1.7))
+    assert mismatch(model, (record,)).gain == pytest.approx(
+        np.linalg.norm(error) / np.linalg.norm(record.u / 1.7)
+    )
     assert mismatch(model, (record, record)).gain == pytest.approx(mismatch(model, (record,)).gain)
     own = Trajectory(u=record.u, y=model.simulate(record.u), step_s=0.01)
     assert mismatch(model, (own,)).gain == 0.0
@@ -127,7 +160,7 @@ def test_the_gain_is_the_ratio_of_what_the_record_shows():
 def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     model, design = motor_model(), motor_design()
     shown = mismatch(model, (motor_record(),))
-    found = predict(model, Pair(k=50 * design.state_feedback.k, l=design.observer.l), BALLS, shown)
+    found = predict(model, Gains(k=50 * design.state_feedback.k, l=design.observer.l), BALLS, shown)
     assert (found.mismatch_margin, found.resolved_margin) == (0.0, 0.0)
     own = predict(model, design.pair, BALLS, shown)
     peak = sensitivity_peak(model.linear, design.pair, BALLS)
@@ -137,7 +170,8 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
 
 
 def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0) -> Mismatch:
-    """The mismatch of white inputs whose output is the model's plus `filtered` of the scaled input, both scaled."""
+    """The mismatch of white inputs whose output is the model's plus `filtered` of the scaled input,
+    both scaled."""
     model, made = motor_model(), []
     for seed in range(records):
         u = np.random.default_rng(seed).standard_normal((samples, 1))
@@ -156,7 +190,8 @@ def test_a_mismatch_of_constant_gain_has_it_at_every_frequency():
 
 @pytest.mark.parametrize("records", [1, 3])
 def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
-    """`e[k] = (u[k] - u[k-1]) / 2` has gain `|sin(w/2)|`, and `1/sqrt(2)` in total for white inputs."""
+    """`e[k] = (u[k] - u[k-1]) / 2` has gain `|sin(w/2)|`, and `1/sqrt(2)` in total for white
+    inputs."""
     shown = shown_by(lambda u: np.diff(u, axis=0, prepend=0.0) / 2, records=records)
     assert shown.gain == pytest.approx(np.sqrt(0.5), rel=0.05)
     np.testing.assert_allclose(shown.by_frequency, np.abs(np.sin(BANDS / 2)), atol=0.06)
@@ -166,7 +201,8 @@ def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
 
 @pytest.mark.parametrize("period", [64.0731, 2000 / 31], ids=["once", "repeated"])
 def test_where_the_input_hardly_moves_nothing_stands_in_for_what_is_measured(period):
-    """A slow sine under white noise, whether it repeats or not: without input the noise counts, and it is said."""
+    """A slow sine under white noise, whether it repeats or not: without input the noise counts, and
+    it is said."""
     model, k = motor_model(), np.arange(4000)
     u = np.sin(2 * np.pi * k / period)[:, None]
     noise = np.random.default_rng(0).standard_normal(u.shape)
@@ -200,7 +236,7 @@ def test_a_record_shorter_than_a_segment_is_one_segment(samples):
 def test_a_design_keeps_the_plant_strictly_inside_both_bounds():
     def keeps(resolved, radius, *margin):
         made = Prediction(mismatch_margin=9.0, resolved_margin=resolved, controller_radius=radius)
-        return made.keeps_the_plant(*margin)
+        return made.predicts_stability(*margin)
 
     assert keeps(1.0 + 1e-9, 1.0 - 1e-9)
     assert not keeps(1.0, 0.5)
@@ -214,8 +250,10 @@ def several_channels():
     a, b, c = model.linear.a, model.linear.b, model.linear.c
     linear = StateSpace(a=0.7 * a, b=b, c=c, d=rng.standard_normal((3, 2)))
     ks, ls = 0.1 * rng.standard_normal((3, 2, 4)), 0.1 * rng.standard_normal((3, 4, 3))
-    balls = Balls(input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1))
-    return linear, Pair(k=ks, l=ls), balls
+    balls = Balls(
+        input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1)
+    )
+    return linear, Gains(k=ks, l=ls), balls
 
 
 def test_the_controller_alone_is_the_equation_written_out():
@@ -223,23 +261,33 @@ def test_the_controller_alone_is_the_equation_written_out():
     linear, pairs, balls = several_channels()
     expected = [
         max(
-            np.abs(np.linalg.eigvals(linear.a + i * linear.b @ k + o * gain @ (linear.c + i * linear.d @ k))).max()
+            np.abs(
+                np.linalg.eigvals(
+                    linear.a + i * linear.b @ k + o * gain @ (linear.c + i * linear.d @ k)
+                )
+            ).max()
             for i, o in product((0.4, 0.7, 1.0), (0.8, 0.95, 1.1))
         )
         for k, gain in zip(pairs.k, pairs.l, strict=True)
     ]
     np.testing.assert_allclose(controller_radius(linear, pairs, balls), expected)
-    wider = Pair(k=np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2), l=pairs.l)
+    wider = Gains(k=np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2), l=pairs.l)
     np.testing.assert_allclose(controller_radius(linear, wider, balls), expected)
     known = JacobianBall(alpha=0.7, beta=0.0)
     narrow, wide = Balls(input=known, output=known), Balls(input=balls.input, output=known)
-    assert (controller_radius(linear, pairs, narrow) <= controller_radius(linear, pairs, wide)).all()
+    assert (
+        controller_radius(linear, pairs, narrow) <= controller_radius(linear, pairs, wide)
+    ).all()
 
 
 def test_the_norm_of_constants_and_of_nothing():
-    nothing = StateSpace(a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.zeros((1, 2)))
+    nothing = StateSpace(
+        a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.zeros((1, 2))
+    )
     assert hinf_norm(nothing) == 0.0
-    constant = StateSpace(a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.array([[3.0, 4.0]]))
+    constant = StateSpace(
+        a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.array([[3.0, 4.0]])
+    )
     assert hinf_norm(constant) == pytest.approx(5.0, rel=1e-7)
 
 

@@ -21,16 +21,21 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.auto import Auto
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.prediction import predict
+from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Pair
+from ssm_study.systems import Gains
 
 KNOWN = Identified(model=motor_model(), balls=BALLS, validation=(motor_record(),))
 SHORT = Loop(horizon_s=0.4, measurement_noise_variance=0.02, initial_conditions=3)
 WEIGHTS = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
-SMALL = Auto(stretch_shares=(0.3,), observer_rates=(0.1, 0.3), input_weights=(1e-4, 0.1), output_noises=(1e-4, 0.1))
+SMALL = Auto(
+    stretch_shares=(0.3,),
+    observer_rates=(0.1, 0.3),
+    input_weights=(1e-4, 0.1),
+    output_noises=(1e-4, 0.1),
+)
 
 
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
@@ -54,35 +59,52 @@ def test_pi_leaves_no_error_under_a_load():
         reference=StepReference(before=0.0, after=8.0, at_s=0.0),
         disturbance=StepDisturbance(size=-0.2, at_s=2.0),
     )
-    assert behaviour(loop.on_plant(plant, tyreus_luyben(motor_model()), seed=0))["final_error_worst"] < 1e-3
+    assert (
+        behaviour(loop.on_plant(plant, tyreus_luyben(motor_model()), seed=0))["final_error_worst"]
+        < 1e-3
+    )
 
 
 @pytest.mark.parametrize("name", ["lqg", "mpc"])
 def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest(name):
-    """Differences are the second route; the gains are those of that linear system, and not of A and B alone."""
+    """Differences are the second route; the gains are those of that linear system, and not of A and
+    B alone."""
     model = with_neurons()
-    known, n, m = Identified(model=model, balls=BALLS, validation=(motor_record(),)), model.order, model.b.shape[1]
+    known, n, m = (
+        Identified(model=model, balls=BALLS, validation=(motor_record(),)),
+        model.order,
+        model.b.shape[1],
+    )
     points = 1e-6 * np.eye(n + m)
-    moved = (model.advance(points[:, :n], points[:, n:]) - model.advance(-points[:, :n], -points[:, n:])).T / 2e-6
+    moved = (
+        model.advance(points[:, :n], points[:, n:]) - model.advance(-points[:, :n], -points[:, n:])
+    ).T / 2e-6
     seen = known.without_neurons.linear
     assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
     built, _ = compared(name, motor(), known)
     without = compared(
-        name, motor(), Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),))
+        name,
+        motor(),
+        Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),)),
     )
     assert built.gains.k == pytest.approx(without[0].gains.k)
     plain = replace(known.without_neurons, linear=model.linear)
-    blind = compared(name, motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),)))
+    blind = compared(
+        name, motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
+    )
     assert built.gains.k != pytest.approx(blind[0].gains.k, rel=1e-3)
 
 
 def test_lqg_is_optimal_for_the_linear_part():
-    """Policy iteration as the second route: the gain's own cost cannot be improved by one greedy step."""
+    """Policy iteration as the second route: the gain's own cost cannot be improved by one greedy
+    step."""
     model, weights = random_model(1), replace(WEIGHTS, input_weight=0.3)
     law = lqg(model, weights)
     a, b = law.model.linear.a, law.model.linear.b @ law.model.scaffold_in.jacobian(np.zeros(1))
     q = model.linear.c.T @ model.linear.c + weights.state_weight * np.eye(4)
-    cost = scipy.linalg.solve_discrete_lyapunov((a + b @ law.gains.k).T, q + 0.3 * law.gains.k.T @ law.gains.k)
+    cost = scipy.linalg.solve_discrete_lyapunov(
+        (a + b @ law.gains.k).T, q + 0.3 * law.gains.k.T @ law.gains.k
+    )
     greedy = -np.linalg.solve(0.3 * np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)
     np.testing.assert_allclose(law.gains.k, greedy, rtol=1e-8)
 
@@ -96,7 +118,9 @@ def test_mpc_without_active_limits_is_the_riccati_law():
     model, weights = motor_model(), replace(WEIGHTS, input_weight=0.1)
     law = mpc(model, weights, -1e3, 1e3)
     a, b, c = model.linear.a, model.linear.b, model.linear.c
-    slope = float((model.scaffold_in(np.ones((1, 1))) - model.scaffold_in(-np.ones((1, 1))))[0, 0] / 2)
+    slope = float(
+        (model.scaffold_in(np.ones((1, 1))) - model.scaffold_in(-np.ones((1, 1))))[0, 0] / 2
+    )
     r = 0.1 / slope**2 * np.eye(1)
     s = scipy.linalg.solve_discrete_are(a, b, c.T @ c + 1e-4 * np.eye(2), r)
     k = -np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a)
@@ -116,13 +140,16 @@ def test_mpc_keeps_its_limits():
 def test_a_grid_of_gains_is_its_designs_one_by_one():
     design, model = motor_design(), motor_model()
     k, l_ = design.pair.k, design.pair.l
-    gains = Pair(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
+    gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
     y0, noise = SHORT.draw(motor(), seed=2)
     grid = ObserverFeedback(model=model, gains=gains.at(np.repeat([0, 1], 3)))
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
     for i in range(2):
         alone = SHORT.simulate(
-            motor(), ObserverFeedback(model=model, gains=Pair(k=gains.k[i], l=gains.l[i])), y0, noise
+            motor(),
+            ObserverFeedback(model=model, gains=Gains(k=gains.k[i], l=gains.l[i])),
+            y0,
+            noise,
         )
         np.testing.assert_allclose(together.y[3 * i : 3 * i + 3], alone.y, rtol=1e-9, atol=1e-12)
 
@@ -134,7 +161,7 @@ def test_the_design_grid_reports_each_designs_own_margin():
     candidates = SMALL.candidates(motor_model(), BALLS)
     shown = mismatch(motor_model(), (motor_record(),))
     margins = [
-        predict(motor_model(), Pair(k=k, l=l_), BALLS, shown).mismatch_margin
+        predict(motor_model(), Gains(k=k, l=l_), BALLS, shown).mismatch_margin
         for k in candidates.ks
         for l_ in candidates.ls
     ]
@@ -144,7 +171,9 @@ def test_the_design_grid_reports_each_designs_own_margin():
 
 
 def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatch):
-    infeasible = RiccatiSynthesis(rate_controller=0.99, rate_observer=0.3).design(motor_model(), BALLS)
+    infeasible = RiccatiSynthesis(rate_controller=0.99, rate_observer=0.3).design(
+        motor_model(), BALLS
+    )
     assert not infeasible.feasible
     monkeypatch.setattr(Auto, "design", lambda *_: infeasible)
     rows = DesignGrid(designs=6, auto=SMALL).rows(motor(), KNOWN, SHORT, seed=0)
@@ -153,12 +182,18 @@ def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatc
 
 def test_every_controller_has_a_row_in_every_situation():
     names = ("uncontrolled", "pi", "lqg", "guaranteed_cost")
-    table = Comparison(controllers=names, situations=SITUATIONS, spread_fields=("resistance_ohm",), spread_plants=2)
+    table = Comparison(
+        controllers=names, situations=SITUATIONS, spread_fields=("resistance_ohm",), spread_plants=2
+    )
     rows = table.rows(motor(), KNOWN, SHORT, seed=0)
-    assert [(r["controller"], r["situation"]) for r in rows] == [(n, s) for s in SITUATIONS for n in names]
+    assert [(r["controller"], r["situation"]) for r in rows] == [
+        (n, s) for s in SITUATIONS for n in names
+    ]
     spread = [r for r in rows if r["situation"] == "spread"]
     assert {r["initial_conditions"] for r in spread} == {6}
-    assert not any(isinstance(value, float) and np.isnan(value) for row in rows for value in row.values())
+    assert not any(
+        isinstance(value, float) and np.isnan(value) for row in rows for value in row.values()
+    )
 
 
 def test_the_spread_fills_its_range():
@@ -166,7 +201,9 @@ def test_the_spread_fills_its_range():
     plants = table.spread(motor(), seed=0)
     for name in table.spread_fields:
         factors = np.array([getattr(p, name) for p in plants]) / getattr(motor(), name)
-        assert (np.floor((np.sort(factors) - 0.8) / 0.04) == np.arange(10)).all()  # one in each tenth
+        assert (
+            np.floor((np.sort(factors) - 0.8) / 0.04) == np.arange(10)
+        ).all()  # one in each tenth
 
 
 def test_the_plants_own_pi_is_a_row_of_its_own():
@@ -174,7 +211,9 @@ def test_the_plants_own_pi_is_a_row_of_its_own():
     rule = tyreus_luyben(KNOWN.model)
     plant = motor()
     same, other = (
-        Comparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(plant, KNOWN, SHORT, seed=0)
+        Comparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(
+            plant, KNOWN, SHORT, seed=0
+        )
         for times in (1, 0.5)
     )
     assert [row["controller"] for row in same] == ["pi", "own_pi"]
@@ -194,7 +233,9 @@ class Undisturbed(Wrapper):
 
 def test_a_plant_without_disturbance_has_no_load_rows():
     plant = Undisturbed(plant=motor())
-    table = Comparison(controllers=("lqg",), situations=("nominal", "load_step", "load_periodic", "spread"))
+    table = Comparison(
+        controllers=("lqg",), situations=("nominal", "load_step", "load_periodic", "spread")
+    )
     assert [row["situation"] for row in table.rows(plant, KNOWN, SHORT, seed=0)] == ["nominal"]
 
 

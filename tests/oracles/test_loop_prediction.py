@@ -1,4 +1,5 @@
-"""What is predicted of a design on the plant: the margin by frequency, and the controller by itself."""
+"""What is predicted of a design on the plant: the margin by frequency, and the controller by
+itself."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,6 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
-from ssm_study.signals import Scale, Trajectory
 from ssm_study.robustness.mismatch import ANGLES, BAND, Mismatch, View, mismatch
 from ssm_study.robustness.prediction import PEAK, noise_peak, predict, worst
 from ssm_study.robustness.sensitivity import (
@@ -29,8 +29,9 @@ from ssm_study.robustness.sensitivity import (
     sensitivity,
     sizes,
 )
+from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, Pair, StateSpace
+from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
 STEEP_AND_FLAT = (JacobianBall(alpha=1.0, beta=0.0), JacobianBall(alpha=0.1, beta=0.0))
 ONES = Balls(input=JacobianBall(alpha=1.0, beta=0.0), output=JacobianBall(alpha=1.0, beta=0.0))
@@ -42,7 +43,10 @@ def linear_model(seed: int, order: int = 3) -> SSM:
     a = rng.standard_normal((order, order))
     a *= rng.uniform(0.6, 0.95) / np.abs(np.linalg.eigvals(a)).max()
     linear = StateSpace(
-        a=a, b=rng.standard_normal((order, 1)), c=rng.standard_normal((1, order)), d=rng.standard_normal((1, 1))
+        a=a,
+        b=rng.standard_normal((order, 1)),
+        c=rng.standard_normal((1, order)),
+        d=rng.standard_normal((1, 1)),
     )
     unit = LinearScaffold(gain=np.eye(1))
     return replace(
@@ -58,11 +62,14 @@ def linear_model(seed: int, order: int = 3) -> SSM:
 def recorded(model: SSM, taps: np.ndarray, samples: int = 4_000) -> Trajectory:
     """White input, and an output that misses the model by the finite impulse response `taps`."""
     u = np.random.default_rng(0).standard_normal((samples, 1))
-    return Trajectory(u=u, y=model.simulate(u) + scipy.signal.lfilter(taps, [1.0], u[:, 0])[:, None], step_s=0.01)
+    return Trajectory(
+        u=u, y=model.simulate(u) + scipy.signal.lfilter(taps, [1.0], u[:, 0])[:, None], step_s=0.01
+    )
 
 
 def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> float:
-    """Spectral radius of the loop of plant = model + taps, written out: states (x, past inputs, estimate)."""
+    """Spectral radius of the loop of plant = model + taps, written out: states (x, past inputs,
+    estimate)."""
     a, b, c, d = model.linear.a, model.linear.b, model.linear.c, model.linear.d
     n, t = len(a), len(taps) - 1
     shift = np.eye(t, k=-1)
@@ -86,12 +93,13 @@ def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> flo
 @settings(max_examples=20)
 @given(st.integers(0, 10_000), st.floats(0.01, 3.0), st.integers(1, 6))
 def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(seed, size, length):
-    """Small gain by frequency: `g(w) sigma_max(T_ue(w)) < 1` at all w keeps every linear mismatch of gain g(w)."""
+    """Small gain by frequency: `g(w) sigma_max(T_ue(w)) < 1` at all w keeps every linear mismatch
+    of gain g(w)."""
     model = linear_model(seed)
     design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
     k, gain = design.state_feedback.k, design.observer.l
     taps = size * np.random.default_rng(seed).standard_normal(length + 1)
-    found = predict(model, Pair(k=k, l=gain), ONES, mismatch(model, (recorded(model, taps),)))
+    found = predict(model, Gains(k=k, l=gain), ONES, mismatch(model, (recorded(model, taps),)))
     if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
         assert closed(model, k, gain, taps) < 1
 
@@ -107,14 +115,19 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_pairs_share_changes_no_number(seed):
-    """Two pairs one after the other, each with slopes and modes of its own, against each by itself."""
+    """Two pairs one after the other, each with slopes and modes of its own, against each by
+    itself."""
     model, shared = linear_model(seed), Responses(angles=FINE_ANGLES)
     shown = mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
     for rate in (0.1, 0.3):
         pair = RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(model, BALLS).pair
         alone = worst(model, pair, BALLS, shown)
         assert worst(model, pair, BALLS, shown, shared) == pytest.approx(alone, rel=1e-9)
-        assert alone / 2 <= worst(model, pair, BALLS, shown, shared, refused=alone / 2) <= alone * (1 + 1e-9)
+        assert (
+            alone / 2
+            <= worst(model, pair, BALLS, shown, shared, refused=alone / 2)
+            <= alone * (1 + 1e-9)
+        )
         assert 0 < alone < np.inf
 
 
@@ -123,11 +136,11 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     model, design = motor_model(), motor_design()
     k, gain = design.state_feedback.k, design.observer.l
     angles = ANGLES
-    loops = [sensitivity(*end) for end in ends(model.linear, Pair(k=k, l=gain), BALLS)]
+    loops = [sensitivity(*end) for end in ends(model.linear, Gains(k=k, l=gain), BALLS)]
     largest = np.max([sizes(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0)
     sensitive = np.array([(near(w)(FINE_ANGLES) * largest).max() for w in angles])
     shown = flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)
-    found = predict(model, Pair(k=k, l=gain), BALLS, shown)
+    found = predict(model, Gains(k=k, l=gain), BALLS, shown)
     assert found.resolved_margin == pytest.approx(0.1 * found.mismatch_margin, rel=0.05)
 
 
@@ -138,18 +151,19 @@ def near(centre: float):
 @settings(max_examples=10)
 @given(st.integers(0, 10_000))
 def test_the_radius_is_the_growth_of_the_controller_alone(seed):
-    """The plant held still: the controller's own memory grows or shrinks by the radius per sample."""
+    """The plant held still: the controller's own memory grows or shrinks by the radius per
+    sample."""
     model = linear_model(seed)
     rng = np.random.default_rng(seed)
     k, gain = rng.standard_normal((1, 3)), rng.standard_normal((3, 1))
-    law = ObserverFeedback(model=model, gains=Pair(k=k, l=gain))
+    law = ObserverFeedback(model=model, gains=Gains(k=k, l=gain))
     memory, still = 1e-8 * rng.standard_normal((1, 3)), np.zeros((1, 1))
     target, grown = law.targets(still)[0], []
     for _ in range(200):
         following = law.advance(memory, law.input(memory, still, target), still, target)
         grown.append(np.log(np.linalg.norm(following) / np.linalg.norm(memory)))
         memory = following * np.linalg.norm(memory) / np.linalg.norm(following)
-    radius = controller_radius(model.linear, Pair(k=k, l=gain), ONES)
+    radius = controller_radius(model.linear, Gains(k=k, l=gain), ONES)
     assert np.mean(grown[100:]) == pytest.approx(np.log(radius), abs=0.05)
 
 
@@ -157,18 +171,30 @@ def test_the_integrator_does_not_count():
     model, design = motor_model(), motor_design()
     k, gain = design.state_feedback.k[None], design.observer.l[None]
     with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
-    assert controller_radius(model.linear, Pair(k=with_integral, l=gain), BALLS) == controller_radius(
-        model.linear, Pair(k=k, l=gain), BALLS
-    )
+    assert controller_radius(
+        model.linear, Gains(k=with_integral, l=gain), BALLS
+    ) == controller_radius(model.linear, Gains(k=k, l=gain), BALLS)
 
 
 def test_an_integrator_holds_where_the_plant_does():
-    """Held by friction, the plant gives it no error: the view says nothing of it. A plant that answers does."""
+    """Held by friction, the plant gives it no error: the view says nothing of it. A plant that
+    answers does."""
     model = motor_model()
-    pair = Pair(k=np.hstack([motor_design().state_feedback.k, [[-0.02]]]), l=motor_design().observer.l)
+    pair = Gains(
+        k=np.hstack([motor_design().state_feedback.k, [[-0.02]]]), l=motor_design().observer.l
+    )
     ones = np.ones(len(ANGLES))
-    large = View(amplitude=1.0, gain=0.01, by_frequency=0.01 * ones, linear=0j * ones, rest=0.01 * ones)
-    held = View(amplitude=0.1, gain=0.5, by_frequency=9 * ones, linear=-1.02 * ones + 0j, rest=0 * ones, response=0.01)
+    large = View(
+        amplitude=1.0, gain=0.01, by_frequency=0.01 * ones, linear=0j * ones, rest=0.01 * ones
+    )
+    held = View(
+        amplitude=0.1,
+        gain=0.5,
+        by_frequency=9 * ones,
+        linear=-1.02 * ones + 0j,
+        rest=0 * ones,
+        response=0.01,
+    )
     alone = worst(model, pair, BALLS, Mismatch(views=(large,)))
     assert 0 < alone <= worst(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
     answers = replace(held, response=0.5)
@@ -177,33 +203,54 @@ def test_an_integrator_holds_where_the_plant_does():
 
 @pytest.mark.parametrize(("knee", "passes"), [(1.0, True), (0.3, False)])
 def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
-    """What small records show passes at slope 1 and not at 0.1, where S_u bends beyond or within half the amplitude."""
-    limit = MonotoneScaffold(breakpoints=np.array([[-knee, knee]]), slopes=np.array([[0.1, 1.0, 0.1]]))
-    model, balls = replace(motor_model(), scaffold_in=limit), replace(ONES, input=limit.bound().ball)
+    """What small records show passes at slope 1 and not at 0.1, where S_u bends beyond or within
+    half the amplitude."""
+    limit = MonotoneScaffold(
+        breakpoints=np.array([[-knee, knee]]), slopes=np.array([[0.1, 1.0, 0.1]])
+    )
+    model, balls = (
+        replace(motor_model(), scaffold_in=limit),
+        replace(ONES, input=limit.bound().ball),
+    )
     pair, ones = motor_design().pair, np.ones(len(ANGLES))
 
     def seen(amplitude: float, gain: float) -> View:
         parts = {"by_frequency": gain * ones, "linear": 0j * ones, "rest": gain * ones}
         return View(amplitude=amplitude, gain=gain, **parts)
 
-    alone = [worst(model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),))) for one in STEEP_AND_FLAT]
+    alone = [
+        worst(model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),)))
+        for one in STEEP_AND_FLAT
+    ]
     assert 1.2 * alone[0] < alone[1] < np.inf
     gain = 2 / sum(alone)  # between what the two slopes tolerate
     small = (seen(0.1, gain), seen(0.5, 0.0), seen(1.0, 0.0))
     assert (worst(model, pair, balls, Mismatch(views=small)) < 1) == passes
-    large = (seen(0.1, 0.0), seen(0.5, gain), seen(1.0, 0.0))  # the two largest count at every slope
+    large = (
+        seen(0.1, 0.0),
+        seen(0.5, gain),
+        seen(1.0, 0.0),
+    )  # the two largest count at every slope
     trial = Mismatch(views=(seen(0.1, 0.0), seen(0.5, 0.0), seen(1.0, 0.0)), loop=seen(0.1, gain))
     pair_alone = Mismatch(views=(seen(0.1, gain), seen(1.0, 0.0)))
-    assert min(worst(model, pair, balls, one) for one in (Mismatch(views=large), trial, pair_alone)) > 1
+    assert (
+        min(worst(model, pair, balls, one) for one in (Mismatch(views=large), trial, pair_alone))
+        > 1
+    )
 
 
 @pytest.mark.parametrize(
-    ("sigma", "held_up_to", "passes"), [(0.9, 0.0, True), (1.1, 0.0, False), (1.1, 2.0, False), (1.1, 4.0, True)]
+    ("sigma", "held_up_to", "passes"),
+    [(0.9, 0.0, True), (1.1, 0.0, False), (1.1, 2.0, False), (1.1, 4.0, True)],
 )
-def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(sigma, held_up_to, passes):
-    """Input and output simulated: the loop's own equations, white noise. The plant holds still up to an amplitude.
+def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(
+    sigma, held_up_to, passes
+):
+    """Input and output simulated: the loop's own equations, white noise. The plant holds still up
+    to an amplitude.
 
-    It is given in standard deviations of the input; a sinusoid with the peak of the noise has 4.5 / sqrt(2) of them.
+    It is given in standard deviations of the input; a sinusoid with the peak of the noise has 4.5 /
+    sqrt(2) of them.
     """
     model, samples = linear_model(3), 200_000
     pair = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES).pair
@@ -228,7 +275,7 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(si
     shown = Mismatch(views=tuple(views), noise=noise)
     found = predict(model, pair, ONES, shown)
     assert found.noise_peak == pytest.approx(0.0 if held_up_to > 3 else sigma, rel=0.02)
-    assert found.keeps_the_plant() == passes
+    assert found.predicts_stability() == passes
     assert np.isinf(found.resolved_margin)
     assert noise_peak(model, pair, ONES, replace(shown, farthest=1.2)) < 1
     # twice the slope of S_u behind half of B and D is the same loop
@@ -247,14 +294,19 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(si
 
 
 def drive() -> StribeckDrive:
-    values = yaml.safe_load((Path(__file__).parents[2] / "conf" / "plant" / "stribeck_drive.yaml").read_text())
+    values = yaml.safe_load(
+        (Path(__file__).parents[2] / "conf" / "plant" / "stribeck_drive.yaml").read_text()
+    )
     return StribeckDrive(**{name: value for name, value in values.items() if name != "_target_"})
 
 
 def drive_model() -> SSM:
     """The drive without friction, exact but for it: the current's lag, then the inertia."""
     plant, h = drive(), drive().step_s
-    lag, slip = np.exp(-h / plant.current_lag_s), np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2)
+    lag, slip = (
+        np.exp(-h / plant.current_lag_s),
+        np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2),
+    )
     pushed = plant.torque_constant_nm_per_a * h / plant.inertia_kgm2
     unit = LinearScaffold(gain=np.eye(1))
     return replace(
@@ -271,16 +323,26 @@ def drive_model() -> SSM:
 
 @pytest.mark.parametrize("stable", [True, False])
 def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stable):
-    """Both designs are certified for the model. From rest, with an estimate off by a millionth: friction holds the
-    drive, so the controller runs alone. The stable one forgets; the other pushes until the drive breaks loose, and the
+    """Both designs are certified for the model. From rest, with an estimate off by a millionth:
+    friction holds the
+    drive, so the controller runs alone. The stable one forgets; the other pushes until the drive
+    breaks loose, and the
     input never dies out."""
     model, plant = drive_model(), drive()
-    weights = {"input_weight": 1.0, "output_noise": 1.0} if stable else {"input_weight": 1e-5, "output_noise": 1e-6}
-    design = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights).design(model, ONES)
+    weights = (
+        {"input_weight": 1.0, "output_noise": 1.0}
+        if stable
+        else {"input_weight": 1e-5, "output_noise": 1e-6}
+    )
+    design = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights).design(
+        model, ONES
+    )
     assert design.certified
     law = ObserverFeedback.of(model, design)
     radius = controller_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
-    run = Loop(initial_conditions=1, horizon_s=6.0).simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))
+    run = Loop(initial_conditions=1, horizon_s=6.0).simulate(
+        plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1))
+    )
     assert (np.abs(run.u[0, -100:]).max() < 1e-12) == stable
     assert (np.abs(run.y[0, 300:]).max() == 0.0) == stable

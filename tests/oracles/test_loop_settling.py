@@ -7,7 +7,14 @@ import pytest
 
 from ssm_study.loop.metrics import COLUMNS, noise_gain, pooled
 from ssm_study.loop.regulation import LoopRuns
-from ssm_study.loop.rollout import STAYED, Rollouts, empirical_rate, motions, overshoots, settling_times_s
+from ssm_study.loop.rollout import (
+    STAYED,
+    Rollouts,
+    empirical_rate,
+    motions,
+    overshoots,
+    settling_times_s,
+)
 
 
 def rollouts(
@@ -34,7 +41,9 @@ def test_every_number_of_the_loop_is_printed_with_its_unit():
 
 
 def test_settled_is_entering_and_staying():
-    run = rollouts([3, 1, 0.1, 0.1], [3, 0.1, 1, 0.1], [3, 0.1, 0.1, 1], [0.1, 0, 0, 0], [3, 3, 3, 3])
+    run = rollouts(
+        [3, 1, 0.1, 0.1], [3, 0.1, 1, 0.1], [3, 0.1, 0.1, 1], [0.1, 0, 0, 0], [3, 3, 3, 3]
+    )
     assert settling_times_s(run, 0.2) == (1.0, 1.5, None, 0.0, None)
 
 
@@ -81,7 +90,10 @@ def test_a_reference_that_keeps_moving_counts_from_the_start():
 
 
 def test_a_case_that_left_the_bound_never_settles():
-    assert settling_times_s(rollouts([3, 0, 0, 0], [3, 0, 0, 0], left=(2, STAYED)), 0.2) == (None, 0.5)
+    assert settling_times_s(rollouts([3, 0, 0, 0], [3, 0, 0, 0], left=(2, STAYED)), 0.2) == (
+        None,
+        0.5,
+    )
 
 
 def test_overshoot_is_a_share_of_the_start():
@@ -108,15 +120,21 @@ def test_the_remaining_error_is_the_mean_over_the_last_tenth():
     """Of 120 samples that is 12: an error in the first of them counts, one before it does not."""
     for first, error in ((108, 2.0), (107, 0.0)):
         run = rollouts([24.0 * (k == first) for k in range(120)])
-        loop = LoopRuns(controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=np.zeros(1))
+        loop = LoopRuns(
+            controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=np.zeros(1)
+        )
         assert pooled([loop])["final_error_worst"] == pytest.approx(error)
 
 
 def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
     """The second half alone, of the cases that stayed; noise of deviation 2 there."""
     start, rest = [9.0] * 4, [1.0, -1.0, 1.0, -1.0]
-    run = rollouts(start + rest, start + [3 * y for y in rest], [99.0] * 8, left=(STAYED, STAYED, 3))
+    run = rollouts(
+        start + rest, start + [3 * y for y in rest], [99.0] * 8, left=(STAYED, STAYED, 3)
+    )
     noise = np.array([50.0, 0.0, 0.0, 0.0, 2.0, 2.0, -2.0, -2.0])[:, None]
-    assert noise_gain(replace(run, measured=run.y + noise)) == pytest.approx(np.sqrt((1 + 9) / 2) / 2)
+    assert noise_gain(replace(run, measured=run.y + noise)) == pytest.approx(
+        np.sqrt((1 + 9) / 2) / 2
+    )
     assert noise_gain(replace(run, measured=run.y)) is None
     assert noise_gain(replace(run, measured=run.y + noise, left_at_sample=np.full(3, 3))) is None

@@ -1,4 +1,5 @@
-"""The loop around a model with neurons: rest points, plans and the observer, each by another route."""
+"""The loop around a model with neurons: rest points, plans and the observer, each by another
+route."""
 
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.disturbance import NoDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Pair
+from ssm_study.systems import Gains
 
 
 @pytest.mark.parametrize("y", [0.4, 1.0, 1.9])
@@ -47,18 +48,31 @@ def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None
 
 @pytest.mark.parametrize("undone", [False, True])
 def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool) -> None:
-    """Certified with an integrator, on the model itself with a load that the model does not know of."""
+    """Certified with an integrator, on the model itself with a load that the model does not know
+    of."""
     stand, balls = model(), certified_balls(model())
-    asked = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.3, input_weight=0.1, invert_input=undone)
+    asked = RiccatiSynthesis(
+        rate_controller=0.05, rate_observer=0.3, input_weight=0.1, invert_input=undone
+    )
     design = replace(asked, internal_model=["step"], integral_weight=0.1).design(stand, balls)
     assert design.certified
     load = StepDisturbance(size=0.1, at_s=0.5)
     steps = StepReference(before=0.0, after=0.6, at_s=1.0)
-    loop = Loop(initial_conditions=2, horizon_s=6.0, measurement_noise_variance=0.0, reference=steps, disturbance=load)
+    loop = Loop(
+        initial_conditions=2,
+        horizon_s=6.0,
+        measurement_noise_variance=0.0,
+        reference=steps,
+        disturbance=load,
+    )
     runs = loop.run(IdentifiedPlant.of(stand), stand, design, 0)
     assert runs.controlled.y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
-    without = replace(loop, disturbance=NoDisturbance()).run(IdentifiedPlant.of(stand), stand, design, 0)
-    assert np.abs(without.controlled.u[:, -1] - runs.controlled.u[:, -1]).max() > 0.1, "the load asks for an input"
+    without = replace(loop, disturbance=NoDisturbance()).run(
+        IdentifiedPlant.of(stand), stand, design, 0
+    )
+    assert np.abs(without.controlled.u[:, -1] - runs.controlled.u[:, -1]).max() > 0.1, (
+        "the load asks for an input"
+    )
 
 
 @pytest.mark.parametrize("injects", [True, False])
@@ -66,7 +80,7 @@ def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
     """One step by hand, from the letters of the theorem."""
     stand, rng = model(), np.random.default_rng(3)
     l_, l_z = rng.normal(size=(3, 1)), rng.normal(size=(2, 1)) if injects else None
-    law = ObserverFeedback(model=stand, gains=Pair(k=np.zeros((1, 3)), l=l_, l_z=l_z))
+    law = ObserverFeedback(model=stand, gains=Gains(k=np.zeros((1, 3)), l=l_, l_z=l_z))
     x_hat, u, y = rng.normal(size=(1, 3)), np.array([[0.9]]), np.array([[1.3]])
     v = stand.scaffold_in((u - 0.5) / 2.0)
     error = x_hat @ stand.c.T - (y - 1.0) / 3.0

@@ -1,4 +1,5 @@
-"""Set points and trajectories: what is planned is a trajectory of the model, and the loop converges to it."""
+"""Set points and trajectories: what is planned is a trajectory of the model, and the loop converges
+to it."""
 
 from dataclasses import replace
 
@@ -28,7 +29,9 @@ def test_inverse_of_a_map_with_several_channels():
     rng = np.random.default_rng(0)
     model = random_model(3, inputs=3, outputs=2)
     v = rng.standard_normal((20, 3))
-    np.testing.assert_allclose(inverse(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        inverse(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("inputs", [1, 3])
@@ -71,11 +74,14 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
 
 
 def test_no_other_trajectory_costs_less():
-    """The plan is the minimum of what it says it minimises: every small change of the inputs costs more."""
+    """The plan is the minimum of what it says it minimises: every small change of the inputs costs
+    more."""
     model = random_model(2, inputs=2, outputs=2)
     rng = np.random.default_rng(0)
     walk = np.cumsum(0.1 * rng.standard_normal((60, 2)), axis=0)
-    reference = model.scale.output_equilibrium + np.concatenate([walk, np.tile(walk[-1], (150, 1))])  # ends at rest
+    reference = model.scale.output_equilibrium + np.concatenate(
+        [walk, np.tile(walk[-1], (150, 1))]
+    )  # ends at rest
     plan = feasible_trajectory(model, reference)
     v = model.scaffold_in(plan[:, model.order :])
     target = model.scale.scaled_output(reference)
@@ -96,7 +102,9 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     model = motor_model()
     plant = replace(IdentifiedPlant.of(model), initial_range=(-4.0, 4.0))
     loop = Loop(
-        horizon_s=4.0, measurement_noise_variance=0.0, reference=PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0)
+        horizon_s=4.0,
+        measurement_noise_variance=0.0,
+        reference=PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0),
     )
     run = loop.run(plant, model, motor_design(), seed=0).controlled
     plan = feasible_trajectory(model, run.reference)
@@ -108,7 +116,9 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
 @pytest.mark.parametrize("speed", [-6.0, 8.0])
 def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
     loop = Loop(
-        horizon_s=3.0, measurement_noise_variance=0.0, reference=StepReference(before=0.0, after=speed, at_s=0.5)
+        horizon_s=3.0,
+        measurement_noise_variance=0.0,
+        reference=StepReference(before=0.0, after=speed, at_s=0.5),
     )
     run = loop.run(motor(), motor_model(), motor_design(), seed=0).controlled
     assert run.stayed.all()
@@ -125,10 +135,16 @@ def test_set_points_hold_each_value():
 
 def test_reference_signals(tmp_path):
     time_s = np.array([0.0, 0.5, 1.0, 1.5])
-    np.testing.assert_allclose(StepReference(before=1.0, after=3.0, at_s=0.5).signal(time_s), [1, 3, 3, 3])
-    np.testing.assert_allclose(RampDisturbance(slope_per_s=2.0, from_s=0.5, until_s=1.0).signal(time_s), [0, 0, 1, 1])
     np.testing.assert_allclose(
-        PeriodicDisturbance(amplitude=2.0, frequency_hz=0.5).signal(time_s), [0, 2, 0, -2], atol=1e-12
+        StepReference(before=1.0, after=3.0, at_s=0.5).signal(time_s), [1, 3, 3, 3]
+    )
+    np.testing.assert_allclose(
+        RampDisturbance(slope_per_s=2.0, from_s=0.5, until_s=1.0).signal(time_s), [0, 0, 1, 1]
+    )
+    np.testing.assert_allclose(
+        PeriodicDisturbance(amplitude=2.0, frequency_hz=0.5).signal(time_s),
+        [0, 2, 0, -2],
+        atol=1e-12,
     )
     path = tmp_path / "reference.csv"
     path.write_text("# time, offset\n0.25,1\n\n0.75,3\n")
@@ -149,5 +165,7 @@ def test_rest_is_planned_as_rest():
 def test_a_planned_step_ends_at_its_set_point():
     model = motor_model()
     plan = feasible_trajectory(model, np.repeat([[0.0], [5.0]], 300, axis=0))
-    np.testing.assert_allclose(plan[-1], np.concatenate(equilibrium(model, np.array([5.0]))), atol=1e-6)
+    np.testing.assert_allclose(
+        plan[-1], np.concatenate(equilibrium(model, np.array([5.0]))), atol=1e-6
+    )
     np.testing.assert_allclose(plan[0], 0, atol=1e-3)

@@ -1,4 +1,5 @@
-"""What a trial in closed loop shows of the mismatch: the gain that sustains its motion, nothing of one that rests."""
+"""What a trial in closed loop shows of the mismatch: the gain that sustains its motion, nothing of
+one that rests."""
 
 from dataclasses import replace
 
@@ -6,23 +7,30 @@ import numpy as np
 import pytest
 from test_loop_prediction import ONES, linear_model
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
-from ssm_study.signals import Trajectory
-from ssm_study.certificates.certificate import Design
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import sensitivity_peak
+from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import StateSpace
 
 SAMPLES = 900
 
 
-def looped(model: SSM, design: Design, relay: float, noise: float = 0.0, samples: int = SAMPLES) -> Trajectory:
-    """The model under its own controller, its output moved by `relay tanh(50 y)`: a gain that peaks at rest."""
+def looped(
+    model: SSM, design: Design, relay: float, noise: float = 0.0, samples: int = SAMPLES
+) -> Trajectory:
+    """The model under its own controller, its output moved by `relay tanh(50 y)`: a gain that peaks
+    at rest."""
     controller, rng = ObserverFeedback.of(model, design), np.random.default_rng(0)
-    plan, memory, x = controller.targets(np.zeros((samples, 1))), controller.start(1), np.ones(model.order)
+    plan, memory, x = (
+        controller.targets(np.zeros((samples, 1))),
+        controller.start(1),
+        np.ones(model.order),
+    )
     u, y = np.zeros((samples, 1)), np.zeros((samples, 1))
     for k in range(samples):
         said = model.linear.c @ x
@@ -45,20 +53,27 @@ def slow_model() -> SSM:
 
 
 MODEL = slow_model()
-FAST = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.5, input_weight=1e-3).design(MODEL, ONES)
-CALM = RiccatiSynthesis(rate_controller=0.25, rate_observer=0.3, input_weight=100.0).design(MODEL, ONES)
+FAST = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.5, input_weight=1e-3).design(
+    MODEL, ONES
+)
+CALM = RiccatiSynthesis(rate_controller=0.25, rate_observer=0.3, input_weight=100.0).design(
+    MODEL, ONES
+)
 
 
 def recorded(noise: float = 0.01) -> Trajectory:
     """White input at full amplitude, twice: the model is exact on it, but for noise."""
     rng = np.random.default_rng(1)
     u = np.tile(3 * rng.standard_normal((1024, 1)), (2, 1))
-    return Trajectory(u=u, y=MODEL.simulate(u) + noise * rng.standard_normal(u.shape), step_s=MODEL.step_s)
+    return Trajectory(
+        u=u, y=MODEL.simulate(u) + noise * rng.standard_normal(u.shape), step_s=MODEL.step_s
+    )
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_loop_that_oscillates_refutes_its_own_design(noise):
-    """Harmonic balance: the gain in the loop times |T_ue| is one at the cycle, so the margin falls below one."""
+    """Harmonic balance: the gain in the loop times |T_ue| is one at the cycle, so the margin falls
+    below one."""
     trial, record = looped(MODEL, FAST, 0.3, noise), recorded(noise)
     known, shown = mismatch(MODEL, (record,)), mismatch(MODEL, (record,), 0, (trial,))
     assert predict(MODEL, FAST.pair, ONES, known).resolved_margin > 1
@@ -72,14 +87,16 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
 
 @pytest.mark.parametrize("repeats", [True, False])
 def test_noise_that_the_loop_feeds_back_is_no_mismatch(repeats):
-    """In closed loop e of noise alone is n and u = T_ue n: taken as it stands, g |T_ue| would be one everywhere."""
+    """In closed loop e of noise alone is n and u = T_ue n: taken as it stands, g |T_ue| would be
+    one everywhere."""
     record, trial = recorded(), looped(MODEL, FAST, 0.0, noise=0.3)
     record = record if repeats else record[:1500]
     assert mismatch(MODEL, (record,), 0, (trial,)).loop is None
 
 
 def test_a_motion_asked_of_a_good_loop_shows_little():
-    """A trial with a moving set point counts, and what it shows is what the noise leaves, not 1 / |T_ue|."""
+    """A trial with a moving set point counts, and what it shows is what the noise leaves, not 1 /
+    |T_ue|."""
     trial = looped(MODEL, FAST, 0.0, noise=0.05)
     moved = 2 * np.sin(np.arange(SAMPLES) / 7)[:, None]
     u = trial.u + moved
@@ -91,17 +108,21 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
 
 @pytest.mark.parametrize("size", [0.0, 0.008])
 def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
-    """At its ends, 0 and pi, Welch's density has half of white noise: no more is taken there, and an offset stays."""
+    """At its ends, 0 and pi, Welch's density has half of white noise: no more is taken there, and
+    an offset stays."""
     trial, k = looped(MODEL, FAST, 0.0, noise=0.05), np.arange(SAMPLES)[:, None]
     moved = 2 * np.sin(k / 7)
     y = trial.y + MODEL.simulate(moved) + size * (1 + np.cos(np.pi * k))
     shown = mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=trial.u + moved, y=y),)).loop
     assert shown is not None
-    np.testing.assert_array_equal(shown.by_frequency > 0, (size > 0) & np.isin(np.arange(33), [0, 32]))
+    np.testing.assert_array_equal(
+        shown.by_frequency > 0, (size > 0) & np.isin(np.arange(33), [0, 32])
+    )
 
 
 def test_where_no_record_measured_the_noise_the_quietest_bands_do():
-    """The loop's e holds a cycle at one frequency and white noise: the cycle stays, the noise goes."""
+    """The loop's e holds a cycle at one frequency and white noise: the cycle stays, the noise
+    goes."""
     trial, record = looped(MODEL, FAST, 0.3, noise=0.02), recorded()[:1500]
     measured = mismatch(MODEL, (recorded(0.02),), 0, (trial,)).loop
     guessed = mismatch(MODEL, (record,), 0, (trial,)).loop
@@ -109,7 +130,8 @@ def test_where_no_record_measured_the_noise_the_quietest_bands_do():
 
 
 def test_the_start_of_a_loop_is_no_mismatch():
-    """From far out, at rest before the end: the model explains the whole of it by its initial state."""
+    """From far out, at rest before the end: the model explains the whole of it by its initial
+    state."""
     quiet = looped(MODEL, CALM, 0.0)
     assert mismatch(MODEL, (recorded(),), 0, (quiet,)).loop is None
     short = looped(MODEL, CALM, 0.0, samples=30)  # still on its way at the end
@@ -133,6 +155,8 @@ def test_the_record_with_the_most_power_is_the_largest():
         Trajectory(u=u, y=MODEL.simulate(u) + 0.01 * rng.standard_normal((900, 1)), step_s=0.01)
         for u in (1 + 0.1 * rng.standard_normal((900, 1)), falling)
     )
-    both, alone, other = (mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,)))
+    both, alone, other = (
+        mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,))
+    )
     assert both.spread == alone.spread != other.spread
     assert both.unexcited == alone.unexcited

@@ -1,4 +1,5 @@
-"""What a record shows at its amplitude: noise told from what repeats, phase from size, rest from what is left."""
+"""What a record shows at its amplitude: noise told from what repeats, phase from size, rest from
+what is left."""
 
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -12,13 +13,13 @@ from test_loop_prediction import ONES, linear_model
 
 from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, trials
 from ssm_study.models.identified import SSM
-from ssm_study.signals import Trajectory, repetition
-from ssm_study.study.recordings import read_mismatch, write_mismatch
 from ssm_study.robustness.mismatch import BAND, Mismatch, mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.return_to_rest import AT_REST
+from ssm_study.signals import Trajectory, repetition
+from ssm_study.study.recordings import read_mismatch, write_mismatch
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Pair
+from ssm_study.systems import Gains
 
 
 @given(st.integers(0, 10_000), st.integers(32, 90), st.integers(0, 70), st.integers(0, 70))
@@ -38,7 +39,8 @@ def test_a_signal_that_rests_or_holds_its_levels_does_not_repeat():
 
 
 def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 0) -> Trajectory:
-    """Two periods of white input; the output misses the model by `missed` of the scaled input, plus sensor noise."""
+    """Two periods of white input; the output misses the model by `missed` of the scaled input, plus
+    sensor noise."""
     rng = np.random.default_rng(seed)
     u = amplitude * np.tile(rng.standard_normal((1024, 1)), (3, 1))
     y = model.simulate(u) + missed(u) + noise * rng.standard_normal(u.shape)
@@ -46,11 +48,14 @@ def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 
 
 
 def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
-    """`e = 0.3 |u|` is the mismatch that a cross spectrum of u and e does not show; it repeats, so it stays."""
+    """`e = 0.3 |u|` is the mismatch that a cross spectrum of u and e does not show; it repeats, so
+    it stays."""
     model = linear_model(0)
     quiet = mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.0),))
     noisy = mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.2),))
-    assert quiet.gain == pytest.approx(0.3 * np.sqrt(1 - 2 / np.pi), rel=0.05)  # the mean of |u| is no input's answer
+    assert quiet.gain == pytest.approx(
+        0.3 * np.sqrt(1 - 2 / np.pi), rel=0.05
+    )  # the mean of |u| is no input's answer
     assert noisy.gain == pytest.approx(quiet.gain, rel=0.1)
     assert np.median(noisy.views[0].rest / quiet.views[0].rest) == pytest.approx(1.0, rel=0.2)
     once = replace(twice(model, lambda u: 0.3 * np.abs(u), 0.2), name="once")
@@ -61,8 +66,9 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     assert mismatch(model, (cut,)).noise == ()  # measured only where an input repeats
 
 
-def radius(model: SSM, pair: Pair, factor: float) -> float:
-    """Of the loop of the plant that answers `1 + factor` times what the model does: states (x, estimate)."""
+def radius(model: SSM, pair: Gains, factor: float) -> float:
+    """Of the loop of the plant that answers `1 + factor` times what the model does: states (x,
+    estimate)."""
     (a, b, c, d), k, more = (getattr(model.linear, name) for name in "abcd"), pair.k, 1 + factor
     injected = pair.l @ c - factor * pair.l @ d @ k
     matrix = np.block([[a, b @ k], [-more * pair.l @ c, a + b @ k + injected]])
@@ -71,9 +77,12 @@ def radius(model: SSM, pair: Pair, factor: float) -> float:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
-    """The plant is the model plus its own answer times a factor: with a phase the verdict is the loop's own."""
+    """The plant is the model plus its own answer times a factor: with a phase the verdict is the
+    loop's own."""
     model = linear_model(seed)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(model, ONES)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(
+        model, ONES
+    )
     verdicts = set()
     for factor in (-0.95, -0.5, 0.5, 1.5, 3.0, 8.0):
         record = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
@@ -81,7 +90,9 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
         view = shown.views[0]
         np.testing.assert_allclose(view.linear, factor, rtol=1e-6)
         assert view.rest.max() < 1e-6 * view.by_frequency.max()
-        assert view.amplitude == pytest.approx(np.linalg.norm(record.u) / np.sqrt(record.u.size), rel=0.1)
+        assert view.amplitude == pytest.approx(
+            np.linalg.norm(record.u) / np.sqrt(record.u.size), rel=0.1
+        )
         found = predict(model, design.pair, ONES, shown).resolved_margin > 1
         stable = radius(model, design.pair, factor) < 1
         assert found == stable
@@ -90,7 +101,8 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
 
 
 def test_no_phase_is_read_from_noise_below_the_largest_amplitude():
-    """Two records of the model itself under noise: at the smaller amplitude what the noise alone answers is dropped."""
+    """Two records of the model itself under noise: at the smaller amplitude what the noise alone
+    answers is dropped."""
     model = linear_model(0)
     records = [twice(model, lambda u: 0 * u, 0.2, a, seed) for seed, a in enumerate((0.3, 1.0))]
     small, large = mismatch(model, tuple(records)).views
@@ -103,13 +115,18 @@ def test_no_phase_is_read_from_noise_below_the_largest_amplitude():
 def test_of_the_two_conditions_the_better_one_counts():
     """A mismatch that is all phase costs no margin, whether small gain passes it or not."""
     model = linear_model(0)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(model, ONES)
+    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(
+        model, ONES
+    )
     small_gain = set()
     for factor in (0.02, -0.95, 0.5, 1.5, 3.0, 8.0):
         if radius(model, design.pair, factor) >= 1:
             continue
         shown = mismatch(model, (twice(model, lambda u, f=factor: f * model.simulate(u), 0.0),))
-        sizes = replace(shown, views=tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views))
+        sizes = replace(
+            shown,
+            views=tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views),
+        )
         small_gain.add(predict(model, design.pair, ONES, sizes).resolved_margin > 1)
         assert predict(model, design.pair, ONES, shown).resolved_margin > 1e4
     assert small_gain == {True, False}
@@ -117,11 +134,15 @@ def test_of_the_two_conditions_the_better_one_counts():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
-    """The loop run with an offset of the output, sample by sample, against the margin; integrators leave nothing."""
+    """The loop run with an offset of the output, sample by sample, against the margin; integrators
+    leave nothing."""
     model = linear_model(seed)
     model = model.with_linear(replace(model.linear, d=np.zeros((1, 1))))
     moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
-    design, careful = moderate.design(model, ONES), RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1)
+    design, careful = (
+        moderate.design(model, ONES),
+        RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1),
+    )
     a, b, c, d = (getattr(model.linear, name) for name in "abcd")
     x, x_hat, offset = np.zeros(3), np.zeros(3), 0.04
     for _ in range(3000):
@@ -135,17 +156,27 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         worst = max(stuck, default=0.0) * {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}[len(stuck)]
         left = abs(float(y[0])) / offset * worst / (BAND * farthest)  # in bands
         assert not stuck or found.resolved_margin == pytest.approx(1 / left, rel=1e-3)
-        assert found.keeps_the_plant() == (left < 1 and found.controller_radius < 1)
-        integral = replace(careful, internal_model=["step"], integral_weight=0.01).design(model, ONES)
-        assert predict(model, integral.pair, ONES, shown).resolved_margin > 5  # at 1e-4 rad/sample, not at 0
+        assert found.predicts_stability() == (left < 1 and found.controller_radius < 1)
+        integral = replace(careful, internal_model=["step"], integral_weight=0.01).design(
+            model, ONES
+        )
+        assert (
+            predict(model, integral.pair, ONES, shown).resolved_margin > 5
+        )  # at 1e-4 rad/sample, not at 0
 
 
 def test_between_two_amplitudes_lies_what_neither_shows():
-    """A gain of 0.1 at one amplitude and 6 at another: each loop is stable, the ones between are not all."""
+    """A gain of 0.1 at one amplitude and 6 at another: each loop is stable, the ones between are
+    not all."""
     model, scale = linear_model(1), 3.0
     design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
-    turned = [twice(model, lambda u, f=f: f * model.simulate(u), 0.0, a) for f, a in ((-1.0, 0.1), (0.0, scale))]
-    alone = [predict(model, design.pair, ONES, mismatch(model, (one,))).resolved_margin for one in turned]
+    turned = [
+        twice(model, lambda u, f=f: f * model.simulate(u), 0.0, a)
+        for f, a in ((-1.0, 0.1), (0.0, scale))
+    ]
+    alone = [
+        predict(model, design.pair, ONES, mismatch(model, (one,))).resolved_margin for one in turned
+    ]
     both = predict(model, design.pair, ONES, mismatch(model, tuple(turned))).resolved_margin
     assert both <= min(alone)
 
@@ -170,7 +201,9 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
     records = trials(motor(), 3, np.array([0.1]))
     assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
-    assert max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]  # none goes beyond it
+    assert (
+        max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]
+    )  # none goes beyond it
     for record, share in zip(records, SHARES, strict=False):
         assert repetition(record.u) == (LEAD_IN, PERIOD)
         assert np.abs(record.u).max() <= share * motor().input_amplitude[0]
@@ -190,8 +223,17 @@ def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
     """With a trial in closed loop and a rest, and without; infinite gains included."""
     shown = mismatch(linear_model(0), (twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2),))
     view = shown.views[0]
-    lost = replace(view, by_frequency=np.full_like(view.rest, np.inf), linear=view.linear + complex(np.inf, 1.0))
-    for one in (shown, replace(shown, loop=lost, left_at_rest=0.25, unexcited=(0.1, 3.0), stuck=(0.3,), farthest=2.5)):
+    lost = replace(
+        view,
+        by_frequency=np.full_like(view.rest, np.inf),
+        linear=view.linear + complex(np.inf, 1.0),
+    )
+    for one in (
+        shown,
+        replace(
+            shown, loop=lost, left_at_rest=0.25, unexcited=(0.1, 3.0), stuck=(0.3,), farthest=2.5
+        ),
+    ):
         write_mismatch(tmp_path, one)
         assert plain(read_mismatch(tmp_path)) == plain(one)
 

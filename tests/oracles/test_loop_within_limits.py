@@ -1,4 +1,5 @@
-"""Limits and the certificate: inside the stated set no limit ever acts, outside it does; the saturated loop contracts
+"""Limits and the certificate: inside the stated set no limit ever acts, outside it does; the
+saturated loop contracts
 wherever it is claimed to, for slopes that change at will."""
 
 from dataclasses import replace
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 import ssm_study as st
+from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.theorems.limited_input import from_everywhere, limited
 from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
@@ -17,11 +20,9 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
-from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.deployed import WithinLimits, with_limits, within_limits
-from ssm_study.synthesis.metrics import limit_facts
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.certificates.theorems.limited_input import from_everywhere, limited
+from ssm_study.synthesis.metrics import limit_facts
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 LIMIT = np.array([0.6])
@@ -41,7 +42,10 @@ def pair() -> tuple[SSM, Design]:
     )
     lifted = MonotoneScaffold(breakpoints=np.array([[-1.0, 0.1, 0.8]]), slopes=np.array([SLOPES]))
     model = replace(plain, scaffold_in=lifted)
-    balls = Balls(input=JacobianBall.from_slopes(min(SLOPES), max(SLOPES)), output=JacobianBall(alpha=1.0, beta=0.0))
+    balls = Balls(
+        input=JacobianBall.from_slopes(min(SLOPES), max(SLOPES)),
+        output=JacobianBall(alpha=1.0, beta=0.0),
+    )
     wanted = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.4, input_weight=0.5)
     return model, wanted.design(model, balls)
 
@@ -67,13 +71,19 @@ def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design])
     assert np.abs(inputs(*pair, 6 * found.upper[0])).max() > LIMIT[0]
 
 
-def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(pair: tuple[SSM, Design]) -> None:
-    one, two, skew = (within_limits(*pair, low * LIMIT, high * LIMIT) for low, high in ((-1, 1), (-2, 2), (-9, 1)))
+def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(
+    pair: tuple[SSM, Design],
+) -> None:
+    one, two, skew = (
+        within_limits(*pair, low * LIMIT, high * LIMIT) for low, high in ((-1, 1), (-2, 2), (-9, 1))
+    )
     assert np.allclose(two.upper, 2 * one.upper)
     assert np.allclose(skew.upper, one.upper)
 
 
-def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slopes(pair: tuple[SSM, Design]) -> None:
+def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slopes(
+    pair: tuple[SSM, Design],
+) -> None:
     feedback = pair[1].state_feedback
     proved = from_everywhere(feedback)
     assert proved is not None
@@ -92,19 +102,30 @@ def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that
     wide = limited(ball, inputs=2)
     worst = 0.0
     for _ in range(2000):
-        turned = np.linalg.qr(rng.standard_normal((2, 2)))[0]  # of norm one: the corners of the ball
+        turned = np.linalg.qr(rng.standard_normal((2, 2)))[
+            0
+        ]  # of norm one: the corners of the ball
         cut = (ball.alpha * np.eye(2) + ball.beta * turned) * rng.choice([0.0, 0.5, 1.0], 2)
         worst = max(worst, float(np.linalg.norm(cut - wide.alpha * np.eye(2), 2)))
     assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
-    assert limited(ball, inputs=1).lower <= ball.lower < ball.upper < 0 == limited(ball, inputs=1).upper
+    assert (
+        limited(ball, inputs=1).lower
+        <= ball.lower
+        < ball.upper
+        < 0
+        == limited(ball, inputs=1).upper
+    )
 
 
 def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM, Design]) -> None:
-    """`d+ <= r d + c e` with the rate from everywhere; the full rate, or one a little higher, does not hold there."""
+    """`d+ <= r d + c e` with the rate from everywhere; the full rate, or one a little higher, does
+    not hold there."""
     model, design = pair
     saturated = from_everywhere(design.state_feedback)
     assert saturated is not None
-    loop = Loop(horizon_s=8.0, measurement_noise_variance=0.0, input_lower=-LIMIT[0], input_upper=LIMIT[0])
+    loop = Loop(
+        horizon_s=8.0, measurement_noise_variance=0.0, input_lower=-LIMIT[0], input_upper=LIMIT[0]
+    )
     law, starts = ObserverFeedback.of(model, design), np.array([[-20.0], [-3.0], [0.05], [9.0]])
     run = loop.simulate(IdentifiedPlant.of(model), law, starts, np.zeros((4, 80, 1)))
     assert (np.abs(run.u) == LIMIT).any(axis=1).tolist() == [[True], [True], [False], [True]]
@@ -113,7 +134,8 @@ def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM
 
 
 def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> None:
-    """No range can be larger than the one whose end asks for the limit at once, or for some slope later."""
+    """No range can be larger than the one whose end asks for the limit at once, or for some slope
+    later."""
     model, design = pair
     found, feedback = within_limits(model, design, -LIMIT, LIMIT), design.state_feedback
     x, asked = equilibrium(model, np.array([1.0]))[0][:, None], []
@@ -144,7 +166,8 @@ def test_refusals(pair: tuple[SSM, Design]) -> None:
 
 
 def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Design]) -> None:
-    """An output that is zero at every rest: the design stands, from everywhere it contracts, and no range is named."""
+    """An output that is zero at every rest: the design stands, from everywhere it contracts, and no
+    range is named."""
     model, design = pair
     blind = model.with_linear(replace(model.linear, c=0 * model.linear.c))
     assert set(with_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
@@ -153,7 +176,8 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
 
 
 def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
-    """a=0.9, b=0.1, c=1, D=-0.5: rest at an output of 0.161, the edge of the range without D, asks twice the limit."""
+    """a=0.9, b=0.1, c=1, D=-0.5: rest at an output of 0.161, the edge of the range without D, asks
+    twice the limit."""
     rest = Scale(input_scale=np.ones(1), output_scale=np.ones(1), input_equilibrium=np.zeros(1),
                  output_equilibrium=np.zeros(1))  # fmt: skip
     lag = StateSpace(a=np.array([[0.9]]), b=np.array([[0.1]]), c=np.eye(1), d=np.array([[-0.5]]))
@@ -169,7 +193,10 @@ def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
     design = st.load(smoke_run)
     header = design.to_c(tmp_path / "controller.h").read_text()
     assert "Within the limits the full rates hold from rest at outputs from" in header
-    assert "From everywhere the state feedback, cut at the limits," in header or "From everywhere nothing is" in header
+    assert (
+        "From everywhere the state feedback, cut at the limits," in header
+        or "From everywhere nothing is" in header
+    )
     assert isinstance(design.within([-1e3], [1e3]), WithinLimits)
 
 
@@ -189,6 +216,8 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     assert (each.upper > [0.0, apart]).all()
     assert (facts["limit_lower"], facts["limit_upper"]) == (-0.6, 0.6)
     if shared:
-        assert facts["unlimited_from"] == each.lower.max() < each.upper.min() == facts["unlimited_to"]
+        assert (
+            facts["unlimited_from"] == each.lower.max() < each.upper.min() == facts["unlimited_to"]
+        )
     else:
         assert not {"unlimited_from", "unlimited_to"} & facts.keys()

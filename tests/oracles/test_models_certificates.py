@@ -9,7 +9,8 @@ from ssm_study.models.scaffolds.scaffold import Frame
 
 
 def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
-    """Fazlyab et al. (2019), eq. (10), at constant one for `G`: semidefinite means `|G(v) - G(w)| <= |v - w|`."""
+    """Fazlyab et al. (2019), eq. (10), at constant one for `G`: semidefinite means `|G(v) - G(w)|
+    <= |v - w|`."""
     weights, multipliers = scaffold.network.weights, scaffold.multipliers
     sizes = [w.shape[1] for w in weights]
     offsets = np.concatenate([[0], np.cumsum(sizes)])
@@ -39,9 +40,12 @@ def test_the_stored_multipliers_prove_the_residual_map_1_lipschitz(depth: int, s
 
 
 def test_the_perceptron_of_one_channel_can_saturate() -> None:
-    """Both outer slopes at the floor, steep in the middle: out of reach of positive weights, whatever their values."""
+    """Both outer slopes at the floor, steep in the middle: out of reach of positive weights,
+    whatever their values."""
     frame = Frame(width=8, slopes=(0.1, 1.0), samples=np.linspace(-1, 1, 50)[:, None])
-    scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(frame, np.random.default_rng(0))
+    scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(
+        frame, np.random.default_rng(0)
+    )
     scaffold.base_0.data.fill_(-30.0)
     scaffold.jumps_0.data[0], scaffold.jumps_0.data[-1] = 200.0, -200.0
     frozen = scaffold.freeze()

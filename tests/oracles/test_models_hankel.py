@@ -23,7 +23,12 @@ def unit(seed: int, order: int, real_modes: int, m: int, p: int) -> LRU:
     return LRU(on_ring(order, real_modes, (0.3, 0.95), (0.2, 2.5), (m, p), rng), feedthrough=False)
 
 
-@given(seed=st.integers(0, 10_000), pairs=st.integers(0, 3), real=st.integers(1, 2), m=st.integers(1, 2))
+@given(
+    seed=st.integers(0, 10_000),
+    pairs=st.integers(0, 3),
+    real=st.integers(1, 2),
+    m=st.integers(1, 2),
+)
 def test_closed_form_equals_lyapunov(seed: int, pairs: int, real: int, m: int) -> None:
     lru = unit(seed, 2 * pairs + real, real, m, 2)
     system = lru.to_state_space()
@@ -36,7 +41,8 @@ def test_closed_form_equals_lyapunov(seed: int, pairs: int, real: int, m: int) -
 
 
 def test_without_the_conjugate_it_is_another_system() -> None:
-    """Negative control for the trap: `b b^T / (1 - l_i l_j)` differs as soon as a mode is complex."""
+    """Negative control for the trap: `b b^T / (1 - l_i l_j)` differs as soon as a mode is
+    complex."""
     lru = unit(0, 4, 0, 1, 1)
     with torch.no_grad():
         modes = lru.modes()
@@ -51,7 +57,8 @@ def summed(lru: LRU) -> Tensor:
 
 
 def penalty(lru: LRU) -> Tensor:
-    """What a line search relies on: a gradient that leaves out the division by the largest value misleads it."""
+    """What a line search relies on: a gradient that leaves out the division by the largest value
+    misleads it."""
     frame = Frame(width=1, slopes=(1.0, 1.0), samples=np.zeros((1, 1)))
     through = Linear().build(frame, np.random.default_rng(0))
     model = TorchSSM(through, lru, through)

@@ -1,4 +1,5 @@
-"""N4SID's B without feedthrough: recovered exactly from exact data, and the study goes on with the model."""
+"""N4SID's B without feedthrough: recovered exactly from exact data, and the study goes on with the
+model."""
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ from ssm_study.systems import StateSpace
 
 RNG = np.random.default_rng(0)
 TRUE = StateSpace(
-    a=np.array([[0.9, 0.2], [-0.2, 0.8]]), b=RNG.normal(size=(2, 2)), c=RNG.normal(size=(1, 2)), d=np.zeros((1, 2))
+    a=np.array([[0.9, 0.2], [-0.2, 0.8]]),
+    b=RNG.normal(size=(2, 2)),
+    c=RNG.normal(size=(1, 2)),
+    d=np.zeros((1, 2)),
 )
 
 
@@ -29,7 +33,9 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
     for name in ("training", "validation", "test"):
         u = RNG.normal(size=(400, 1))
         y = system.simulate(u)[0]
-        records.append((Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name),))
+        records.append(
+            (Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name),)
+        )
     channels = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
     data = assemble((records[0], records[1], records[2]), (np.zeros(1), np.zeros(1)), channels, 0)
     model = N4SID(order=2, block_rows=10).solve(data)

@@ -1,4 +1,5 @@
-"""NARX from several records: no row of its regression reaches across the joint between two experiments."""
+"""NARX from several records: no row of its regression reaches across the joint between two
+experiments."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""The motor by two routes: the batched stepper against the event-accurate solution, and both against solve_ivp."""
+"""The motor by two routes: the batched stepper against the event-accurate solution, and both
+against solve_ivp."""
 
 from dataclasses import replace
 
@@ -61,12 +62,17 @@ def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DC
 
     u = np.full((20, 1), 2.4)
     exact = simulate_exactly(frictionless, u, np.zeros(4)).x[-1]
-    there = solve_ivp(rate, (0, 20 * motor.step_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13).y[:, -1]
+    there = solve_ivp(
+        rate, (0, 20 * motor.step_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13
+    ).y[:, -1]
     np.testing.assert_allclose(exact, there, rtol=1e-8, atol=1e-9)
 
 
 def test_the_motor_sticks_exactly_under_a_torque_below_friction(motor: DCMotor) -> None:
-    stall_v = motor.dead_zone_v + 0.95 * motor.coulomb_torque_nm * motor.resistance_ohm / motor.torque_constant_nm_per_a
+    stall_v = (
+        motor.dead_zone_v
+        + 0.95 * motor.coulomb_torque_nm * motor.resistance_ohm / motor.torque_constant_nm_per_a
+    )
     x, y = motor.simulate(np.full((1, 300, 1), stall_v))
     assert (x[..., 1] == 0.0).all()  # not small: zero
     assert (y == 0.0).all()
@@ -85,7 +91,11 @@ def test_switch_times_are_located(motor: DCMotor) -> None:
     """A free run-down of one rigid speed has its stop time in closed form."""
     rigid = replace(motor, shaft_stiffness_nm_per_rad=1e-15, shaft_damping_nms_per_rad=0.0)
     run = simulate_exactly(rigid, np.zeros((300, 1)), np.array([0.0, 0.0, 2.0, 0.0]))
-    b, inertia, a0 = rigid.load_viscous_nms_per_rad, rigid.load_inertia_kgm2, rigid.coulomb_torque_nm
+    b, inertia, a0 = (
+        rigid.load_viscous_nms_per_rad,
+        rigid.load_inertia_kgm2,
+        rigid.coulomb_torque_nm,
+    )
     stop = inertia / b * np.log(1 + b * 2.0 / a0)
     assert np.abs(run.switch_times_s - stop).min() < 1e-10
     assert SWITCH_TIME_TOLERANCE_S <= 1e-10
@@ -97,7 +107,12 @@ def test_energy_never_grows_without_input(x0: list[float]) -> None:
     start = np.array([x0]) * np.array([0.2, 1.0, 1.0, 0.01])
     x, _ = motor.simulate(np.zeros((1, 60, 1)), x0=start)
     # (L_a i_a^2 + J_m w_m^2 + J_L w_L^2 + k_s twist^2) / 2, with the twist in the last state
-    stored = (motor.inductance_h, motor.motor_inertia_kgm2, motor.load_inertia_kgm2, motor.shaft_stiffness_nm_per_rad)
+    stored = (
+        motor.inductance_h,
+        motor.motor_inertia_kgm2,
+        motor.load_inertia_kgm2,
+        motor.shaft_stiffness_nm_per_rad,
+    )
     energy = 0.5 * np.sum(np.array(stored) * x[0] ** 2, axis=-1)
     assert (np.diff(energy) <= 1e-9 * energy[0] + 1e-15).all()
 

@@ -22,7 +22,9 @@ def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> 
     np.testing.assert_allclose(rest.x, [12.4, 12.7, 1.8, 1.4], rtol=0.1)  # table 2, measured levels
     t = np.array(plant.area_cm2) / np.array(plant.outlet_cm2) * np.sqrt(2 * rest.x / 981.0)
     np.testing.assert_allclose(t, [62, 90, 23, 30], rtol=0.06)
-    bumped = plant.advance(rest.x + 0.01 * np.eye(4), np.tile(rest.u, (4, 1)), np.zeros((4, 2))) - rest.x
+    bumped = (
+        plant.advance(rest.x + 0.01 * np.eye(4), np.tile(rest.u, (4, 1)), np.zeros((4, 2))) - rest.x
+    )
     np.testing.assert_allclose(np.diag(bumped) / 0.01, np.exp(-plant.step_s / t), rtol=2e-3)
 
 
@@ -34,7 +36,9 @@ def test_quadruple_tank_agrees_with_a_general_solver() -> None:
 
     def rate(_: float, h: np.ndarray) -> np.ndarray:
         q = out * np.sqrt(2 * 981.0 * h)
-        pumped = np.array([g[0] * k[0] * 2.2, g[1] * k[1] * 3.7, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2])
+        pumped = np.array(
+            [g[0] * k[0] * 2.2, g[1] * k[1] * 3.7, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2]
+        )
         return (pumped + np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0]) - q) / area
 
     x = plant.equilibrium().x
@@ -60,11 +64,16 @@ def tanks() -> CascadedTanks:
 def test_tanks_agree_with_a_general_solver_below_the_brim(tanks: CascadedTanks) -> None:
     def rate(_: float, x: np.ndarray) -> list[float]:
         upper = tanks.pump_gain * 2.0 - tanks.outflow_upper * np.sqrt(x[0])
-        return [upper, tanks.inflow_lower * np.sqrt(x[0]) - tanks.outflow_lower * np.sqrt(x[1]) + 1e-3]
+        return [
+            upper,
+            tanks.inflow_lower * np.sqrt(x[0]) - tanks.outflow_lower * np.sqrt(x[1]) + 1e-3,
+        ]
 
     x = tanks.equilibrium().x
     there = solve_ivp(rate, (0, 20 * tanks.step_s), x, rtol=1e-11, atol=1e-12).y[:, -1]
-    here = tanks.simulate(np.full((1, 21, 1), 2.0), x0=x[None], d=np.full((1, 21, 1), 1e-3))[0][0, -1]
+    here = tanks.simulate(np.full((1, 21, 1), 2.0), x0=x[None], d=np.full((1, 21, 1), 1e-3))[0][
+        0, -1
+    ]
     np.testing.assert_allclose(here, there, rtol=1e-8)
 
 
@@ -75,11 +84,15 @@ def test_tanks_overflow_and_the_spill_reaches_the_lower_tank(tanks: CascadedTank
     dry, _ = replace(tanks, spill_share=0.0).simulate(u)
     first_full = int(np.argmax(x[0, :, 0] == tanks.brim_v))
     np.testing.assert_array_equal(dry[0, : first_full - 1], x[0, : first_full - 1])
-    assert (x[0, first_full + 1 : first_full + 5, 1] > dry[0, first_full + 1 : first_full + 5, 1]).all()
+    assert (
+        x[0, first_full + 1 : first_full + 5, 1] > dry[0, first_full + 1 : first_full + 5, 1]
+    ).all()
 
 
 def test_the_pump_never_sucks(tanks: CascadedTanks) -> None:
-    np.testing.assert_array_equal(tanks.simulate(np.full((1, 50, 1), -3.0))[0], tanks.simulate(np.zeros((1, 50, 1)))[0])
+    np.testing.assert_array_equal(
+        tanks.simulate(np.full((1, 50, 1), -3.0))[0], tanks.simulate(np.zeros((1, 50, 1)))[0]
+    )
 
 
 def test_tanks_that_overflow_at_rest_are_refused(tanks: CascadedTanks) -> None:
@@ -101,7 +114,9 @@ def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckD
     there = solve_ivp(rate, (0, 20 * drive.step_s), [0.0, 5.0], rtol=1e-11, atol=1e-12).y[1, -1]
     errors = [
         abs(
-            replace(drive, substeps=n).simulate(np.full((1, 21, 1), 1.5), x0=np.array([[0.0, 5.0]]))[1][0, -1, 0]
+            replace(drive, substeps=n).simulate(
+                np.full((1, 21, 1), 1.5), x0=np.array([[0.0, 5.0]])
+            )[1][0, -1, 0]
             - there
         )
         for n in (20, 40, 80)
@@ -113,7 +128,9 @@ def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckD
 def test_the_drive_sticks_up_to_the_static_torque_and_not_beyond(drive: StribeckDrive) -> None:
     hold_a = drive.static_torque_nm / drive.torque_constant_nm_per_a
     assert (drive.simulate(np.full((1, 100, 1), 0.99 * hold_a))[1] == 0.0).all()
-    assert drive.simulate(np.full((1, 100, 1), 1.1 * hold_a))[1][0, -1, 0] > 0.1  # and then runs away from rest
+    assert (
+        drive.simulate(np.full((1, 100, 1), 1.1 * hold_a))[1][0, -1, 0] > 0.1
+    )  # and then runs away from rest
 
 
 def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
@@ -123,14 +140,19 @@ def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
 def test_the_drive_saturates(drive: StribeckDrive) -> None:
     limit = drive.current_limit_a
     np.testing.assert_array_equal(
-        drive.simulate(np.full((1, 50, 1), 3 * limit))[0], drive.simulate(np.full((1, 50, 1), limit))[0]
+        drive.simulate(np.full((1, 50, 1), 3 * limit))[0],
+        drive.simulate(np.full((1, 50, 1), limit))[0],
     )
 
 
-def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     plant, close_loop = from_yaml("plant", "quadruple_tank"), Mock(side_effect=InterruptedError)
     monkeypatch.setattr(regulation, "close_loop", close_loop)
     loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
     with pytest.raises(InterruptedError):
-        loop.simulate(plant, Mock(spec=Controller), plant.equilibrium().y[None], np.zeros((1, 5, 2)))
+        loop.simulate(
+            plant, Mock(spec=Controller), plant.equilibrium().y[None], np.zeros((1, 5, 2))
+        )
     np.testing.assert_array_equal(close_loop.call_args.kwargs["disturbance"][0], [[2.0, 0.0]] * 5)

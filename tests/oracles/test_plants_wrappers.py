@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from plants_cases import choices, from_yaml
 
-from ssm_study.plants.disturbance import Disturbance, PeriodicDisturbance, RandomDisturbance, StepDisturbance
+from ssm_study.plants.disturbance import (
+    Disturbance,
+    PeriodicDisturbance,
+    RandomDisturbance,
+    StepDisturbance,
+)
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, Disturbed, QuantisedOutput, SaturatedInput
 from ssm_study.refusal import BadRequest
@@ -31,14 +36,18 @@ def test_saturation_clips(plant: Plant) -> None:
     rest, half = plant.equilibrium().u, 0.5 * np.array(plant.input_amplitude)
     limited = SaturatedInput(plant=plant, lower=list(rest - half), upper=list(rest + half))
     u = inputs(plant)
-    np.testing.assert_array_equal(limited.simulate(u)[1], plant.simulate(np.clip(u, rest - half, rest + half))[1])
+    np.testing.assert_array_equal(
+        limited.simulate(u)[1], plant.simulate(np.clip(u, rest - half, rest + half))[1]
+    )
     assert not np.array_equal(limited.simulate(u)[1], plant.simulate(u)[1])
 
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_delay_shifts(plant: Plant, samples: int) -> None:
     u = inputs(plant)
-    shifted = np.concatenate([np.tile(plant.equilibrium().u, (2, samples, 1)), u[:, :-samples]], axis=1)
+    shifted = np.concatenate(
+        [np.tile(plant.equilibrium().u, (2, samples, 1)), u[:, :-samples]], axis=1
+    )
     delayed = DelayedInput(plant=plant, samples=samples)
     np.testing.assert_array_equal(delayed.simulate(u)[1], plant.simulate(shifted)[1])
 
@@ -64,7 +73,9 @@ def test_disturbances_act_as_if_given_by_hand(plant: Plant, disturbance: Disturb
     d = np.zeros((2, SAMPLES, len(plant.disturbances)))
     d[..., 0] = disturbance.signal(np.arange(SAMPLES) * plant.step_s)
     np.testing.assert_allclose(
-        Disturbed(plant=plant, disturbance=disturbance).simulate(u)[1], plant.simulate(u, d=d)[1], rtol=1e-12
+        Disturbed(plant=plant, disturbance=disturbance).simulate(u)[1],
+        plant.simulate(u, d=d)[1],
+        rtol=1e-12,
     )
 
 
@@ -81,7 +92,10 @@ def test_wrappers_stack(plant: Plant) -> None:
     stack = Disturbed(
         plant=QuantisedOutput(
             plant=DelayedInput(
-                plant=SaturatedInput(plant=plant, lower=list(rest - reach), upper=list(rest + reach)), samples=2
+                plant=SaturatedInput(
+                    plant=plant, lower=list(rest - reach), upper=list(rest + reach)
+                ),
+                samples=2,
             ),
             resolution=1e-6,
         ),
@@ -89,7 +103,9 @@ def test_wrappers_stack(plant: Plant) -> None:
     )
     x, y = stack.simulate(inputs(plant))
     assert x.shape[2] == len(stack.states) == len(plant.states) + 2 * len(plant.inputs) + 1
-    np.testing.assert_allclose(y, DelayedInput(plant=plant, samples=2).simulate(inputs(plant))[1], atol=1e-6)
+    np.testing.assert_allclose(
+        y, DelayedInput(plant=plant, samples=2).simulate(inputs(plant))[1], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,7 +116,9 @@ def test_wrappers_stack(plant: Plant) -> None:
         (lambda p: DelayedInput(plant=p, samples=0), "samples = 0"),
         (lambda p: QuantisedOutput(plant=p, resolution=0.0), "resolution = 0.0"),
         (
-            lambda p: Disturbed(plant=p, disturbance=StepDisturbance(size=1.0, at_s=0.0), channel=1),
+            lambda p: Disturbed(
+                plant=p, disturbance=StepDisturbance(size=1.0, at_s=0.0), channel=1
+            ),
             "has 1 disturbances",
         ),
         (lambda _: RandomDisturbance(amplitude=1.0, hold_s=0.0), "hold_s = 0.0"),

@@ -1,6 +1,7 @@
 """`verify` against a liar: each claim altered alone is named alone, and only beyond its tolerance.
 
-Everything is sealed anew after an alteration, and what depends on it made consistent: the lie has to be found, not the
+Everything is sealed anew after an alteration, and what depends on it made consistent: the lie has
+to be found, not the
 seal.
 """
 
@@ -18,6 +19,7 @@ import pytest
 from docs_commands import FEW
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import digest
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.data.recorded import RecordedData
@@ -28,15 +30,14 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
+from ssm_study.robustness.mismatch import mismatch
 from ssm_study.study.claims import SECTIONS, Checked, Derived, NotChecked
 from ssm_study.study.claims import data as section_data
 from ssm_study.study.claims import loop as section_loop
 from ssm_study.study.recordings import read_experiment, read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compared, judge, verify
-from ssm_study.certificates.certificate import digest
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.robustness.mismatch import mismatch
 from ssm_study.table.columns import declared
 from ssm_study.table.gather import MARKS, gather
 
@@ -44,26 +45,55 @@ from ssm_study.table.gather import MARKS, gather
 ONE_FORMULA, DECOMPOSED, ITERATED = 1e-9, 1e-6, 1e-6
 NUMBERS = {
     **dict.fromkeys(("hankel_largest", "hankel_smallest", "spectral_radius"), DECOMPOSED),
-    **{f"{what}ability_gramian_{end}": DECOMPOSED for what in ("controll", "observ") for end in ("lower", "upper")},
-    **{f"{side}_slope_{end}": ONE_FORMULA for side in ("input", "output") for end in ("lower", "upper")},
+    **{
+        f"{what}ability_gramian_{end}": DECOMPOSED
+        for what in ("controll", "observ")
+        for end in ("lower", "upper")
+    },
+    **{
+        f"{side}_slope_{end}": ONE_FORMULA
+        for side in ("input", "output")
+        for end in ("lower", "upper")
+    },
     **{f"input_slope_{end}_spectral": ONE_FORMULA for end in ("lower", "upper")},
     **{f"rate_{side}": ITERATED for side in ("controller", "observer")},
-    **{f"{side}_{what}": ITERATED for side in ("controller", "observer") for what in ("rate_limit", "gain_norm")},
+    **{
+        f"{side}_{what}": ITERATED
+        for side in ("controller", "observer")
+        for what in ("rate_limit", "gain_norm")
+    },
     **{f"{side}_certified_rate": ITERATED for side in ("controller", "observer")},
     **dict.fromkeys(("certified_tolerance", "certified_tolerance_resolved"), ITERATED),
     **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
-    **dict.fromkeys(("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"), ITERATED),
+    **dict.fromkeys(
+        ("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"),
+        ITERATED,
+    ),
     **{f"fit_{record}_percent": ONE_FORMULA for record in ("train", "validation", "test")},
     **dict.fromkeys(
-        ("rmse_test", "input_coverage", "stable_fraction", "overshoot_worst", "input_peak_v", "control_energy"),
+        (
+            "rmse_test",
+            "input_coverage",
+            "stable_fraction",
+            "overshoot_worst",
+            "input_peak_v",
+            "control_energy",
+        ),
         ONE_FORMULA,
     ),
     **{f"settling_time_{which}_s": ONE_FORMULA for which in ("mean", "worst", "open_loop")},
     **dict.fromkeys(("integral_squared_error", "final_error_worst", "empirical_rate"), ONE_FORMULA),
-    **dict.fromkeys(("estimate_decay_rate", "certified_bound_excess_plant", "noise_gain_measured"), ONE_FORMULA),
-    **dict.fromkeys(("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain"), ITERATED),
+    **dict.fromkeys(
+        ("estimate_decay_rate", "certified_bound_excess_plant", "noise_gain_measured"), ONE_FORMULA
+    ),
+    **dict.fromkeys(
+        ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain"), ITERATED
+    ),
 }
-EIGENVALUES = {"controller_margin": 1e-12, "observer_margin": 1e-12}  # absolute, of matrices with unit diagonal
+EIGENVALUES = {
+    "controller_margin": 1e-12,
+    "observer_margin": 1e-12,
+}  # absolute, of matrices with unit diagonal
 COUNTS = (
     "excitation_order",
     "states",
@@ -72,7 +102,9 @@ COUNTS = (
     "left_bound_count",
     "certified_bound_violations",
 )
-PARTS = [f"{side}_{what}" for side in ("controller", "observer") for what in ("feasible", "certified")]
+PARTS = [
+    f"{side}_{what}" for side in ("controller", "observer") for what in ("feasible", "certified")
+]
 WORDS = (
     "bound_method",
     "predicted_stable",
@@ -104,11 +136,22 @@ FILES = (
         "excitation.mcap",
     ),
     *("trials.mcap records", "closed_loop.mcap loop_on"),
-    *(f"{name}.mcap {what}" for name in ("validation", "test") for what in ("records", "/simulated")),
+    *(
+        f"{name}.mcap {what}"
+        for name in ("validation", "test")
+        for what in ("records", "/simulated")
+    ),
     *("closed_loop.mcap", "closed_loop.mcap input", "closed_loop_model.mcap"),
     *(
         f"{name}.mcap labels"
-        for name in ("excitation", "validation", "test", "trials", "closed_loop", "closed_loop_model")
+        for name in (
+            "excitation",
+            "validation",
+            "test",
+            "trials",
+            "closed_loop",
+            "closed_loop_model",
+        )
     ),
 )
 
@@ -117,7 +160,9 @@ FILES = (
 def derived(smoke_run: Path, record: dict[str, Any]) -> dict[str, Any]:
     """What the files of the run give."""
     run = RunFiles(path=smoke_run, record=record)
-    found = [item.columns for section in SECTIONS for item in section(run) if isinstance(item, Derived)]
+    found = [
+        item.columns for section in SECTIONS for item in section(run) if isinstance(item, Derived)
+    ]
     return {name: value for columns in found for name, value in columns.items()}
 
 
@@ -135,7 +180,9 @@ def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
 
 def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
     judged = [judge(name, record, derived, {}) for name in {*derived, *record}]
-    return {finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds}
+    return {
+        finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds
+    }
 
 
 def failing(run: Path) -> set[str]:
@@ -147,17 +194,26 @@ def moved(record: dict[str, Any], name: str, share: float) -> float:
     return record[name] + share * (NUMBERS[name] * abs(record[name]) + EIGENVALUES.get(name, 0.0))
 
 
-def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(smoke_run: Path, record: dict[str, Any]) -> None:
+def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(
+    smoke_run: Path, record: dict[str, Any]
+) -> None:
     """A claim added to `verify` has to be shown to be able to fail."""
     verified = verify(smoke_run)
     claims = {finding.claim for finding in verified}
-    certificates = {claim for claim in claims if claim.startswith("certificate.") and claim not in FILES}
+    certificates = {
+        claim for claim in claims if claim.startswith("certificate.") and claim not in FILES
+    }
     assert verified.holds
     assert len(certificates) == 8
     assert claims - certificates == {*NUMBERS, *COUNTS, *WORDS, *ABSENT, *REQUESTED, *FILES}
-    assert {name for name, value in record.items() if value is not None} <= {*claims, *verified.unchecked}
+    assert {name for name, value in record.items() if value is not None} <= {
+        *claims,
+        *verified.unchecked,
+    }
     assert all(verified.unchecked.values())
-    assert verified.summary().startswith(f"{len(claims)} of {len(claims)} claims hold; {len(verified.unchecked)} not ")
+    assert verified.summary().startswith(
+        f"{len(claims)} of {len(claims)} claims hold; {len(verified.unchecked)} not "
+    )
 
 
 @pytest.mark.parametrize("name", NUMBERS)
@@ -166,31 +222,50 @@ def test_a_number_is_named_beyond_its_tolerance_and_not_within(
 ) -> None:
     for share in (-0.9, 0.9):
         assert named(record | {name: moved(record, name, share)}, derived) == set()
-    wrongs = (moved(record, name, -1.1), moved(record, name, 1.1), -1 - record[name], None, "inf", "unknown", 10**400)
+    wrongs = (
+        moved(record, name, -1.1),
+        moved(record, name, 1.1),
+        -1 - record[name],
+        None,
+        "inf",
+        "unknown",
+        10**400,
+    )
     for wrong in wrongs:
         if wrong != record[name]:  # a number that is zero cannot be moved by a share of itself
             assert named(record | {name: wrong}, derived) == {name}
 
 
 @pytest.mark.parametrize("name", COUNTS)
-def test_a_count_is_named_when_it_is_one_off(name: str, record: dict[str, Any], derived: dict[str, Any]) -> None:
+def test_a_count_is_named_when_it_is_one_off(
+    name: str, record: dict[str, Any], derived: dict[str, Any]
+) -> None:
     for wrong in (record[name] + 1, record[name] - 1, None):
         assert named(record | {name: wrong}, derived) == {name}
 
 
 def other(value: Any) -> Any:
     """A value of the same kind that is not this one."""
-    return not value if isinstance(value, bool) else value + 1 if isinstance(value, int | float) else f"{value}_"
+    return (
+        not value
+        if isinstance(value, bool)
+        else value + 1
+        if isinstance(value, int | float)
+        else f"{value}_"
+    )
 
 
 def test_every_column_is_named_when_it_alone_is_another_or_left_out(
     record: dict[str, Any], derived: dict[str, Any]
 ) -> None:
-    """Over all columns of the record: a lie is found, unless the column is listed as not checked with its reason."""
+    """Over all columns of the record: a lie is found, unless the column is listed as not checked
+    with its reason."""
     for name, value in record.items():
         if value is not None and not (column := declared(name)).unchecked:  # type: ignore[union-attr]
             assert named(record | {name: other(value)}, derived) == {name}
-            assert named({key: kept for key, kept in record.items() if key != name}, derived) == {name}
+            assert named({key: kept for key, kept in record.items() if key != name}, derived) == {
+                name
+            }
         assert column is not None
 
 
@@ -204,15 +279,29 @@ def test_a_value_where_there_is_none_and_an_invented_column_are_named(
 
 def test_an_infinite_number_is_only_itself() -> None:
     """A margin is infinite where the gain is zero; no finite number is near to that."""
-    for stored, holds in (("inf", True), ("-inf", False), (1e300, False), (2.0, False), (None, False)):
+    for stored, holds in (
+        ("inf", True),
+        ("-inf", False),
+        (1e300, False),
+        (2.0, False),
+        (None, False),
+    ):
         assert compared("mismatch_margin", stored, np.inf).holds is holds
 
 
-def test_a_part_without_certificate_is_recorded_with_its_reason(smoke_run: Path, record: dict[str, Any]) -> None:
-    """The matrices are those of another rate; the reason is the record's, and a claim like any other."""
-    run, kept = RunFiles(path=smoke_run, record=record), read_simulation(smoke_run / "validation.mcap")
+def test_a_part_without_certificate_is_recorded_with_its_reason(
+    smoke_run: Path, record: dict[str, Any]
+) -> None:
+    """The matrices are those of another rate; the reason is the record's, and a claim like any
+    other."""
+    run, kept = (
+        RunFiles(path=smoke_run, record=record),
+        read_simulation(smoke_run / "validation.mcap"),
+    )
     told = "riccati; not positive definite in exact arithmetic"
-    missed = replace(run.design, observer=replace(run.design.observer, certified=False, solver_status=told))  # type: ignore[arg-type]
+    missed = replace(
+        run.design, observer=replace(run.design.observer, certified=False, solver_status=told)
+    )  # type: ignore[arg-type]
     shown = mismatch(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
         facts = design_facts(made, run.model, certified_balls(run.model), shown)
@@ -220,7 +309,10 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(smoke_run: Path,
 
 
 def test_the_seal_says_what_it_found(copied_run: Path) -> None:
-    for change, holds, found in (("", True, "as they were written"), (" ", False, "changed since: model.json")):
+    for change, holds, found in (
+        ("", True, "as they were written"),
+        (" ", False, "changed since: model.json"),
+    ):
         path = copied_run / "model.json"
         path.write_text(path.read_text() + change)
         (seal,) = (finding for finding in verify(copied_run) if finding.claim == "files")
@@ -228,7 +320,9 @@ def test_the_seal_says_what_it_found(copied_run: Path) -> None:
         assert str(seal) == f"{'holds' if holds else 'FAILS'}  files: {found}"
 
 
-def altered(run: Path, file: str, topic: str, change: Callable[[np.ndarray], object], **about: str) -> None:
+def altered(
+    run: Path, file: str, topic: str, change: Callable[[np.ndarray], object], **about: str
+) -> None:
     groups, told = read_mcap(run / file)
     assert any(group.topic.endswith(topic) for group in groups)
 
@@ -263,7 +357,7 @@ def fits_again(run: Path) -> dict[str, Any]:
     return fit_facts(*(Simulation.of(model, kept.records, kept.start_up_samples) for kept in pair))
 
 
-def damped(values: np.ndarray) -> None:
+def levenberg_marquardt_step(values: np.ndarray) -> None:
     """Comes to rest sooner."""
     values[1:] *= 0.5
 
@@ -272,7 +366,7 @@ def nothing(_: np.ndarray) -> None: ...
 
 
 def lie_about_loop(run: Path, topic: str, file: str = "closed_loop.mcap") -> None:
-    altered(run, file, topic, damped)
+    altered(run, file, topic, levenberg_marquardt_step)
     sealed_anew(run, **loop_again(run))
 
 
@@ -298,7 +392,7 @@ def lie_about_observer(run: Path, columns: dict[str, Any], **fields: Any) -> Non
 
 
 def lie_about_excitation(run: Path) -> None:
-    altered(run, "excitation.mcap", "/record_0/input", damped)
+    altered(run, "excitation.mcap", "/record_0/input", levenberg_marquardt_step)
     sealed_anew(run)
 
 
@@ -309,7 +403,9 @@ def lie_about_configuration(run: Path, old: str, new: str, **columns: Any) -> No
     sealed_anew(run, **columns)
 
 
-def lie_about_labels(run: Path, file: str, change: Callable[[Any], Any] = lambda group: group, **words: str) -> None:
+def lie_about_labels(
+    run: Path, file: str, change: Callable[[Any], Any] = lambda group: group, **words: str
+) -> None:
     """Beside the numbers, which stay."""
     groups, told = read_mcap(run / file)
     write_mcap(run / file, tuple(change(group) for group in groups), told | words)
@@ -349,7 +445,7 @@ def without(run: Path, name: str) -> None:
 
 def lie_about_trial(run: Path) -> None:
     """Milder than it was: the mismatch it shows would be smaller."""
-    altered(run, "trials.mcap", "/record_1/measured", damped)
+    altered(run, "trials.mcap", "/record_1/measured", levenberg_marquardt_step)
     sealed_anew(run)
 
 
@@ -418,7 +514,9 @@ def test_a_consistent_lie_is_named(lie: str, copied_run: Path) -> None:
     assert any(name.startswith(claim) for name in missed)
 
 
-def test_a_copy_of_a_run_in_its_study_is_named_and_one_saved_elsewhere_is_not(copied_run: Path) -> None:
+def test_a_copy_of_a_run_in_its_study_is_named_and_one_saved_elsewhere_is_not(
+    copied_run: Path,
+) -> None:
     """It would be one more row of the table."""
     copy = shutil.copytree(copied_run, copied_run.with_name("copy"))
     assert failing(copied_run) == set()
@@ -439,16 +537,22 @@ def test_the_command_gathers_anew_whatever_table_lies_there(
     true.assign(fit_test_percent=99.9).to_parquet(study / "runs.parquet", index=False)
     index = unsealed((study / MARKS).read_bytes()) or {}
     sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
-    write_json_atomically(study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums))
+    write_json_atomically(
+        study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums)
+    )
     assert gather(study)["fit_test_percent"].item() == 99.9
     assert main([command, str(study)]) == 0
     assert "99.9" not in capsys.readouterr().out
     pd.testing.assert_frame_equal(gather(study), true)
 
 
-def test_a_run_of_somebodys_parts_is_refused_with_the_option_that_trusts_them(copied_run: Path) -> None:
+def test_a_run_of_somebodys_parts_is_refused_with_the_option_that_trusts_them(
+    copied_run: Path,
+) -> None:
     """Without them nothing can be derived, which is no lie of the run."""
-    lie_about_configuration(copied_run, "ssm_study.plants.dc_motor.DCMotor", "somebodys.plants.DCMotor")
+    lie_about_configuration(
+        copied_run, "ssm_study.plants.dc_motor.DCMotor", "somebodys.plants.DCMotor"
+    )
     with pytest.raises(BadRequest, match=r"somebodys.*--with FOLDER"):
         verify(copied_run)
 
@@ -471,8 +575,11 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
 
 
 @pytest.mark.parametrize("place", ["where the run was made", "where the command is given"])
-def test_a_log_is_found_from_another_folder(place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`data.path=log.csv` was meant where the run was made; a run that was moved has its log where one works."""
+def test_a_log_is_found_from_another_folder(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`data.path=log.csv` was meant where the run was made; a run that was moved has its log where
+    one works."""
     made, elsewhere = tmp_path / "made", tmp_path / "elsewhere"
     run = made / "results" / "mine" / "order2"
     (run / ".hydra").mkdir(parents=True)
@@ -496,14 +603,22 @@ class Rig(Wrapper):
 
 
 def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> None:
-    """Its violations of the certified bound are a claim on the model, whatever the loop was closed on."""
+    """Its violations of the certified bound are a claim on the model, whatever the loop was closed
+    on."""
 
     def found() -> tuple[set[str], dict[str, str]]:
         run = RunFiles(path=copied_run, record=read_record(copied_run) or {})
-        vars(run)["specification"] = replace(run.specification, plant=Rig(plant=run.specification.plant))
+        vars(run)["specification"] = replace(
+            run.specification, plant=Rig(plant=run.specification.plant)
+        )
         told = list(section_loop(run))
         wrong = {one.claim for one in told if isinstance(one, Checked) and not one.holds}
-        return wrong, {name: why for one in told if isinstance(one, NotChecked) for name, why in one.reasons.items()}
+        return wrong, {
+            name: why
+            for one in told
+            if isinstance(one, NotChecked)
+            for name, why in one.reasons.items()
+        }
 
     recorded_on = "closed_loop.mcap loop_on"  # here the plant that was simulated
     assert found() == (
@@ -521,34 +636,67 @@ def logged(folder: Path) -> list[str]:
     for k in range(len(u)):
         x[k + 1] = 0.9 * x[k] + 0.2 * np.tanh(u[k])
     pd.DataFrame({"u": u, "y": x[:-1] + 0.1 * u}).to_csv(folder / "log.csv", index=False)
-    return ["data=recorded", f"data.path={folder}/log.csv", "data.input=u", "data.output=y", "data.step_s=0.1"]
+    return [
+        "data=recorded",
+        f"data.path={folder}/log.csv",
+        "data.input=u",
+        "data.output=y",
+        "data.step_s=0.1",
+    ]
 
 
-def test_a_run_without_controller_has_no_certificate_and_no_loop(copied_run: Path, tmp_path: Path) -> None:
+def test_a_run_without_controller_has_no_certificate_and_no_loop(
+    copied_run: Path, tmp_path: Path
+) -> None:
     """Invented beside an infeasible run or a baseline, they would be drawn as its own."""
-    beyond = ["experiment=smoke", "+data.trials=false", "synthesis=riccati", "synthesis.rate_controller=0.999"]
+    beyond = [
+        "experiment=smoke",
+        "+data.trials=false",
+        "synthesis=riccati",
+        "synthesis.rate_controller=0.999",
+    ]
     baseline = [*logged(tmp_path), "model=gru", "training.max_epochs=1"]
     for study, asked in {"none": beyond, "baseline": baseline}.items():
-        assert main(["run", *asked, "progress=false", f"results_dir={tmp_path}", f"study={study}"]) == 0
+        assert (
+            main(["run", *asked, "progress=false", f"results_dir={tmp_path}", f"study={study}"])
+            == 0
+        )
         (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
         assert failing(run) == set()
         assert (read_record(run) or {})["model"] == {"none": "ssm", "baseline": "gru"}[study]
         for name in ("certificate.json", "closed_loop.mcap")[study == "none" :]:
             shutil.copy(copied_run / name, run / name)
         sealed_anew(run)
-        assert failing(run) == {"certificate.json", "closed_loop.mcap"} - {"certificate.json" * (study == "none")}
+        assert failing(run) == {"certificate.json", "closed_loop.mcap"} - {
+            "certificate.json" * (study == "none")
+        }
 
 
 def test_a_model_that_answers_at_once_is_certified_without_a_loop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`verify` missed its loops, the outcome spoke of starts, and where every neuron was idle the run had failed."""
+    """`verify` missed its loops, the outcome spoke of starts, and where every neuron was idle the
+    run had failed."""
     log = [*logged(tmp_path), "progress=false", f"results_dir={tmp_path}"]
-    shape = ["model.feedthrough=true", "model.order=2", "model.starts=1", "model.draws=2", "training.max_epochs=5"]
+    shape = [
+        "model.feedthrough=true",
+        "model.order=2",
+        "model.starts=1",
+        "model.draws=2",
+        "training.max_epochs=5",
+    ]
     shape += [f"+synthesis.{name}={values}".replace(" ", "") for name, values in FEW.items()]
-    for study, path in {"idle": [], "neurons": ["model.input_path=free", "model.output_path=free"]}.items():
-        assert main(["run", *log, *shape, *path, f"study={study}", f"model.neurons={1 + len(path)}"]) == 0
-        assert "certified, not tried: both certificates hold" in " ".join(capsys.readouterr().out.split())
+    for study, path in {
+        "idle": [],
+        "neurons": ["model.input_path=free", "model.output_path=free"],
+    }.items():
+        assert (
+            main(["run", *log, *shape, *path, f"study={study}", f"model.neurons={1 + len(path)}"])
+            == 0
+        )
+        assert "certified, not tried: both certificates hold" in " ".join(
+            capsys.readouterr().out.split()
+        )
         (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
         assert ("neurons" in json.loads((run / "model.json").read_text())) == (study == "neurons")
         assert failing(run) == set()
@@ -572,7 +720,9 @@ def test_one_sample_of_a_recording_is_named_beyond_its_tolerance_and_not_within(
 ) -> None:
     groups, _ = read_mcap(smoke_run / file)
     name = topic.rpartition("/")[2]
-    largest = max(float(np.abs(group.values).max()) for group in groups if group.topic.endswith(f"/{name}"))
+    largest = max(
+        float(np.abs(group.values).max()) for group in groups if group.topic.endswith(f"/{name}")
+    )
     for share in (0.9, 1.1):
         run = shutil.copytree(smoke_run, tmp_path / f"run{share}")
 
@@ -586,15 +736,23 @@ def test_one_sample_of_a_recording_is_named_beyond_its_tolerance_and_not_within(
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {
-    "a part is null": lambda run: edited(run / "certificate.json", lambda c: c.update(observer=None)),
-    "a part is a list": lambda run: edited(run / "certificate.json", lambda c: c.update(state_feedback=[1])),
-    "a number of 400 digits": lambda run: edited(run / "certificate.json", lambda c: c["observer"].update(eta=10**400)),
+    "a part is null": lambda run: edited(
+        run / "certificate.json", lambda c: c.update(observer=None)
+    ),
+    "a part is a list": lambda run: edited(
+        run / "certificate.json", lambda c: c.update(state_feedback=[1])
+    ),
+    "a number of 400 digits": lambda run: edited(
+        run / "certificate.json", lambda c: c["observer"].update(eta=10**400)
+    ),
     "a matrix of such": lambda run: edited(run / "model.json", lambda m: m.update(a=[[10**400]])),
     "the model is a list": lambda run: (run / "model.json").write_text("[]"),
     "the model is no json": lambda run: (run / "model.json").write_text("{"),
     "broken yaml": lambda run: (run / ".hydra" / "config.yaml").write_text("a: [b"),
     "yaml of another kind": lambda run: (run / ".hydra" / "config.yaml").write_text("- 1"),
-    "a recording cut": lambda run: (run / "test.mcap").write_bytes((run / "test.mcap").read_bytes()[:-500]),
+    "a recording cut": lambda run: (run / "test.mcap").write_bytes(
+        (run / "test.mcap").read_bytes()[:-500]
+    ),
     "an empty manifest": lambda run: (run / "manifest.json").write_text(""),
     "a list as manifest": lambda run: (run / "manifest.json").write_text("[]"),
 }
@@ -607,7 +765,8 @@ def test_a_damaged_file_is_a_claim_that_does_not_hold(what: str, copied_run: Pat
 
 
 def shorter(run: Path, part: str, *names: str) -> None:
-    """These matrices without their last row, those that are square without their last column, too."""
+    """These matrices without their last row, those that are square without their last column,
+    too."""
 
     def change(content: dict[str, Any]) -> None:
         for name in names:
@@ -656,10 +815,16 @@ def test_a_wrong_shape_or_word_is_told_in_a_sentence_of_ours(what: str, copied_r
     damage(copied_run)
     found = [one.found for one in verify(copied_run) if not one.holds]
     assert any(one.endswith(sentence) for one in found), found
-    assert not any(word in one for one in found for word in ("operand", "dimension", "tuple", "attribute", "argument"))
+    assert not any(
+        word in one
+        for one in found
+        for word in ("operand", "dimension", "tuple", "attribute", "argument")
+    )
 
 
-def test_a_record_without_status_or_with_a_broken_seal(copied_run: Path, record: dict[str, Any]) -> None:
+def test_a_record_without_status_or_with_a_broken_seal(
+    copied_run: Path, record: dict[str, Any]
+) -> None:
     write_record(copied_run, {name: value for name, value in record.items() if name != "status"})
     assert failing(copied_run) == {"record.json"}
     (copied_run / "record.json").write_text("{}")
@@ -672,13 +837,17 @@ def test_a_file_that_the_manifest_does_not_know_is_named(copied_run: Path) -> No
     assert failing(copied_run) == {"comparison.csv"}
 
 
-def test_the_command_ends_with_one_line_and_speaks_json(smoke_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_ends_with_one_line_and_speaks_json(
+    smoke_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["verify", str(smoke_run)]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert main(["verify", str(smoke_run), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     held = sum(claim["holds"] for claim in said["claims"])
-    assert last.startswith(f"{held} of {len(said['claims'])} claims hold; {len(said['not_checked'])} not checked: ")
+    assert last.startswith(
+        f"{held} of {len(said['claims'])} claims hold; {len(said['not_checked'])} not checked: "
+    )
     assert said["holds"] is True
 
 

@@ -1,4 +1,5 @@
-"""Mismatch tolerated by a model with neurons: the limit without them, frozen slopes, simulated loops, a forged file."""
+"""Mismatch tolerated by a model with neurons: the limit without them, frozen slopes, simulated
+loops, a forged file."""
 
 import json
 from dataclasses import replace
@@ -11,17 +12,17 @@ from structured_cases import drawn, model
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, digest
-from ssm_study.synthesis.deployed import as_deployed, within_reach
-from ssm_study.synthesis.design import broken_claims
-from ssm_study.robustness.mismatch import ANGLES
-from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
-from ssm_study.synthesis.structured_lmi import largest_rate
-from ssm_study.certificates.theorem import Known
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.certificates.theorems.tolerance import largest_tolerance as without_neurons
-from ssm_study.systems import Balls, JacobianBall, Pair, StructuredSystem
+from ssm_study.robustness.mismatch import ANGLES
+from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
+from ssm_study.synthesis.deployed import with_gain_certificates, within_reach
+from ssm_study.synthesis.design import failed_checks
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.structured_lmi import largest_rate
+from ssm_study.systems import Balls, Gains, JacobianBall, StructuredSystem
 
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
 SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
@@ -34,9 +35,11 @@ class _Model:
         self.system, self.linear = system, system.at_slopes(np.zeros(system.neurons))
 
 
-def found(system: StructuredSystem, weight: np.ndarray | None = None) -> tuple[Known, StructuredTolerance]:
+def found(
+    system: StructuredSystem, weight: np.ndarray | None = None
+) -> tuple[VerificationContext, StructuredTolerance]:
     design = ASKED.design(_Model(system), BALLS)
-    known = Known(system=system, controlled=system, balls=BALLS, gains=design.gains)
+    known = VerificationContext(system=system, controlled=system, balls=BALLS, gains=design.gains)
     proved = largest_tolerance(known, np.eye(1) if weight is None else weight)
     assert proved is not None
     assert proved.certified
@@ -54,20 +57,24 @@ def test_gains_are_certified_just_inside_their_largest_rate() -> None:
 
 @pytest.mark.parametrize("weight", [np.eye(1), np.array([[0.5, 1.0], [0.2, 1.0]])])
 def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndarray) -> None:
-    """By two routes that share no line: a semidefinite program, and a Riccati equation with a search."""
+    """By two routes that share no line: a semidefinite program, and a Riccati equation with a
+    search."""
     system = drawn(2, n=4, q=3, radius=0.9)
     still = StructuredSystem(**{**vars(system), "e": 0 * system.e, "h": 0 * system.h})
     known, proved = found(still, weight)
     linear = still.at_slopes(np.zeros(3))
     gains = {name: known.gains[name] for name in ("k", "l")}
-    other = without_neurons(Known(system=linear, controlled=linear, balls=BALLS, gains=gains), weight)
+    other = without_neurons(
+        VerificationContext(system=linear, controlled=linear, balls=BALLS, gains=gains), weight
+    )
     assert other is not None
     assert proved.s == pytest.approx(other.s, rel=2e-4)
 
 
 @pytest.mark.parametrize(("seed", "h"), [(0, 0.0), (0, 0.3), (2, 0.0)])
 def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) -> None:
-    """Both sets of neurons frozen alike: small gain at each corner; and what is stored is refused above it."""
+    """Both sets of neurons frozen alike: small gain at each corner; and what is stored is refused
+    above it."""
     system = drawn(seed, n=4, q=3, radius=0.9, h=h)
     known, proved = found(system)
     k, l, l_z = (known.gains[name] for name in ("k", "l", "l_z"))  # noqa: E741
@@ -75,17 +82,22 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
     for slopes in system.corners():
         injected = l + (system.e * slopes) @ l_z
         for slope in (0.6, 0.8, 1.0):
-            peaks.append(hinf_norm(sensitivity(system.at_slopes(slopes), Pair(k=k, l=injected), slope, 0.8)))
+            peaks.append(
+                hinf_norm(sensitivity(system.at_slopes(slopes), Gains(k=k, l=injected), slope, 0.8))
+            )
     assert 0.2 < proved.s * max(peaks) <= 1
     assert not StructuredTolerance.holds(**(proved.numbers | {"s": 1.001 / max(peaks)}))
 
 
 def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
-    """The real neurons, S_u of changing slope, and `e` of the allowed energy, placed where it raises P most."""
+    """The real neurons, S_u of changing slope, and `e` of the allowed energy, placed where it
+    raises P most."""
     stand = model()
     system, balls = stand.system, Balls(input=BALLS.input, output=JacobianBall(alpha=1.0, beta=0.0))
     gains = ASKED.design(stand, balls).gains
-    proved = largest_tolerance(Known(system=system, controlled=system, balls=balls, gains=gains), np.eye(1))
+    proved = largest_tolerance(
+        VerificationContext(system=system, controlled=system, balls=balls, gains=gains), np.eye(1)
+    )
     assert proved is not None
     rng, k, l, l_z = np.random.default_rng(0), proved.k, proved.l, proved.l_z  # noqa: E741
     for _ in range(2):
@@ -93,15 +105,20 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
         start, budget = np.linalg.norm(x), 0.0
         for _ in range(60):
             u = k @ x_hat
-            budget += proved.s**2 * float(u @ u)  # saved energy may be spent later: gain in mean square alone
+            budget += proved.s**2 * float(
+                u @ u
+            )  # saved energy may be spent later: gain in mean square alone
             after = []
-            for share, sign, slope in [(a, b, c) for a in (0, 0.5, 1) for b in (-1, 1) for c in (0.6, 1.0)]:
+            for share, sign, slope in [
+                (a, b, c) for a in (0, 0.5, 1) for b in (-1, 1) for c in (0.6, 1.0)
+            ]:
                 e, v = sign * np.sqrt(share * budget), slope * u
                 error = x_hat @ stand.c.T - (x @ stand.c.T + e)
                 estimate = stand.advance(x_hat, v, error @ l_z.T) + l @ error
                 after.append((np.concatenate([stand.advance(x, v), estimate]), e * e))
             energies = [
-                xi[:3] @ proved.p[:3, :3] @ xi[:3] + (xi[3:] - xi[:3]) @ proved.p[3:, 3:] @ (xi[3:] - xi[:3])
+                xi[:3] @ proved.p[:3, :3] @ xi[:3]
+                + (xi[3:] - xi[:3]) @ proved.p[3:, 3:] @ (xi[3:] - xi[:3])
                 for xi, _ in after
             ]
             xi, spent = after[int(np.argmax(energies))]
@@ -114,13 +131,13 @@ def stored(request: pytest.FixtureRequest) -> tuple[dict, object]:
     stand = model()
     asked = replace(ASKED, internal_model=["step"] if request.param else [])
     balls = certified_balls(stand)
-    whole = as_deployed(asked.design(stand, balls), stand, balls, SHOWN)
+    whole = with_gain_certificates(asked.design(stand, balls), stand, balls, SHOWN)
     assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)
     return json.loads(json.dumps(whole.to_json())), controlled_system(stand, whole.state_feedback)
 
 
 def broken(content: dict, controlled: object) -> list[str]:
-    return broken_claims(content, model().system, certified_balls(model()), controlled)
+    return failed_checks(content, model().system, certified_balls(model()), controlled)
 
 
 def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) -> None:
@@ -141,10 +158,14 @@ def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) ->
         ("theorem", "tolerance", "is not part of a certificate"),
     ],
 )
-def test_a_forged_number_is_found(stored: tuple[dict, object], name: str, factor: object, said: str) -> None:
+def test_a_forged_number_is_found(
+    stored: tuple[dict, object], name: str, factor: object, said: str
+) -> None:
     content, controlled = json.loads(json.dumps(stored[0])), stored[1]
     value = np.array(content["tolerance"][name]) * factor if isinstance(factor, float) else factor
-    content["tolerance"][name] = value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
+    content["tolerance"][name] = (
+        value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
+    )
     content["tolerance"]["digest"] = digest(content["tolerance"])
     assert any(said in claim for claim in broken(content, controlled))
 
@@ -153,16 +174,34 @@ def test_a_nonlinear_output_map_gets_none() -> None:
     known, _ = found(drawn(2, n=4, q=3, radius=0.9))
     bent = Balls(input=BALLS.input, output=JacobianBall.from_slopes(0.7, 0.9))
     assert (
-        largest_tolerance(Known(system=known.system, controlled=known.system, balls=bent, gains=known.gains), np.eye(1))
+        largest_tolerance(
+            VerificationContext(
+                system=known.system, controlled=known.system, balls=bent, gains=known.gains
+            ),
+            np.eye(1),
+        )
         is None
     )
 
 
 def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
-    """At rest and at slope one half `x+ = 0.2 x + 2 phi(x) - 0.25 x` decays, at slope one it grows."""
+    """At rest and at slope one half `x+ = 0.2 x + 2 phi(x) - 0.25 x` decays, at slope one it
+    grows."""
     one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
-    matrices = {"a": 0.2 * one, "b": one, "c": one, "d": 0 * one, "e": 2 * one, "f": one, "g": 0 * one, "h": 0 * one}
+    matrices = {
+        "a": 0.2 * one,
+        "b": one,
+        "c": one,
+        "d": 0 * one,
+        "e": 2 * one,
+        "f": one,
+        "g": 0 * one,
+        "h": 0 * one,
+    }
     system = StructuredSystem(**matrices)
-    gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
-    known = Known(system=system, controlled=system, balls=balls, gains=gains)
+    gains, balls = (
+        {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one},
+        Balls(input=unit, output=unit),
+    )
+    known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
     assert within_reach(partial(largest_tolerance, known, one)) is None

@@ -25,7 +25,10 @@ def test_the_training_inputs_are_kept_and_drawn(smoke_run: Path) -> None:
 
 def test_the_figure_says_what_the_inputs_can_identify(smoke_run: Path, tmp_path: Path) -> None:
     study = shutil.copytree(smoke_run.parent, tmp_path / "smoke")
-    record = json.loads((smoke_run / "record.json").read_text()) | {"input_coverage": 0.85, "excitation_order": 8}
+    record = json.loads((smoke_run / "record.json").read_text()) | {
+        "input_coverage": 0.85,
+        "excitation_order": 8,
+    }
 
     def drawn(**more: str) -> list[Axes]:
         (study / smoke_run.name / "record.json").write_text(json.dumps(record | more))

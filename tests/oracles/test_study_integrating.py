@@ -1,4 +1,5 @@
-"""An integrating plant, a motor's position, through the whole line: from its log to rest on the true plant."""
+"""An integrating plant, a motor's position, through the whole line: from its log to rest on the
+true plant."""
 
 import numpy as np
 import pytest
@@ -9,7 +10,11 @@ from ssm_study.models.identified import SSM
 from ssm_study.study.verify import verify
 from ssm_study.systems import StateSpace
 
-FEW = ("+synthesis.input_weights=[0.01,1.0]", "+synthesis.output_noises=[0.01,1.0]", "+synthesis.stretch_shares=[0.3]")
+FEW = (
+    "+synthesis.input_weights=[0.01,1.0]",
+    "+synthesis.output_noises=[0.01,1.0]",
+    "+synthesis.stretch_shares=[0.3]",
+)
 
 
 def moved(x: np.ndarray, volts: float) -> np.ndarray:
@@ -42,7 +47,10 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     assert "The output integrates its input" in design.record["evidence_reasons"]
     assert "data.decimate" not in design.record["evidence_reasons"]
     law = ObserverFeedback.of(design.model, design.certificate)
-    limits, rest = (design.record["limit_lower"], design.record["limit_upper"]), law.targets(np.zeros((1, 1)))[0]
+    limits, rest = (
+        (design.record["limit_lower"], design.record["limit_upper"]),
+        law.targets(np.zeros((1, 1)))[0],
+    )
     for start in (0.2, -2.0):  # from positions far beyond one step
         x, memory = np.array([0.0, start]), law.start(1)
         for _ in range(800):
@@ -62,7 +70,8 @@ def pushed(u: np.ndarray) -> np.ndarray:
 
 
 def test_a_linear_model_with_its_integrator_goes_the_whole_way() -> None:
-    """No neuron is left of what is linear: the model has an eigenvalue of exactly one, and no balanced coordinates."""
+    """No neuron is left of what is linear: the model has an eigenvalue of exactly one, and no
+    balanced coordinates."""
     u = np.random.default_rng(0).uniform(-1, 1, 60).repeat(10)
     u = np.concatenate([u - u.mean(), np.zeros(60)])
     words = (
@@ -94,7 +103,9 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way() -> None:
     ],
     ids=["integrator", "double integrator", "two inputs"],
 )
-def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(a: list, b: list, c: list, tmp_path) -> None:
+def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(
+    a: list, b: list, c: list, tmp_path
+) -> None:
     control, outputs = pytest.importorskip("control"), len(c)
     asked = ("synthesis=riccati", "synthesis.rate_controller=0.05", "synthesis.rate_observer=0.05")
     design = st.control(control.ss(a, b, c, np.zeros((outputs, len(b[0]))), 0.1), *asked)
@@ -109,13 +120,18 @@ def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(a: list
 
 
 def test_the_points_at_rest_are_all_of_them() -> None:
-    """`(x, v)` with `x = A x + B v` have as many directions as inputs, whether the model integrates or not."""
+    """`(x, v)` with `x = A x + B v` have as many directions as inputs, whether the model integrates
+    or not."""
     rng = np.random.default_rng(0)
     for integrators in (0, 1, 2):
         for inputs in (1, 2, 3):
             turn = np.linalg.qr(rng.standard_normal((4, 4)))[0]
             modes = np.diag(np.where(np.arange(4) < integrators, 1.0, rng.uniform(-0.9, 0.9, 4)))
-            b, c, d = rng.standard_normal((4, inputs)), rng.standard_normal((2, 4)), rng.standard_normal((2, inputs))
+            b, c, d = (
+                rng.standard_normal((4, inputs)),
+                rng.standard_normal((2, 4)),
+                rng.standard_normal((2, inputs)),
+            )
             system = StateSpace(a=turn @ modes @ turn.T, b=b, c=c, d=d)
             x, v, y = system.held()
             assert system.integrates == (integrators > 0)

@@ -1,4 +1,5 @@
-"""The line as a user runs it: one run, its files, its verification, a sweep; computed once, kept whole."""
+"""The line as a user runs it: one run, its files, its verification, a sweep; computed once, kept
+whole."""
 
 import json
 import shutil
@@ -23,7 +24,14 @@ from ssm_study.study.verify import verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
 
-CONTRACT_FILES = ("record.json", "model.json", "certificate.json", "validation.mcap", "closed_loop.mcap", ".hydra")
+CONTRACT_FILES = (
+    "record.json",
+    "model.json",
+    "certificate.json",
+    "validation.mcap",
+    "closed_loop.mcap",
+    ".hydra",
+)
 
 
 @pytest.fixture
@@ -44,11 +52,15 @@ def edit(path: Path, change: Callable[[dict], object]) -> None:
 def test_the_run_folder_is_the_public_one(smoke_run: Path) -> None:
     for name in CONTRACT_FILES:
         assert (smoke_run / name).exists(), name
-    assert {path.name for path in (smoke_run / ".hydra").iterdir()} >= {"config.yaml", "overrides.yaml"}
+    assert {path.name for path in (smoke_run / ".hydra").iterdir()} >= {
+        "config.yaml",
+        "overrides.yaml",
+    }
 
 
 def test_models_of_the_same_data_share_its_trials(smoke_run: Path) -> None:
-    """The largest file of a run belongs to the stage of the data: a further model of them adds no copy."""
+    """The largest file of a run belongs to the stage of the data: a further model of them adds no
+    copy."""
     stores = {
         path.relative_to(smoke_run.parents[1] / ".store").parts[0]
         for path in smoke_run.parents[1].rglob("trials.mcap")
@@ -70,10 +82,12 @@ def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
 
 
 def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
-    """Training simulates by convolution (torch); `model.json` steps (NumPy). The stored fit is the latter's."""
+    """Training simulates by convolution (torch); `model.json` steps (NumPy). The stored fit is the
+    latter's."""
     model = SSM.from_json(json.loads((smoke_run / "model.json").read_text()))
     groups = {
-        group.topic.removeprefix("/record_0"): group.values for group in read_mcap(smoke_run / "validation.mcap")[0]
+        group.topic.removeprefix("/record_0"): group.values
+        for group in read_mcap(smoke_run / "validation.mcap")[0]
     }
     eigenvalues, vectors = np.linalg.eig(model.linear.a.astype(complex))
     modes = ModalForm(
@@ -97,17 +111,28 @@ TAMPERING = {
         "certificate.json",
         lambda c: c["state_feedback"]["k"][0].__setitem__(0, 1.5 * c["state_feedback"]["k"][0][0]),
     ),
-    "p": ("certificate.json", lambda c: c["state_feedback"]["p"][0].__setitem__(0, -c["state_feedback"]["p"][0][0])),
+    "p": (
+        "certificate.json",
+        lambda c: c["state_feedback"]["p"][0].__setitem__(0, -c["state_feedback"]["p"][0][0]),
+    ),
     "rate": ("certificate.json", lambda c: c["state_feedback"].update(rate=0.9)),
-    "ball": ("certificate.json", lambda c: c["state_feedback"].update(beta=c["state_feedback"]["beta"] / 2)),
-    "l": ("certificate.json", lambda c: c["observer"]["l"][0].__setitem__(0, 3 + c["observer"]["l"][0][0])),
+    "ball": (
+        "certificate.json",
+        lambda c: c["state_feedback"].update(beta=c["state_feedback"]["beta"] / 2),
+    ),
+    "l": (
+        "certificate.json",
+        lambda c: c["observer"]["l"][0].__setitem__(0, 3 + c["observer"]["l"][0][0]),
+    ),
     "a": ("model.json", lambda m: m["a"][0].__setitem__(0, m["a"][0][0] * (1 + 1e-12))),
     "step": ("model.json", lambda m: m["b"][0].__setitem__(0, 2 * m["b"][0][0])),
 }
 
 
 @pytest.mark.parametrize("what", TAMPERING)
-def test_tampering_is_found_and_named(what: str, copied_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tampering_is_found_and_named(
+    what: str, copied_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file, change = TAMPERING[what]
     edit(copied_run / file, change)
     assert main(["verify", str(copied_run)]) == 1
@@ -135,12 +160,21 @@ def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
 
 
 STAGES = ("model", "synthesis")
-TINY = ["experiment=smoke", "study=sweep", "progress=false", "synthesis=riccati", "training.max_epochs=2"]
+TINY = [
+    "experiment=smoke",
+    "study=sweep",
+    "progress=false",
+    "synthesis=riccati",
+    "training.max_epochs=2",
+]
 
 
 def test_inputs_cut_at_limits_are_replayed(tmp_path: Path) -> None:
     limits = ["loop.input_lower=-0.2", "loop.input_upper=0.3"]
-    assert main(["run", *TINY, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"]) == 0
+    assert (
+        main(["run", *TINY, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"])
+        == 0
+    )
     (run,) = (path.parent for path in tmp_path.glob("sweep/*/record.json"))
     u = read_rollouts(run / "closed_loop.mcap")[0].u
     assert u.min() == -0.2
@@ -158,7 +192,14 @@ def test_a_setting_that_no_column_repeats_has_one_under_its_key() -> None:
         "synthesis": {"internal_model": ["step", "ramp"]},
         "training": {"optimiser": {"_target_": "ssm_study.training.optimisers.Adam", "lr": 0.01}},
     }
-    keys = ["study", "model.order", "+plant.step_s", "synthesis.internal_model", "training/optimiser", "a@loop.peer"]
+    keys = [
+        "study",
+        "model.order",
+        "+plant.step_s",
+        "synthesis.internal_model",
+        "training/optimiser",
+        "a@loop.peer",
+    ]
     assert further(settings, keys) == {
         "loop__peer": None,
         "plant__step_s": 0.01,
@@ -174,7 +215,8 @@ def edit_text(path: Path, old: str, new: str) -> None:
 
 
 def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Path) -> None:
-    """Basic launcher: three rates, one of them beyond the frontier. One data set, one training; exit status 0."""
+    """Basic launcher: three rates, one of them beyond the frontier. One data set, one training;
+    exit status 0."""
     rates = "synthesis.rate_controller=0.02,0.05,0.999"
     asked = ["run", "-m", *TINY, f"results_dir={tmp_path}", rates, "hydra/launcher=basic"]
     assert main(asked) == 0
@@ -182,16 +224,24 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
     assert list(table["status"]) == ["ok", "ok", "infeasible"]
     assert table["infeasible_reason"].iloc[2].count("the slopes allow only rates below") == 1
     (refused,) = tmp_path.glob(f"sweep/{table['run'].iloc[2]}")
-    assert failing(refused) == set()  # an observer without a controller closes no loop and claims none
-    computed = {name: [path for path in (tmp_path / ".store" / name).iterdir() if path.is_dir()] for name in STAGES}
+    assert (
+        failing(refused) == set()
+    )  # an observer without a controller closes no loop and claims none
+    computed = {
+        name: [path for path in (tmp_path / ".store" / name).iterdir() if path.is_dir()]
+        for name in STAGES
+    }
     assert {name: len(found) for name, found in computed.items()} == {"model": 1, "synthesis": 3}
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")}
     assert main(asked) == 0  # nothing to do, nothing touched
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")} == before
+    assert {
+        path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")
+    } == before
 
 
 def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None:
-    """A run whose data diverge at run time fails; the others are kept and gathered; exit status 1."""
+    """A run whose data diverge at run time fails; the others are kept and gathered; exit status
+    1."""
     bad = "plant.solver_step_s=5e-4,1e-300"
     assert main(["run", "-m", *TINY, f"results_dir={tmp_path}", bad, "hydra/launcher=basic"]) == 1
     table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet")
@@ -200,7 +250,8 @@ def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None
 
 
 def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
-    """CSV in, certified pair out; there is no plant, the loop runs on the model, and the record says so."""
+    """CSV in, certified pair out; there is no plant, the loop runs on the model, and the record
+    says so."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.uniform(-2, 2, 120), 5)
     y = np.zeros(600)
@@ -208,25 +259,62 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
         y[k + 1] = 0.9 * y[k] + 0.1 * np.tanh(u[k])
     columns = np.column_stack([np.arange(600) * 0.05, u, y + 0.001 * rng.standard_normal(600)])
     np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header="t,volt,speed", comments="")
-    data = [f"data.path={tmp_path / 'log.csv'}", "data.input=volt", "data.output=speed", "data.step_s=0.05"]
-    settings = ["data=recorded", *data, "model=ssm", "model.order=2", "model.hidden_width=8", "training.max_epochs=15"]
-    assert main(["run", f"results_dir={tmp_path / 'results'}", "study=mine", "progress=false", *settings]) == 0
+    data = [
+        f"data.path={tmp_path / 'log.csv'}",
+        "data.input=volt",
+        "data.output=speed",
+        "data.step_s=0.05",
+    ]
+    settings = [
+        "data=recorded",
+        *data,
+        "model=ssm",
+        "model.order=2",
+        "model.hidden_width=8",
+        "training.max_epochs=15",
+    ]
+    assert (
+        main(
+            [
+                "run",
+                f"results_dir={tmp_path / 'results'}",
+                "study=mine",
+                "progress=false",
+                *settings,
+            ]
+        )
+        == 0
+    )
     (path,) = (tmp_path / "results" / "mine").glob("*/record.json")
     record = json.loads(path.read_text())
     assert record["loop_on"] == "identified model"
     assert record["plant"] is None
     assert record["fit_test_percent"] > 90
     assert record["stable_count"] == 10
-    log = read_rollouts(path.parent / "closed_loop.mcap")[0].u  # within what the training part of the log visited
-    assert (record["limit_lower"], record["limit_upper"]) == pytest.approx((u[:360].min(), u[:360].max()), rel=1e-9)
-    assert record["limit_lower"] * (1 + 1e-12) <= log.min() < log.max() <= record["limit_upper"] * (1 + 1e-12)
+    log = read_rollouts(path.parent / "closed_loop.mcap")[
+        0
+    ].u  # within what the training part of the log visited
+    assert (record["limit_lower"], record["limit_upper"]) == pytest.approx(
+        (u[:360].min(), u[:360].max()), rel=1e-9
+    )
+    assert (
+        record["limit_lower"] * (1 + 1e-12)
+        <= log.min()
+        < log.max()
+        <= record["limit_upper"] * (1 + 1e-12)
+    )
     assert record["unlimited_from"] < 0 < record["unlimited_to"]
     assert failing(path.parent) == set()
 
 
-@pytest.mark.parametrize("words", [["show", "STUDY"], ["run", "model.order=-1"]], ids=["show", "a wrong value"])
-def test_what_answers_at_once_loads_no_part_that_takes_long(smoke_run: Path, words: list[str]) -> None:
-    """Torch, Lightning, CVXPY, Matplotlib and SciPy's statistics and filters take half a second each, or more."""
+@pytest.mark.parametrize(
+    "words", [["show", "STUDY"], ["run", "model.order=-1"]], ids=["show", "a wrong value"]
+)
+def test_what_answers_at_once_loads_no_part_that_takes_long(
+    smoke_run: Path, words: list[str]
+) -> None:
+    """Torch, Lightning, CVXPY, Matplotlib and SciPy's statistics and filters take half a second
+    each, or more."""
     heavy = "{'torch', 'lightning', 'cvxpy', 'matplotlib.pyplot', 'scipy.stats', 'scipy.signal._filter_design'}"
     program = f"import atexit, sys; atexit.register(lambda: print({heavy} & set(sys.modules))); "
     program += "from ssm_study.cli.main import main; main(sys.argv[1:])"
@@ -258,7 +346,13 @@ def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(
 
 
 def test_a_second_run_is_compared_number_by_number() -> None:
-    then = {"status": "ok", "order": 4, "fit_test_percent": 90.0, "threads": 1, "synthesis_seconds": 1.0}
+    then = {
+        "status": "ok",
+        "order": 4,
+        "fit_test_percent": 90.0,
+        "threads": 1,
+        "synthesis_seconds": 1.0,
+    }
     assert compared(then, then | {"synthesis_seconds": 2.0}) == (
         ["3 columns compared: 3 equal to the last bit, 0 differ"],
         True,

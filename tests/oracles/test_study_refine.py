@@ -1,4 +1,5 @@
-"""`refine`: a loop that oscillates tells what its records hid, and the choice made again settles."""
+"""`refine`: a loop that oscillates tells what its records hid, and the choice made again
+settles."""
 
 import json
 import shutil
@@ -23,14 +24,26 @@ from ssm_study.study.verify import verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
 
-# At full amplitude the gain is one nearly all the time; at rest it is eleven, and no record is taken there.
+# At full amplitude the gain is one nearly all the time; at rest it is eleven, and no record is
+# taken there.
 PEAK = {"first_s": 0.1, "second_s": 0.4, "peak": 10.0, "width": 0.01}
-TINY = ["model.order=2", "model.hidden_width=4", "training.max_epochs=8", "loop.initial_conditions=3", "progress=false"]
+TINY = [
+    "model.order=2",
+    "model.hidden_width=4",
+    "training.max_epochs=8",
+    "loop.initial_conditions=3",
+    "progress=false",
+]
 TINY += [
     "+synthesis.input_weights=[0.001,0.1,10.0,100.0]",
     "+synthesis.output_noises=[0.01,0.1,1.0]",
 ]  # fewer candidates
-HIDDEN = ["data.trajectories=2", "data.samples=400", "data.validation_samples=600", "data.test_samples=400"]
+HIDDEN = [
+    "data.trajectories=2",
+    "data.samples=400",
+    "data.validation_samples=600",
+    "data.test_samples=400",
+]
 LOG = ["data=recorded", "model=ssm", "data.input=input", "data.output=output", "data.step_s=0.05"]
 
 
@@ -41,14 +54,18 @@ def failing(run: Path) -> set[str]:
 @pytest.fixture(scope="module", autouse=True)
 def _benchmarks_trusted():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(allow_list, "packages", lambda: {"benchmarks": Path(__file__).parents[2] / "benchmarks"})
+        patch.setattr(
+            allow_list, "packages", lambda: {"benchmarks": Path(__file__).parents[2] / "benchmarks"}
+        )
         yield
 
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory) -> DictConfig:
     folder = tmp_path_factory.mktemp("refine")
-    config = composed(["study=peak", "seed=1", f"results_dir={folder}", "+data.trials=false", *HIDDEN, *TINY])
+    config = composed(
+        ["study=peak", "seed=1", f"results_dir={folder}", "+data.trials=false", *HIDDEN, *TINY]
+    )
     with open_dict(config):
         config.plant = {"_target_": f"{PeakingGain.__module__}.PeakingGain", **PEAK}
     return config
@@ -127,7 +144,11 @@ def write(path: Path, u: np.ndarray, y: np.ndarray, head: str = "input,output") 
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory) -> Path:
     """A run from a log of the same plant, which is then nobody's to simulate."""
-    folder, rng, plant = tmp_path_factory.mktemp("logged"), np.random.default_rng(0), PeakingGain(**PEAK)
+    folder, rng, plant = (
+        tmp_path_factory.mktemp("logged"),
+        np.random.default_rng(0),
+        PeakingGain(**PEAK),
+    )
     u = np.repeat(rng.uniform(-1, 1, 200), rng.integers(2, 20, 200))[:1600, None]
     y = plant.simulate(u[None])[1][0] + 0.01 * rng.standard_normal(u.shape)
     log = write(folder / "log.csv", u, y)
@@ -174,7 +195,10 @@ def test_a_run_that_cannot_be_refined_is_refused(logged, first, tmp_path):
         "no plant is known; give the log of a trial": (logged, None),
         "the run has a plant of its own": (first, good),
         "no such file": (logged, tmp_path / "absent.csv"),
-        "the header has voltage, speed": (logged, write(tmp_path / "other.csv", moving, moving, "voltage,speed")),
+        "the header has voltage, speed": (
+            logged,
+            write(tmp_path / "other.csv", moving, moving, "voltage,speed"),
+        ),
         "the input never moves": (logged, write(tmp_path / "still.csv", 0 * moving, moving)),
         "log a longer trial": (logged, write(tmp_path / "short.csv", moving[:20], moving[:20])),
     }

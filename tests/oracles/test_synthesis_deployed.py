@@ -1,4 +1,5 @@
-"""What is proved of the gains that are deployed, each by several routes, and the cases that must be refused."""
+"""What is proved of the gains that are deployed, each by several routes, and the cases that must be
+refused."""
 
 import copy
 import json
@@ -14,16 +15,16 @@ from loop_cases import INPUT_BALL, OUTPUT_BALL, flat, motor_model
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback, digest
-from ssm_study.synthesis.deployed import as_deployed, covering_weight
-from ssm_study.synthesis.design import broken_claims
-from ssm_study.robustness.mismatch import ANGLES
-from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
-from ssm_study.certificates.theorem import Known
+from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import largest_rate
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.noise_gain import NoiseGain
 from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
+from ssm_study.robustness.mismatch import ANGLES
+from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
+from ssm_study.synthesis.deployed import covering_weight, with_gain_certificates
+from ssm_study.synthesis.design import failed_checks
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)
@@ -40,7 +41,9 @@ def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls,
         c=rng.normal(size=(inputs, order)),
         d=np.zeros((inputs, inputs)),
     )
-    balls = Balls(input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
+    balls = Balls(
+        input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall(alpha=0.8, beta=0.0)
+    )
     synthesis = RiccatiSynthesis(rate_controller=0.15, rate_observer=0.15, input_weight=0.3)
     return linear, balls, synthesis.design(_Model(linear), balls)
 
@@ -50,8 +53,8 @@ class _Model:
         self.linear = linear
 
 
-def known(linear: StateSpace, balls: Balls, design: Design) -> Known:
-    return Known(system=linear, controlled=linear, balls=balls, gains=design.gains)
+def known(linear: StateSpace, balls: Balls, design: Design) -> VerificationContext:
+    return VerificationContext(system=linear, controlled=linear, balls=balls, gains=design.gains)
 
 
 def feasible(part: StateFeedback, rate: float) -> bool:
@@ -85,7 +88,8 @@ def test_the_largest_rate_is_where_the_solver_stops_finding_a_metric(seed: int) 
 @settings(max_examples=15)
 @given(SEEDS, st.integers(1, 2))
 def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int) -> None:
-    """In the stored metric, over both ends of the slopes (for several inputs over rotations as well)."""
+    """In the stored metric, over both ends of the slopes (for several inputs over rotations as
+    well)."""
     _, _, design = loop(seed, inputs)
     rng = np.random.default_rng(seed)
     for part in (design.state_feedback, design.observer):
@@ -101,29 +105,38 @@ def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int
         for _ in range(60):
             turn = np.linalg.qr(rng.normal(size=(inputs, inputs)))[0] * rng.choice([-1, 1])
             jacobian = part.alpha * np.eye(inputs) + part.beta * turn
-            moved = part.b @ jacobian @ part.k if isinstance(part, StateFeedback) else part.l @ jacobian @ part.c
+            moved = (
+                part.b @ jacobian @ part.k
+                if isinstance(part, StateFeedback)
+                else part.l @ jacobian @ part.c
+            )
             worst = max(worst, np.linalg.norm(root @ (part.a + moved) @ np.linalg.inv(root), 2))
         assert worst <= again.contraction * (1 + 1e-9)
 
 
-def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches_its_radius() -> None:
+def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches_its_radius() -> (
+    None
+):
     _, _, design = loop(4)
     part = design.state_feedback
     assert isinstance(part, StateFeedback)
     ball = JacobianBall(alpha=part.alpha, beta=part.beta)
     closed = part.a + ball.alpha * part.b @ part.k
-    assert largest_rate(part.a, part.b, part.k, JacobianBall(alpha=ball.alpha, beta=0.0)) == pytest.approx(
-        1 - np.abs(np.linalg.eigvals(closed)).max() ** 2, rel=1e-12
-    )
+    assert largest_rate(
+        part.a, part.b, part.k, JacobianBall(alpha=ball.alpha, beta=0.0)
+    ) == pytest.approx(1 - np.abs(np.linalg.eigvals(closed)).max() ** 2, rel=1e-12)
     again = part.at_largest_rate()
     assert again is not None
     bold = replace(again, rate=again.rate + 0.01 * (1 - again.rate))
     assert not type(bold).holds(**bold.numbers)
 
 
-@pytest.mark.parametrize("slow", [0.1, 0.11, 0.18, 0.2, 0.22, 0.5])  # some exceed themselves as exp(log(slow))
+@pytest.mark.parametrize(
+    "slow", [0.1, 0.11, 0.18, 0.2, 0.22, 0.5]
+)  # some exceed themselves as exp(log(slow))
 def test_a_mode_that_the_gain_does_not_reach_does_not_hide_what_the_ball_costs(slow: float) -> None:
-    """Beside it `x+ = (slow - 0.1) x`, a gain of 0.5 and slopes 1 -+ 0.3: `0.15 / (r - slow + 0.1) = 1`."""
+    """Beside it `x+ = (slow - 0.1) x`, a gain of 0.5 and slopes 1 -+ 0.3: `0.15 / (r - slow + 0.1)
+    = 1`."""
     a, b, k = np.diag([slow, slow + 0.4]), np.array([[0.0], [1.0]]), np.array([[0.0, -0.5]])
     found = largest_rate(a, b, k, JacobianBall(alpha=1.0, beta=0.3))
     assert found == pytest.approx(1 - (slow + 0.05) ** 2, abs=1e-5)
@@ -143,14 +156,20 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
 
 @pytest.mark.parametrize(("seed", "order"), [(0, 0), (1, 0), (2, 1)])
 def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
-    """The block matrix written out anew, one semidefinite program in coordinates of the loop's Gramian."""
+    """The block matrix written out anew, one semidefinite program in coordinates of the loop's
+    Gramian."""
     linear, balls, design = loop(seed, order=2)
     weight = np.array([[0.5, 1.0], [0.2, 1.0]]) if order else np.eye(1)
     found = largest_tolerance(known(linear, balls, design), weight)
     assert found is not None
     k, l, alpha, beta = found.k, found.l, found.alpha, found.beta  # noqa: E741
     n, rest = 2, np.zeros((1, order))
-    a_w, b_w, c_w, d_w = weight[:order, :order], weight[:order, order:], weight[order:, :order], weight[order:, order:]
+    a_w, b_w, c_w, d_w = (
+        weight[:order, :order],
+        weight[:order, order:],
+        weight[order:, :order],
+        weight[order:, order:],
+    )
     a = block_diag(linear.a + alpha * linear.b @ k, linear.a + 0.8 * l @ linear.c, a_w)
     a[:n, n : 2 * n] = alpha * linear.b @ k
     a[2 * n :, : 2 * n] = np.hstack([b_w @ k, b_w @ k])
@@ -158,10 +177,20 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     c_u, c_w = np.hstack([k, k, rest]), np.hstack([d_w @ k, d_w @ k, c_w])
     t = np.linalg.cholesky(solve_discrete_lyapunov(a, b @ b.T) + 1e-9 * np.eye(len(a)))
     ab = np.hstack([np.linalg.solve(t, a @ t), np.linalg.solve(t, b)])
-    p, mu, lam = cp.Variable((len(a), len(a)), symmetric=True), cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    p, mu, lam = (
+        cp.Variable((len(a), len(a)), symmetric=True),
+        cp.Variable(nonneg=True),
+        cp.Variable(nonneg=True),
+    )
     storage = p - lam * beta**2 * (c_u @ t).T @ (c_u @ t) - mu * (c_w @ t).T @ (c_w @ t)
     zero, one = np.zeros((len(a), 1)), np.ones((1, 1))
-    supply = cp.bmat([[storage, zero, zero], [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * one], [zero.T, 0 * one, one]])
+    supply = cp.bmat(
+        [
+            [storage, zero, zero],
+            [zero.T, cp.reshape(lam, (1, 1), "C"), 0 * one],
+            [zero.T, 0 * one, one],
+        ]
+    )
     cp.Problem(cp.Maximize(mu), [supply - ab.T @ p @ ab >> 0, p >> 0]).solve(solver="CLARABEL")
     assert found.s == pytest.approx(float(np.sqrt(mu.value)), rel=5e-3)
 
@@ -169,9 +198,11 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
 @settings(max_examples=10, deadline=None)
 @given(SEEDS)
 def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance(seed: int) -> None:
-    """Worst slopes chosen greedily at every sample, and `e` as large as its gain allows at each: energy decays.
+    """Worst slopes chosen greedily at every sample, and `e` as large as its gain allows at each:
+    energy decays.
 
-    The stored P is the witness: it falls by what the supply leaves, for every slope and every `|e| <= s |u|`.
+    The stored P is the witness: it falls by what the supply leaves, for every slope and every `|e|
+    <= s |u|`.
     """
     linear, balls, design = loop(seed)
     found = largest_tolerance(known(linear, balls, design), np.eye(1))
@@ -195,29 +226,38 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
 
 
 def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() -> None:
-    """Negative control: the same adversary with a mismatch of the size at which constant slopes lose the loop."""
+    """Negative control: the same adversary with a mismatch of the size at which constant slopes
+    lose the loop."""
     linear, balls, design = loop(0)
     found = largest_tolerance(known(linear, balls, design), np.eye(1))
     assert found is not None
     peaks = [hinf_norm(sensitivity(linear, design.pair, slope, 0.8)) for slope in (0.4, 0.7, 1.0)]
-    assert found.s * max(peaks) <= 1  # what holds for slopes that vary is no more than what holds for constant ones
+    assert (
+        found.s * max(peaks) <= 1
+    )  # what holds for slopes that vary is no more than what holds for constant ones
     assert not Tolerance.holds(**(found.numbers | {"s": 1.001 / max(peaks)}))
 
 
 @given(SEEDS)
 @settings(max_examples=10, deadline=None)
-def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_as_much(seed: int) -> None:
-    """Slopes that change at random, noise at the worst frequency: below the bound; with one slope just below."""
+def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_as_much(
+    seed: int,
+) -> None:
+    """Slopes that change at random, noise at the worst frequency: below the bound; with one slope
+    just below."""
     linear, balls, design = loop(seed)
     flat_balls = replace(balls, input=JacobianBall(alpha=balls.input.alpha, beta=0.0))
     one, many = (
-        largest_tolerance(known(linear, ball, design), np.eye(1), theorem=NoiseGain) for ball in (flat_balls, balls)
+        largest_tolerance(known(linear, ball, design), np.eye(1), theorem=NoiseGain)
+        for ball in (flat_balls, balls)
     )
     assert one is not None
     assert many is not None
     pair, rng = design.pair, np.random.default_rng(seed)
     a, b, c, k, l = linear.a, linear.b, 0.8 * linear.c, pair.k, pair.l  # noqa: E741
-    closed = np.block([[a, balls.input.alpha * b @ k], [-l @ c, a + l @ c + balls.input.alpha * b @ k]])
+    closed = np.block(
+        [[a, balls.input.alpha * b @ k], [-l @ c, a + l @ c + balls.input.alpha * b @ k]]
+    )
     into, seen = np.vstack([np.zeros_like(l), -l]), np.hstack([c, np.zeros_like(c)])
     peak = hinf_norm(StateSpace(a=closed, b=into, c=seen, d=np.zeros((1, 1))))
     assert peak <= 1 / one.s <= 1.002 * peak  # what a sine at the worst frequency does
@@ -225,7 +265,9 @@ def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_a
     x = x_hat = np.zeros((len(a), 1))
     noise, out = rng.standard_normal(400) * (np.arange(400) < 300), []
     for n in noise:
-        v = rng.uniform(balls.input.lower, balls.input.upper) * (k @ x_hat)  # known to the observer, as S_u is
+        v = rng.uniform(balls.input.lower, balls.input.upper) * (
+            k @ x_hat
+        )  # known to the observer, as S_u is
         out.append((c @ x).item())
         x, x_hat = a @ x + b @ v, a @ x_hat + b @ v + l @ (c @ x_hat - c @ x - n)
     assert np.linalg.norm(out) <= np.linalg.norm(noise) / many.s
@@ -233,19 +275,30 @@ def test_noise_moves_the_output_by_no_more_than_is_proved_and_a_linear_loop_by_a
 
 def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     model = motor_model()
-    synthesis = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
-    design = replace(synthesis, internal_model=["step"], integral_weight=1e-4).design(model, MOTOR_BALLS)
-    whole = as_deployed(design, model, MOTOR_BALLS, SHOWN)
+    synthesis = RiccatiSynthesis(
+        rate_controller=0.01, rate_observer=0.2, input_weight=0.1, output_noise=0.1
+    )
+    design = replace(synthesis, internal_model=["step"], integral_weight=1e-4).design(
+        model, MOTOR_BALLS
+    )
+    whole = with_gain_certificates(design, model, MOTOR_BALLS, SHOWN)
     assert {"tolerance", "tolerance_by_frequency"} <= set(whole.beside)
     assert all(part.certified for part in whole.beside.values())
     content = json.loads(json.dumps(whole.to_json()))
-    assert broken_claims(content, model.linear, MOTOR_BALLS, controlled_system(model, design.state_feedback)) == []
+    assert (
+        failed_checks(
+            content, model.linear, MOTOR_BALLS, controlled_system(model, design.state_feedback)
+        )
+        == []
+    )
 
 
 def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> None:
     weight = covering_weight(ANGLES, SHOWN.by_frequency, channels=1)
     (a, b), (c, d) = weight
-    filtered = StateSpace(a=np.array([[a]]), b=np.array([[b]]), c=np.array([[c]]), d=np.array([[d]]))
+    filtered = StateSpace(
+        a=np.array([[a]]), b=np.array([[b]]), c=np.array([[c]]), d=np.array([[d]])
+    )
     z = np.exp(1j * ANGLES)
     gains = np.abs(filtered.c[0, 0] * filtered.b[0, 0] / (z - a) + d)
     assert (gains >= SHOWN.by_frequency * (1 - 1e-9)).all()
@@ -255,11 +308,16 @@ def test_the_weight_covers_what_is_shown_and_is_stable_with_its_inverse() -> Non
 
 
 def test_what_no_filter_covers_gets_no_tolerance_by_frequency() -> None:
-    """Bands where the record has an error and no input: a weight of the others would cover less than is shown."""
+    """Bands where the record has an error and no input: a weight of the others would cover less
+    than is shown."""
     model = motor_model()
     shown = flat(np.where(ANGLES > 3, np.inf, SHOWN.by_frequency), gain=0.1)
-    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
-    found = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, shown).beside
+    synthesis = RiccatiSynthesis(
+        rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1
+    )
+    found = with_gain_certificates(
+        synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, shown
+    ).beside
     assert "tolerance" in found
     assert "tolerance_by_frequency" not in found
 
@@ -267,32 +325,57 @@ def test_what_no_filter_covers_gets_no_tolerance_by_frequency() -> None:
 @pytest.fixture(scope="module")
 def stored() -> tuple[dict, StateSpace]:
     model = motor_model()
-    synthesis = RiccatiSynthesis(rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1)
+    synthesis = RiccatiSynthesis(
+        rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1
+    )
     limits = np.array([-4.0]), np.array([6.0])
-    whole = as_deployed(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, SHOWN, limits)
-    expected = {"noise", "state_feedback_deployed", "observer_deployed", "tolerance", "tolerance_by_frequency"}
+    whole = with_gain_certificates(
+        synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, SHOWN, limits
+    )
+    expected = {
+        "noise",
+        "state_feedback_deployed",
+        "observer_deployed",
+        "tolerance",
+        "tolerance_by_frequency",
+    }
     assert set(whole.beside) == {*expected, "state_feedback_limited", "state_feedback_unlimited"}
     return json.loads(json.dumps(whole.to_json())), model.linear
 
 
 def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace]) -> None:
     content, linear = stored
-    assert broken_claims(content, linear, MOTOR_BALLS) == []
+    assert failed_checks(content, linear, MOTOR_BALLS) == []
     assert content["state_feedback"]["certified_rate"] == content["state_feedback_deployed"]["rate"]
 
 
 @pytest.mark.parametrize(
     ("part", "name", "change", "found"),
     [
-        ("tolerance", "s", lambda s: 1.01 * s, "tolerance.certified = True: in exact arithmetic the inequality fails"),
+        (
+            "tolerance",
+            "s",
+            lambda s: 1.01 * s,
+            "tolerance.certified = True: in exact arithmetic the inequality fails",
+        ),
         ("tolerance", "s", lambda s: -s, "fails (s)"),
         ("tolerance", "s", lambda s: 0.5 * s, None),  # less than is proved is proved
         ("tolerance", "lambda_p", lambda value: -value, "fails (inequality, lambda_p)"),
         ("tolerance", "p", lambda p: [[-value for value in row] for row in p], "fails"),
-        ("tolerance", "k", lambda k: [[0.5 * value for value in row] for row in k], "tolerance.k: differs"),
+        (
+            "tolerance",
+            "k",
+            lambda k: [[0.5 * value for value in row] for row in k],
+            "tolerance.k: differs",
+        ),
         ("tolerance", "alpha_out", lambda value: 0.5 * value, "tolerance.alpha_out: differs"),
         ("tolerance", "beta", lambda value: 0.5 * value, "tolerance.alpha, beta"),
-        ("tolerance_by_frequency", "weight", lambda w: [[0.0, 0.0], [0.0, 10 * w[1][1]]], "fails (inequality)"),
+        (
+            "tolerance_by_frequency",
+            "weight",
+            lambda w: [[0.0, 0.0], [0.0, 10 * w[1][1]]],
+            "fails (inequality)",
+        ),
         ("state_feedback_deployed", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
         ("state_feedback_deployed", "theorem", lambda _: "observer", "is of another part"),
         (
@@ -301,38 +384,67 @@ def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace
             lambda gain: [[0.99 * v for v in row] for row in gain],
             "not the one that is deployed",
         ),
-        ("noise", "s", lambda s: 1.01 * s, "noise.certified = True: in exact arithmetic the inequality fails"),
+        (
+            "noise",
+            "s",
+            lambda s: 1.01 * s,
+            "noise.certified = True: in exact arithmetic the inequality fails",
+        ),
         ("noise", "theorem", lambda _: "tolerance", "is of another part"),
         ("noise", "weight", lambda w: [[0.1 * w[0][0]]], "noise.weight: differs"),
         ("state_feedback_limited", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
-        ("state_feedback_limited", "beta", lambda beta: 0.99 * beta, "state_feedback_limited.alpha, beta"),
+        (
+            "state_feedback_limited",
+            "beta",
+            lambda beta: 0.99 * beta,
+            "state_feedback_limited.alpha, beta",
+        ),
         ("state_feedback_limited", "theorem", lambda _: "state_feedback", "is of another part"),
-        ("state_feedback_unlimited", "starts", lambda x: [[1.01 * v for v in row] for row in x], "fails (start 0)"),
+        (
+            "state_feedback_unlimited",
+            "starts",
+            lambda x: [[1.01 * v for v in row] for row in x],
+            "fails (start 0)",
+        ),
         ("state_feedback_unlimited", "level", lambda level: 1.01 * level, "limit 0 is not reached"),
-        ("state_feedback_unlimited", "limits", lambda ends: [[-ends[0][0], ends[0][1]]], "fails (lower limit 0"),
+        (
+            "state_feedback_unlimited",
+            "limits",
+            lambda ends: [[-ends[0][0], ends[0][1]]],
+            "fails (lower limit 0",
+        ),
         (
             "state_feedback_unlimited",
             "k",
             lambda k: [[0.5 * v for v in row] for row in k],
             "not the one that is deployed",
         ),
-        ("state_feedback", "certified_rate", lambda rate: rate * 1.01, "state_feedback.certified_rate"),
+        (
+            "state_feedback",
+            "certified_rate",
+            lambda rate: rate * 1.01,
+            "state_feedback.certified_rate",
+        ),
         ("tolerance", "rate", lambda _: 0.1, "is not part of a certificate"),
     ],
 )
-def test_tampering_is_found(stored: tuple[dict, StateSpace], part: str, name: str, change, found: str | None) -> None:
+def test_tampering_is_found(
+    stored: tuple[dict, StateSpace], part: str, name: str, change, found: str | None
+) -> None:
     """The digest is written anew: the claim itself has to be found."""
     content, linear = copy.deepcopy(stored[0]), stored[1]
     content[part][name] = change(content[part].get(name))
     content[part]["digest"] = digest(content[part])
-    broken = broken_claims(content, linear, MOTOR_BALLS)
+    broken = failed_checks(content, linear, MOTOR_BALLS)
     assert broken == [] if found is None else any(found in claim for claim in broken), broken
 
 
 def test_a_part_under_a_name_that_is_none_is_refused(stored: tuple[dict, StateSpace]) -> None:
     content, linear = copy.deepcopy(stored[0]), stored[1]
     content["extra"] = content["tolerance"]
-    assert any("certificate.extra" in claim for claim in broken_claims(content, linear, MOTOR_BALLS))
+    assert any(
+        "certificate.extra" in claim for claim in failed_checks(content, linear, MOTOR_BALLS)
+    )
 
 
 def test_a_nonlinear_output_map_gets_no_tolerance(stored: tuple[dict, StateSpace]) -> None:
@@ -342,4 +454,4 @@ def test_a_nonlinear_output_map_gets_no_tolerance(stored: tuple[dict, StateSpace
     assert largest_tolerance(known(linear, nonlinear, design), np.eye(1)) is None
     content, motor = stored
     wider = Balls(input=INPUT_BALL, output=JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01))
-    assert any("tolerance.alpha_out" in claim for claim in broken_claims(content, motor, wider))
+    assert any("tolerance.alpha_out" in claim for claim in failed_checks(content, motor, wider))

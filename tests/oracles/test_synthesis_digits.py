@@ -1,4 +1,5 @@
-"""Where floats end: the one identified model that is not certified 0.01 % inside the frontier, in longer numbers."""
+"""Where floats end: the one identified model that is not certified 0.01 % inside the frontier, in
+longer numbers."""
 
 import sys
 from collections.abc import Iterator
@@ -9,12 +10,12 @@ import pytest
 from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
 from ssm_study.certificates.exact import Exact
-from ssm_study.synthesis.frontier import frontier
-from ssm_study.synthesis.modes import _scale, split_modes
 from ssm_study.certificates.problem import Problem
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis, fast_gain
-from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.modes import _scale, split_modes
 from ssm_study.systems import StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -34,7 +35,9 @@ def long_numbers() -> Iterator[None]:
 
 def hard_problem(gap: float) -> Problem:
     (case,) = [case for case in trained(gap, 200) if case.kind == HARD]
-    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(case.linear, case.ball)
+    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(
+        case.linear, case.ball
+    )
 
 
 def longer(matrix: np.ndarray) -> arb_mat:
@@ -42,7 +45,8 @@ def longer(matrix: np.ndarray) -> arb_mat:
 
 
 def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.ndarray) -> arb_mat:
-    """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`modes.whole_metric`), by doubling in 400 bits."""
+    """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`modes.whole_metric`), by doubling in
+    400 bits."""
     r, n = arb(contraction), len(problem.a)
     closed = (longer(problem.a) + arb(problem.ball.alpha) * longer(problem.b) * longer(k)) / r
     a, b, identity = closed.transpose(), longer(problem.b) / r, longer(np.eye(n))
@@ -62,11 +66,14 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
     """The entries of the upper triangle, each rounded to so many bits."""
     before, ctx.prec = ctx.prec, bits
     parts = [
-        [(+metric[min(i, j), max(i, j)]).mid().man_exp() for j in range(metric.ncols())] for i in range(metric.nrows())
+        [(+metric[min(i, j), max(i, j)]).mid().man_exp() for j in range(metric.ncols())]
+        for i in range(metric.nrows())
     ]
     ctx.prec = before
     shift = max(0, *(-int(exponent) for row in parts for _, exponent in row))
-    scaled = [[int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts]
+    scaled = [
+        [int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts
+    ]
     return Exact(fmpq_mat(scaled) * fmpq(1, 1 << shift))
 
 
@@ -78,7 +85,8 @@ def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:
 
 
 def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -> None:  # noqa: ARG001
-    """The gain as stored, in floats, is certified by a metric of 62 bits; the same metric in 53 is none."""
+    """The gain as stored, in floats, is certified by a metric of 62 bits; the same metric in 53 is
+    none."""
     problem = hard_problem(1e-4)
     limit = frontier(problem.a, problem.b, problem.ball).contraction_limit
     faster = float(problem.contraction * (limit / problem.contraction) ** 0.5)
@@ -91,9 +99,13 @@ def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -
 
 
 @pytest.mark.parametrize(("gap", "held"), [(1e-3, True), (1e-4, False)])
-def test_the_default_method_certifies_it_a_tenth_of_a_percent_inside(gap: float, held: bool) -> None:
+def test_the_default_method_certifies_it_a_tenth_of_a_percent_inside(
+    gap: float, held: bool
+) -> None:
     problem = hard_problem(gap)
     linear = StateSpace(a=problem.a, b=problem.b, c=np.ones((1, 6)), d=np.zeros((1, 1)))
-    part = RiccatiSynthesis(rate_controller=problem.rate, rate_observer=0.5).state_feedback(linear, problem.ball)
+    part = RiccatiSynthesis(rate_controller=problem.rate, rate_observer=0.5).state_feedback(
+        linear, problem.ball
+    )
     assert part.certified == held
     assert held or "condition number" in part.solver_status + getattr(part, "reason", "")

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from ssm_study.certificates import exact
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.exact import Exact
-from ssm_study.synthesis.lmi import LmiSynthesis
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 
@@ -48,8 +48,14 @@ def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
     return True
 
 
-@given(st.integers(1, 6), st.integers(0, 10_000), st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3]))
-def test_the_exact_routes_agree_with_textbook_elimination(size: int, seed: int, shift: float) -> None:
+@given(
+    st.integers(1, 6),
+    st.integers(0, 10_000),
+    st.sampled_from([-1e-3, -1e-13, -1e-16, 0.0, 1e-16, 1e-13, 1e-3]),
+)
+def test_the_exact_routes_agree_with_textbook_elimination(
+    size: int, seed: int, shift: float
+) -> None:
     factor = np.random.default_rng(seed).normal(size=(size, size))
     gram = factor @ factor.T
     gram = (gram + gram.T) / 2
@@ -90,7 +96,8 @@ def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
 
 
 def test_minors_of_one_and_of_zero() -> None:
-    """Pivots of the fraction-free elimination are integers: one is the smallest that is positive, zero is not."""
+    """Pivots of the fraction-free elimination are integers: one is the smallest that is positive,
+    zero is not."""
     assert exact.has_positive_leading_minors(fmpz_mat([[1, 0], [0, 1]]))
     assert not exact.has_positive_leading_minors(fmpz_mat([[1, 1], [1, 1]]))
     assert not exact.has_positive_leading_minors(fmpz_mat([[0, 1], [1, 0]]))
@@ -104,14 +111,26 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     p, x = p + p.T, k @ y
     coupling, border = a @ y + 0.7 * b @ x, 0.2 * x.T
     corner, middle = 0.6 * p - 1.3 * b @ b.T, y + y.T - p
-    one = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
+    one = np.block(
+        [
+            [corner, coupling, zero],
+            [coupling.T, middle, border],
+            [zero.T, border.T, 1.3 * np.eye(2)],
+        ]
+    )
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
     exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
     np.testing.assert_allclose(exactly["inequality"].rounded(), one, atol=1e-13)
     c, gain = b.T.copy(), k.T.copy()
     v = y @ gain
     coupling, border = (y @ a + 0.7 * v @ c).T, 0.2 * v
-    two = np.block([[corner, coupling, zero], [coupling.T, middle, border], [zero.T, border.T, 1.3 * np.eye(2)]])
+    two = np.block(
+        [
+            [corner, coupling, zero],
+            [coupling.T, middle, border],
+            [zero.T, border.T, 1.3 * np.eye(2)],
+        ]
+    )
     exactly = ObserverOfBall.exactly(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
     np.testing.assert_allclose(exactly["inequality"].rounded(), two, atol=1e-13)
 
@@ -124,10 +143,14 @@ def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.Monk
     assert not exact.is_positive_definite(Exact(fmpq_mat([[2**400, 2**200], [2**200, 0]])))
 
 
-def test_what_is_singular_exactly_is_left_to_the_elimination(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_singular_exactly_is_left_to_the_elimination(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """No number of digits shows the sign of a zero."""
     asked: list[fmpz_mat] = []
-    monkeypatch.setattr(exact, "has_positive_leading_minors", lambda integer: bool(asked.append(integer)))
+    monkeypatch.setattr(
+        exact, "has_positive_leading_minors", lambda integer: bool(asked.append(integer))
+    )
     third = fmpz_mat([[3, 1, 4], [1, 3, 4], [4, 4, 8]])  # the last row is the sum of the others
     assert not exact.is_positive_definite(Exact(fmpq_mat(third)))
     assert asked == [third]
@@ -145,8 +168,11 @@ def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
 def test_what_floats_cannot_see_needs_no_elimination(
     size: int, smallest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the resolution of floats."""
-    lower = Exact.of(np.tril(0.1 * np.random.default_rng(size).normal(size=(size, size)), -1) + np.eye(size))
+    """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the
+    resolution of floats."""
+    lower = Exact.of(
+        np.tril(0.1 * np.random.default_rng(size).normal(size=(size, size)), -1) + np.eye(size)
+    )
     matrix = lower @ np.diag([*np.geomspace(1, 1e-3, size - 1), smallest]) @ lower.T
     monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
     assert exact.is_positive_definite(matrix) is (smallest > 0)

@@ -1,4 +1,5 @@
-"""The frontier by two routes, and every method on both sides of it: models of all kinds, one and several inputs."""
+"""The frontier by two routes, and every method on both sides of it: models of all kinds, one and
+several inputs."""
 
 import sys
 from dataclasses import replace
@@ -12,14 +13,14 @@ from hypothesis import strategies as st
 from synthesis_modal import ModalLmiSynthesis, modal_energy, modal_gain, solve_on_fast_modes
 from synthesis_ratio import ratio_limit
 
-from ssm_study.synthesis import modes
 from ssm_study.certificates.certificate import Infeasible, StateFeedback
-from ssm_study.synthesis.frontier import energy_root, frontier
-from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
-from ssm_study.synthesis.modes import doubled, solve_riccati, split_modes
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorem import condition
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis import modes
+from ssm_study.synthesis.frontier import energy_root, frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import (
     SHARES,
     ClosedFormSynthesis,
@@ -27,7 +28,7 @@ from ssm_study.synthesis.minimum_energy import (
     minimum_energy_solution,
     whole_solution,
 )
-from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.modes import doubled, solve_riccati, split_modes
 from ssm_study.systems import JacobianBall, StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -37,7 +38,9 @@ from synthesis_instances import KINDS, Instance, random_instance, random_model
 SEEDS = st.integers(0, 10**6)
 
 
-def instance(seed: int, gap: float, orders: tuple[int, int] = (1, 8), inputs: int = 1, mixed: bool = True) -> Instance:
+def instance(
+    seed: int, gap: float, orders: tuple[int, int] = (1, 8), inputs: int = 1, mixed: bool = True
+) -> Instance:
     rng = np.random.default_rng(seed)
     found = None
     while found is None:
@@ -46,10 +49,16 @@ def instance(seed: int, gap: float, orders: tuple[int, int] = (1, 8), inputs: in
 
 
 def design(method: type, case: Instance, **options) -> StateFeedback | Infeasible:
-    return method(rate_controller=case.rate, rate_observer=0.5, **options).state_feedback(case.linear, case.ball)
+    return method(rate_controller=case.rate, rate_observer=0.5, **options).state_feedback(
+        case.linear, case.ball
+    )
 
 
-@given(SEEDS, st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis, ModalLmiSynthesis]), st.integers(1, 2))
+@given(
+    SEEDS,
+    st.sampled_from([RiccatiSynthesis, ClosedFormSynthesis, ModalLmiSynthesis]),
+    st.integers(1, 2),
+)
 def test_one_percent_inside_every_method_certifies(seed: int, method: type, inputs: int) -> None:
     part = design(method, instance(seed, 0.01, inputs=inputs), state_weight=1e-4)
     assert part.certified, part
@@ -62,7 +71,9 @@ def holds(problem: Problem, found: Solution) -> bool:
 
 
 def asked(case: Instance) -> Problem:
-    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(case.linear, case.ball)
+    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(
+        case.linear, case.ball
+    )
 
 
 @given(SEEDS, st.integers(1, 2))
@@ -73,14 +84,16 @@ def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: i
 
 @pytest.mark.parametrize("seed", [1, 10, 17, 60])
 def test_the_slow_modes_join_with_a_metric_that_holds(seed: int) -> None:
-    """Ten percent inside: of the weights tried, a heavier one than the best just fails; one that holds is chosen."""
+    """Ten percent inside: of the weights tried, a heavier one than the best just fails; one that
+    holds is chosen."""
     problem = asked(instance(seed, 0.1, (2, 5)))
     assert holds(problem, minimum_energy_solution(problem))
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.3])
 def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float) -> None:
-    """And its status says where; without a radius there is no frontier below one, and it stays finite all the same."""
+    """And its status says where; without a radius there is no frontier below one, and it stays
+    finite all the same."""
     problem = cost_problem(ball=JacobianBall(alpha=2.0, beta=radius))
     limit = frontier(problem.a, problem.b, problem.ball).rate_limit
     said = []
@@ -95,7 +108,9 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
     """The identified model that no block-diagonal metric certifies 0.01 % inside the frontier."""
     cases = [case for case in trained(1e-4, 54) if case.linear.order == 8]
     hard = [asked(case) for case in cases]
-    missed = [p for p in hard if not any(holds(p, minimum_energy_solution(p, share)) for share in SHARES)]
+    missed = [
+        p for p in hard if not any(holds(p, minimum_energy_solution(p, share)) for share in SHARES)
+    ]
     assert missed, "every model is easy: this test has nothing to show"
     for problem in missed:
         whole, apart = whole_solution(problem, 0.5, 1.0), minimum_energy_solution(problem)
@@ -105,7 +120,9 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
         assert method.state_feedback(linear, problem.ball).certified
 
 
-def test_a_slow_mode_out_of_reach_of_the_input_joins_the_metric_and_one_on_the_circle_does_not() -> None:
+def test_a_slow_mode_out_of_reach_of_the_input_joins_the_metric_and_one_on_the_circle_does_not() -> (
+    None
+):
     ball = JacobianBall(alpha=1.0, beta=0.3)
     problem = Problem(
         a=np.diag([1.1, 0.5]),
@@ -126,13 +143,18 @@ def test_without_fast_modes_there_is_nothing_to_couple() -> None:
     problem = replace(cost_problem(), a=0.1 * np.eye(len(cost_problem().a)))
     with pytest.raises(NoSolution, match="no fast modes"):
         whole_solution(problem, 0.5, 1.0)
-    for found in (minimum_energy_solution(problem), solve_on_fast_modes(problem, 0.5, "feasibility", "SCS")):
+    for found in (
+        minimum_energy_solution(problem),
+        solve_on_fast_modes(problem, 0.5, "feasibility", "SCS"),
+    ):
         assert not found.k.any()  # the model contracts by itself
         assert holds(problem, found)
 
 
 @given(SEEDS, st.integers(1, 2))
-def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(seed: int, inputs: int) -> None:
+def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(
+    seed: int, inputs: int
+) -> None:
     case = instance(seed, -0.01, (1, 6), inputs)
     refused = design(RiccatiSynthesis, case)
     assert isinstance(refused, Infeasible)
@@ -144,17 +166,22 @@ def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(s
 
 @given(SEEDS)
 def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
-    """The verdict of the LMI, where it is one, against the closed form: ten percent inside and beyond."""
+    """The verdict of the LMI, where it is one, against the closed form: ten percent inside and
+    beyond."""
     for gap in (0.1, -0.1):
         case = instance(seed, gap, (1, 5))
         opinion = paper_lmi(case.linear, case.ball, case.rate)
         assert not (opinion.certified and gap < 0)
-        if gap > 0 and not opinion.certified:  # false "infeasible" happens; the closed form shows that it is false
+        if (
+            gap > 0 and not opinion.certified
+        ):  # false "infeasible" happens; the closed form shows that it is false
             assert design(ClosedFormSynthesis, case).certified
 
 
 @given(SEEDS, st.integers(1, 3), st.floats(0.3, 0.95))
-def test_the_ratio_limit_by_product_and_by_riccati(seed: int, inputs: int, contraction: float) -> None:
+def test_the_ratio_limit_by_product_and_by_riccati(
+    seed: int, inputs: int, contraction: float
+) -> None:
     linear = random_model(np.random.default_rng(seed), 5, "marginal", mixed=True, inputs=inputs)
     moduli = np.abs(np.linalg.eigvals(linear.a))
     ah, bh = linear.a / contraction, linear.b / contraction
@@ -166,7 +193,9 @@ def test_the_ratio_limit_by_product_and_by_riccati(seed: int, inputs: int, contr
 
 
 @given(SEEDS, st.sampled_from(list(KINDS)), st.integers(1, 3), st.floats(0.05, 0.95))
-def test_the_frontier_is_where_the_ratio_limit_crosses(seed: int, kind: str, inputs: int, ratio: float) -> None:
+def test_the_frontier_is_where_the_ratio_limit_crosses(
+    seed: int, kind: str, inputs: int, ratio: float
+) -> None:
     linear = random_model(np.random.default_rng(seed), 6, kind, mixed=True, inputs=inputs)
     limit = frontier(linear.a, linear.b, JacobianBall(alpha=1.0, beta=ratio)).contraction_limit
     assert ratio_limit(linear.a, linear.b, limit * (1 + 1e-6)) >= ratio * (1 - 1e-9)
@@ -182,23 +211,35 @@ def test_without_fast_modes_every_ball_is_allowed(inputs: int) -> None:
 
 
 def test_two_decoupled_inputs_are_two_frontiers() -> None:
-    """Each input has its own mode: the limit is the worse of two scalar ones, `r = ratio |lambda|`."""
+    """Each input has its own mode: the limit is the worse of two scalar ones, `r = ratio
+    |lambda|`."""
     for ratio in (0.3, 0.7):
-        limit = frontier(np.diag([0.9, 0.5]), np.eye(2), JacobianBall(alpha=-2.0, beta=2 * ratio)).contraction_limit
+        limit = frontier(
+            np.diag([0.9, 0.5]), np.eye(2), JacobianBall(alpha=-2.0, beta=2 * ratio)
+        ).contraction_limit
         assert limit == pytest.approx(ratio * 0.9, rel=1e-9)
 
 
 def test_the_scalar_frontier_by_hand() -> None:
-    """`x+ = 0.8 x + u`: contraction 0.4 is reachable iff the slopes lie within a factor (1 + 1/2)/(1 - 1/2) = 3."""
+    """`x+ = 0.8 x + u`: contraction 0.4 is reachable iff the slopes lie within a factor (1 +
+    1/2)/(1 - 1/2) = 3."""
     one = np.ones((1, 1))
-    assert frontier(0.8 * one, one, JacobianBall.from_slopes(1.0, 3.0)).contraction_limit == pytest.approx(0.4)
-    assert frontier(0.8 * one, one, JacobianBall.from_slopes(-3.0, -1.0)).contraction_limit == pytest.approx(0.4)
+    assert frontier(
+        0.8 * one, one, JacobianBall.from_slopes(1.0, 3.0)
+    ).contraction_limit == pytest.approx(0.4)
+    assert frontier(
+        0.8 * one, one, JacobianBall.from_slopes(-3.0, -1.0)
+    ).contraction_limit == pytest.approx(0.4)
 
 
 @given(SEEDS)
 def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    linear, ball, r = random_model(rng, 6, "stable", mixed=True), JacobianBall.from_slopes(0.3, 1.0), 0.7
+    linear, ball, r = (
+        random_model(rng, 6, "stable", mixed=True),
+        JacobianBall.from_slopes(0.3, 1.0),
+        0.7,
+    )
     values, vectors = np.linalg.eig(linear.a.astype(complex))
     apart = np.abs(values[:, None] - values) + np.eye(6)
     if min(apart.min(), np.abs(np.abs(values) - r).min()) < 1e-2:
@@ -206,13 +247,17 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     b = np.linalg.solve(vectors, linear.b.astype(complex))[:, 0]
     k = modal_gain(values, b, ball, r) @ np.linalg.inv(vectors)
     schur = fast_gain(split_modes(linear.a, linear.b, r), ball, r, widen=False).k[0]
-    np.testing.assert_allclose(k.real, schur, rtol=1e-6, atol=1e-8 * np.abs(schur).max(initial=1e-9))
+    np.testing.assert_allclose(
+        k.real, schur, rtol=1e-6, atol=1e-8 * np.abs(schur).max(initial=1e-9)
+    )
     np.testing.assert_allclose(k.imag, 0, atol=1e-8 * np.abs(schur).max(initial=1e-9))
     fast = np.abs(values) > r
     w = modal_energy(values[fast], b[fast], r)
     left = np.linalg.inv(vectors)[fast]
     modes = split_modes(linear.a, linear.b, r)
-    into = left @ np.linalg.pinv(modes.left[: modes.fast])  # both are left invariant coordinates of the same space
+    into = left @ np.linalg.pinv(
+        modes.left[: modes.fast]
+    )  # both are left invariant coordinates of the same space
     expected = w
     if modes.fast:
         root = into @ energy_root(modes.a_fast / r, modes.b_fast / r)
@@ -225,7 +270,9 @@ def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     ball = JacobianBall(alpha=2.0, beta=0.0)
     gain = fast_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
     before, after = np.linalg.eigvals(linear.a), np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
-    mirrored = np.where(np.abs(before) > 0.8, 0.64 / np.maximum(np.abs(before), 1e-9), np.abs(before))
+    mirrored = np.where(
+        np.abs(before) > 0.8, 0.64 / np.maximum(np.abs(before), 1e-9), np.abs(before)
+    )
     np.testing.assert_allclose(np.sort(np.abs(after)), np.sort(mirrored), rtol=1e-6)
 
 
@@ -248,14 +295,18 @@ def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.Mo
     expected = solve_riccati(linear.a, linear.b, q, 2.0)
     for spoilt in (None, expected + 1e-4 * np.abs(expected).max() * np.eye(4)):
         monkeypatch.setattr(modes, "doubled", lambda *_, s=spoilt: s)
-        np.testing.assert_allclose(solve_riccati(linear.a, linear.b, q, 2.0), expected, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            solve_riccati(linear.a, linear.b, q, 2.0), expected, rtol=1e-6, atol=1e-6
+        )
 
 
 def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem:
     linear = random_model(np.random.default_rng(2), 4, "stable", mixed=True)
     weight = linear.c.T @ linear.c + 1e-2 * np.eye(4)
     ball = ball or JacobianBall.from_slopes(0.4, 1.0)
-    return Problem(a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.5)
+    return Problem(
+        a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.5
+    )
 
 
 def test_doubling_gives_up_where_a_step_is_singular() -> None:
@@ -266,7 +317,8 @@ def test_doubling_gives_up_where_a_step_is_singular() -> None:
 
 
 def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
-    """`x0^T S x0 >= sum r^-2k (x^T Q x + u^T R u)` for slopes that jump about in the ball as they like."""
+    """`x0^T S x0 >= sum r^-2k (x^T Q x + u^T R u)` for slopes that jump about in the ball as they
+    like."""
     problem = cost_problem()
     solution = guaranteed_cost(problem)
     tau = float(solution.status.split()[1])
@@ -303,8 +355,12 @@ def test_the_smallest_tau_is_where_the_gain_of_the_equation_changes_sign() -> No
 
 
 def test_the_cost_is_of_output_state_and_input() -> None:
-    """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that users rely on."""
-    linear, ball = random_model(np.random.default_rng(2), 4, "stable", mixed=True), JacobianBall(alpha=1.0, beta=0.3)
+    """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that
+    users rely on."""
+    linear, ball = (
+        random_model(np.random.default_rng(2), 4, "stable", mixed=True),
+        JacobianBall(alpha=1.0, beta=0.3),
+    )
     rates = {"rate_controller": 0.1, "rate_observer": 0.1}
     asked = RiccatiSynthesis(**rates).problem(linear, ball)
     np.testing.assert_allclose(asked.state_weight, linear.c.T @ linear.c + 1e-4 * np.eye(4))
@@ -331,21 +387,35 @@ OBJECTIVES = ["feasibility", "largest_margin", "smallest_gain", "guaranteed_cost
 @pytest.mark.parametrize(
     ("objective", "solver"), [(name, "CLARABEL") for name in OBJECTIVES] + [("feasibility", "SCS")]
 )
-def test_every_objective_form_and_solver_is_certified(objective: str, solver: str, full: bool) -> None:
+def test_every_objective_form_and_solver_is_certified(
+    objective: str, solver: str, full: bool
+) -> None:
     case = instance(4, 0.5, (3, 3))
-    part = design(LmiSynthesis, case, objective=objective, full=full, solver=solver, state_weight=0.1)
+    part = design(
+        LmiSynthesis, case, objective=objective, full=full, solver=solver, state_weight=0.1
+    )
     assert part.certified, part
 
 
 def test_a_compiled_sweep_gives_what_fresh_problems_give() -> None:
     problem = cost_problem()
     shared = CompiledLmi(
-        a=problem.a, b=problem.b, objective="smallest_gain", full=False, state_weight=np.eye(4), input_weight=1.0
+        a=problem.a,
+        b=problem.b,
+        objective="smallest_gain",
+        full=False,
+        state_weight=np.eye(4),
+        input_weight=1.0,
     )
     for rate in (0.05, 0.1, 0.2):
         case = cost_problem(rate)
         fresh = CompiledLmi(
-            a=problem.a, b=problem.b, objective="smallest_gain", full=False, state_weight=np.eye(4), input_weight=1.0
+            a=problem.a,
+            b=problem.b,
+            objective="smallest_gain",
+            full=False,
+            state_weight=np.eye(4),
+            input_weight=1.0,
         )
         np.testing.assert_allclose(shared.solve(case).k, fresh.solve(case).k, rtol=1e-6, atol=1e-9)
 
@@ -363,7 +433,9 @@ def test_smallest_gain_is_no_larger_than_the_others(inputs: int) -> None:
 
 def test_theorem_two_is_theorem_one_transposed() -> None:
     linear = random_model(np.random.default_rng(3), 4, "stable", mixed=True)
-    dual = StateSpace(a=linear.a.T.copy(), b=linear.c.T.copy(), c=linear.b.T.copy(), d=np.zeros((1, 1)))
+    dual = StateSpace(
+        a=linear.a.T.copy(), b=linear.c.T.copy(), c=linear.b.T.copy(), d=np.zeros((1, 1))
+    )
     ball = JacobianBall.from_slopes(0.5, 1.0)
     method = ClosedFormSynthesis(rate_controller=0.3, rate_observer=0.3)
     observer, feedback = method.observer(linear, ball), method.state_feedback(dual, ball)

@@ -1,14 +1,15 @@
-"""What each objective of the inequality promises of the matrices that come back, checked in NumPy."""
+"""What each objective of the inequality promises of the matrices that come back, checked in
+NumPy."""
 
 import numpy as np
 import pytest
 
-from ssm_study.synthesis import lmi
 from ssm_study.certificates.certificate import StateFeedback
+from ssm_study.certificates.problem import NoSolution, Problem, Solution
+from ssm_study.synthesis import lmi
+from ssm_study.synthesis.guaranteed_cost import guaranteed_cost
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
 from ssm_study.synthesis.modes import energy_root, split_modes
-from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.guaranteed_cost import guaranteed_cost
 from ssm_study.systems import JacobianBall, StateSpace
 
 A = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
@@ -18,7 +19,9 @@ INPUTS = {1: np.array([[0.1], [1.0], [0.5]]), 2: np.array([[0.1, 0.7], [1.0, -0.
 def problem(inputs: int, beta: float = 0.3) -> Problem:
     ball = JacobianBall(alpha=1.2, beta=beta)
     weight = np.diag([1.0, 0.5, 2.0])
-    return Problem(a=A, b=INPUTS[inputs], ball=ball, rate=0.1, state_weight=weight, input_weight=0.5)
+    return Problem(
+        a=A, b=INPUTS[inputs], ball=ball, rate=0.1, state_weight=weight, input_weight=0.5
+    )
 
 
 def solved(asked: Problem, objective: str, full: bool) -> tuple[Solution, float]:
@@ -60,7 +63,9 @@ def test_feasibility_is_the_block_matrix_above_the_identity(inputs: int, full: b
 
 
 @FORMS
-def test_the_largest_margin_is_the_least_eigenvalue_at_a_trace_of_one_each(inputs: int, full: bool) -> None:
+def test_the_largest_margin_is_the_least_eigenvalue_at_a_trace_of_one_each(
+    inputs: int, full: bool
+) -> None:
     asked = problem(inputs)
     found, value = solved(asked, "largest_margin", full)
     matrix = block(asked, found)
@@ -113,14 +118,17 @@ def test_the_inequality_is_solved_with_y_equal_to_p_unless_asked_otherwise() -> 
     asked = problem(1)
     linear = StateSpace(a=asked.a, b=asked.b, c=np.ones((1, 3)), d=np.zeros((1, 1)))
     for options, equal in (({}, True), ({"full": True}, False)):
-        part = LmiSynthesis(rate_controller=0.1, rate_observer=0.1, **options).state_feedback(linear, asked.ball)
+        part = LmiSynthesis(rate_controller=0.1, rate_observer=0.1, **options).state_feedback(
+            linear, asked.ball
+        )
         assert isinstance(part, StateFeedback)
         assert part.certified
         assert np.array_equal(part.p, part.y) is equal
 
 
 def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
-    """The radius is a mode's own modulus: where rounding moves it across, the reordered form is refused, not raised."""
+    """The radius is a mode's own modulus: where rounding moves it across, the reordered form is
+    refused, not raised."""
 
     def split(a: np.ndarray, radius: float) -> np.ndarray:
         try:
@@ -136,7 +144,8 @@ def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
 
 
 def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach() -> None:
-    """`W = A^-1 (W + B B^T) A^-T`; two modes that one input moves alike, and one that it does not move at all."""
+    """`W = A^-1 (W + B B^T) A^-T`; two modes that one input moves alike, and one that it does not
+    move at all."""
     a, b = np.array([[1.3, 0.2], [-0.1, 2.0]]), np.array([[1.0], [0.5]])
     root = energy_root(a, b)
     inverse, w = np.linalg.inv(a), root @ root.T

@@ -1,4 +1,5 @@
-"""Every command goes through one guard: damaged files and read-only folders end it in one sentence, with status 2."""
+"""Every command goes through one guard: damaged files and read-only folders end it in one sentence,
+with status 2."""
 
 import json
 import os
@@ -12,17 +13,18 @@ import numpy as np
 import pytest
 import yaml
 
+from ssm_study.certificates.certificate import digest
 from ssm_study.cli.main import ACTIONS, main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
-from ssm_study.certificates.certificate import digest
 from ssm_study.table.gather import gather
 
 NEEDED_BY_EXCITE = ("to", "lower", "upper", "rest", "step-s", "settle-s")
 NEEDED = {"export": ["--to", "out"], "gather": [], "show": [], "verify": [], "report": []}
-# What libraries raise on files that nobody wrote so; none of them may reach the user as a traceback.
+# What libraries raise on files that nobody wrote so; none of them may reach the user as a
+# traceback.
 RAISED = (RuntimeError("a"), RecursionError(), struct.error("b"), yaml.YAMLError("c"), MemoryError(), EOFError(),
           np.linalg.LinAlgError("d"), NotImplementedError(), AssertionError())  # fmt: skip
 DEEP = "[" * 100_000
@@ -30,7 +32,9 @@ DEEP = "[" * 100_000
 
 @pytest.fixture
 def study(smoke_study: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(smoke_study, tmp_path / "smoke", ignore=shutil.ignore_patterns("figures"))
+    return shutil.copytree(
+        smoke_study, tmp_path / "smoke", ignore=shutil.ignore_patterns("figures")
+    )
 
 
 def run_of(study: Path) -> Path:
@@ -84,7 +88,9 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "yaml": lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"),
     "closed loop": lambda study: cut(run_of(study) / "closed_loop.mcap"),
     "validation": lambda study: (run_of(study) / "validation.mcap").write_bytes(b""),
-    "comparison": lambda study: (run_of(study) / "comparison.csv").write_bytes(b'a,b\n1,2,3\n"\xff'),
+    "comparison": lambda study: (run_of(study) / "comparison.csv").write_bytes(
+        b'a,b\n1,2,3\n"\xff'
+    ),
     "table": lambda study: cut(study / "runs.parquet"),
     "index": lambda study: (study / ".gathered.json").write_text(DEEP),
 }
@@ -97,10 +103,15 @@ SPARSE: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize(
     ("what", "name"),
-    [*((what, "record.json") for what in SPARSE), ("20 GB", "certificate.json"), ("a pipe", ".hydra/config.yaml")],
+    [
+        *((what, "record.json") for what in SPARSE),
+        ("20 GB", "certificate.json"),
+        ("a pipe", ".hydra/config.yaml"),
+    ],
 )
 def test_what_never_ends_is_not_read(what: str, name: str, study: Path) -> None:
-    """A run's file that is none, or larger than any: the study is gathered, `verify` says what is wrong."""
+    """A run's file that is none, or larger than any: the study is gathered, `verify` says what is
+    wrong."""
     SPARSE[what](run_of(study) / name)
     (status,) = gather(study)["status"]
     assert status == ("corrupt" if name == "record.json" else "ok")
@@ -108,12 +119,15 @@ def test_what_never_ends_is_not_read(what: str, name: str, study: Path) -> None:
         verify(run_of(study)).demand("run", study)
 
 
-# The table is made anew; what `verify` makes of each damage has tests of its own, and `export` refuses by it.
+# The table is made anew; what `verify` makes of each damage has tests of its own, and `export`
+# refuses by it.
 OF_THE_RUN = ("model nested", "comparison")
 
 
 @pytest.mark.parametrize("command", ["gather", "show", "export"])
-def test_damaged_files(command: str, smoke_study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_files(
+    command: str, smoke_study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     exports = command == "export"
     for what in OF_THE_RUN if exports else DAMAGES:
         study = shutil.copytree(smoke_study, tmp_path / what)
@@ -128,18 +142,24 @@ def test_damaged_files(command: str, smoke_study: Path, tmp_path: Path, capsys: 
             assert not capsys.readouterr().err
 
 
-@pytest.mark.parametrize("what", ["yaml", "closed loop", "validation", "comparison", "table", "certificate nested"])
+@pytest.mark.parametrize(
+    "what", ["yaml", "closed loop", "validation", "comparison", "table", "certificate nested"]
+)
 def test_the_report_names_the_damaged_file(
     what: str, study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)  # files are read before it
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig", lambda *_, **__: None
+    )  # files are read before it
     DAMAGES[what](study)
     names = {"closed loop": "closed_loop.mcap", "table": "runs.parquet", "yaml": "config.yaml"}
     said = one_sentence(["report", str(study)], capsys)
     assert names.get(what, what.split()[0]) in said
 
 
-def test_a_certificate_that_lies_is_not_exported(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_certificate_that_lies_is_not_exported(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Sealed anew, consistent in itself, and another gain than the one that was proved."""
     run = run_of(study)
     content = json.loads((run / "certificate.json").read_text())
@@ -164,8 +184,13 @@ def read_only(study: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(study)], check=True)
 
 
-def test_a_folder_that_may_only_be_read(read_only: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_may_only_be_read(
+    read_only: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = run_of(read_only)
     for words in (["gather"], ["show"], ["report"], ["export", "--to", str(read_only / "out")]):
         of = run if words[0] == "export" else read_only
-        assert "ead-only" in one_sentence([words[0], str(of), *words[1:]], capsys) or words[0] == "report"
+        assert (
+            "ead-only" in one_sentence([words[0], str(of), *words[1:]], capsys)
+            or words[0] == "report"
+        )

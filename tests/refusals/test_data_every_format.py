@@ -1,4 +1,5 @@
-"""The same bad record in every format a reader takes: one sentence naming file, line or field, whatever the suffix."""
+"""The same bad record in every format a reader takes: one sentence naming file, line or field,
+whatever the suffix."""
 
 import json
 from pathlib import Path
@@ -24,20 +25,32 @@ STATING = [".csv", ".parquet", ".mcap"]  # MAT has no place for a unit
 
 
 def written(folder: Path, suffix: str, columns: dict[str, np.ndarray], unit: str = "") -> Path:
-    """The columns as a file; `unit` is stated as that of `y`, where and how the format states units."""
+    """The columns as a file; `unit` is stated as that of `y`, where and how the format states
+    units."""
     path = folder / f"log{suffix}"
     if suffix == ".csv":
-        pd.DataFrame(columns).rename(columns={"y": f"y [{unit}]"} if unit else {}).to_csv(path, index=False)
+        pd.DataFrame(columns).rename(columns={"y": f"y [{unit}]"} if unit else {}).to_csv(
+            path, index=False
+        )
     elif suffix == ".parquet":
-        fields = [pa.field(n, pa.float64(), metadata={"unit": unit} if unit and n == "y" else None) for n in columns]
-        parquet.write_table(pa.table([pa.array(v) for v in columns.values()], schema=pa.schema(fields)), path)
+        fields = [
+            pa.field(n, pa.float64(), metadata={"unit": unit} if unit and n == "y" else None)
+            for n in columns
+        ]
+        parquet.write_table(
+            pa.table([pa.array(v) for v in columns.values()], schema=pa.schema(fields)), path
+        )
     elif suffix == ".mat":
         savemat(path, columns)
     else:
         signals = {name: values for name, values in columns.items() if name != "t"}
         channels = tuple(Channel(name=name, unit=unit if name == "y" else "") for name in signals)
         values = np.stack(list(signals.values()), axis=1)
-        write_mcap(path, (SignalGroup(topic="/log", time_s=columns["t"], channels=channels, values=values),), {})
+        write_mcap(
+            path,
+            (SignalGroup(topic="/log", time_s=columns["t"], channels=channels, values=values),),
+            {},
+        )
     return path
 
 
@@ -56,7 +69,11 @@ def refused(path: Path, says: str, **changes: object) -> None:
 def test_a_missing_column(tmp_path: Path, suffix: str) -> None:
     path = written(tmp_path, suffix, GOOD)
     build(path)
-    refused(path, rf"log\{suffix} \(\w+\) = speed: the (header|file|recording) has .*u.*y", output="speed")
+    refused(
+        path,
+        rf"log\{suffix} \(\w+\) = speed: the (header|file|recording) has .*u.*y",
+        output="speed",
+    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -71,22 +88,29 @@ def test_numbers_that_are_not_finite(tmp_path: Path, suffix: str, bad: float) ->
 def test_text_in_a_number_column_of_parquet(tmp_path: Path) -> None:
     words = pd.DataFrame(GOOD).astype({"y": str})
     words.to_parquet(tmp_path / "log.parquet")
-    refused(tmp_path / "log.parquet", r"log.parquet \(column\) = y: holds (large_)?string, not numbers")
+    refused(
+        tmp_path / "log.parquet", r"log.parquet \(column\) = y: holds (large_)?string, not numbers"
+    )
 
 
 @pytest.mark.parametrize("suffix", STATING)
 def test_a_declared_unit_that_the_file_contradicts(tmp_path: Path, suffix: str) -> None:
     path = written(tmp_path, suffix, GOOD, unit="rad/s")
     assert build(path, output_unit="rad/s").outputs[0].unit == "rad/s"
-    refused(path, rf"unit of y = rpm: log\{suffix} states rad/s; declare the unit", output_unit="rpm")
+    refused(
+        path, rf"unit of y = rpm: log\{suffix} states rad/s; declare the unit", output_unit="rpm"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".parquet", ".csv"])
 def test_time_running_backwards(tmp_path: Path, suffix: str) -> None:
-    """Log times of MCAP are ordered by the writer; the reader of others checks them too (the next test)."""
+    """Log times of MCAP are ordered by the writer; the reader of others checks them too (the next
+    test)."""
     t = GOOD["t"].copy()
     t[100] = t[98]
-    refused(written(tmp_path, suffix, GOOD | {"t": t}), "sample 100 is not later", time="t", step_s=None)
+    refused(
+        written(tmp_path, suffix, GOOD | {"t": t}), "sample 100 is not later", time="t", step_s=None
+    )
 
 
 def foreign(folder: Path, times_s: np.ndarray, y: list[object]) -> Path:
@@ -95,7 +119,9 @@ def foreign(folder: Path, times_s: np.ndarray, y: list[object]) -> Path:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        schema = writer.register_schema(name="log", encoding="jsonschema", data=b'{"type": "object"}')
+        schema = writer.register_schema(
+            name="log", encoding="jsonschema", data=b'{"type": "object"}'
+        )
         channel = writer.register_channel(topic="/log", message_encoding="json", schema_id=schema)
         for time_s, u_k, y_k in zip(times_s, GOOD["u"], y, strict=True):
             at, message = round(1e9 * time_s), json.dumps({"u": u_k, "y": y_k}).encode()
@@ -118,14 +144,20 @@ def test_irregular_sampling_and_the_offer_to_resample(tmp_path: Path, suffix: st
     t = GOOD["t"].copy()
     t[100:] += 0.003
     path = written(tmp_path, suffix, {"t": t, "u": np.cos(t), "y": np.sin(t)})
-    clock: dict[str, object] = {"step_s": 0.01} if suffix == ".mcap" else {"step_s": 0.01, "time": "t"}
+    clock: dict[str, object] = (
+        {"step_s": 0.01} if suffix == ".mcap" else {"step_s": 0.01, "time": "t"}
+    )
     refused(path, r"periods off a uniform clock.*data\.resample=true", **clock)
     build(path, resample=True, **clock)
 
 
 @pytest.mark.parametrize("suffix", EVERY)
 def test_shorter_than_the_start_up_window(tmp_path: Path, suffix: str) -> None:
-    refused(written(tmp_path, suffix, GOOD), "no longer than the start-up window of 60", start_up_samples=60)
+    refused(
+        written(tmp_path, suffix, GOOD),
+        "no longer than the start-up window of 60",
+        start_up_samples=60,
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])

@@ -1,4 +1,5 @@
-"""Files the readers must refuse, each in one sentence that names file, line or field; and their good twins."""
+"""Files the readers must refuse, each in one sentence that names file, line or field; and their
+good twins."""
 
 import resource
 from pathlib import Path
@@ -55,7 +56,11 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
     else:
         channels = (Channel(name="u", unit="V"), Channel(name="y", unit="rad/s"))
         values = np.stack([GOOD["u"], GOOD["y"]], axis=1)
-        write_mcap(path, (SignalGroup(topic="/log", time_s=GOOD["t"], channels=channels, values=values),), {})
+        write_mcap(
+            path,
+            (SignalGroup(topic="/log", time_s=GOOD["t"], channels=channels, values=values),),
+            {},
+        )
     built = data(path).build(0)
     y = np.concatenate([built.training[0].y, built.validation[0].y, built.test[0].y])
     np.testing.assert_array_equal(y[:, 0], GOOD["y"])
@@ -91,9 +96,12 @@ def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("form", ["2026-03-29 01:59:59.5", "2026-03-29T01:59:59.5Z", "2026-03-29T01:59:59+02:00"])
+@pytest.mark.parametrize(
+    "form", ["2026-03-29 01:59:59.5", "2026-03-29T01:59:59.5Z", "2026-03-29T01:59:59+02:00"]
+)
 def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) -> None:
-    """In text and in Parquet; a date among numbers, or a number among dates, is refused where it stands."""
+    """In text and in Parquet; a date among numbers, or a number among dates, is refused where it
+    stands."""
     times = pd.Timestamp(form) + pd.to_timedelta(np.round(GOOD["t"] * 1000), unit="ms")
     dated = pd.DataFrame(GOOD | {"t": times})
     path = tmp_path / "log.csv"
@@ -104,7 +112,10 @@ def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) 
         assert built.step_s == pytest.approx(0.01, rel=1e-6)
         np.testing.assert_array_equal(built.training[0].u[:, 0], GOOD["u"][:120])
     rows = path.read_text().splitlines()
-    for at, cell, says in ((50, "0.5", "line 51 = 0.5: no date and time as"), (1, "soon", "line 2 = soon: no number")):
+    for at, cell, says in (
+        (50, "0.5", "line 51 = 0.5: no date and time as"),
+        (1, "soon", "line 2 = soon: no number"),
+    ):
         path.write_text("\n".join([*rows[:at], f"{cell},1.0,1.0", *rows[at + 1 :]]))
         with pytest.raises(BadRequest, match=says):
             data(path, time="t", step_s=None).build(0)
@@ -114,7 +125,8 @@ def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) 
 
 
 def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> None:
-    """As Hydra gives them: integers. The first line is a row; a bad cell is found in the line where it stands."""
+    """As Hydra gives them: integers. The first line is a row; a bad cell is found in the line where
+    it stands."""
     path, bare = csv(tmp_path), tmp_path / "bare.csv"
     bare.write_text("\n".join(lines()[1:]))
     numbered = data(bare, input=1, output=2, time=0, step_s=None).build(0)
@@ -128,7 +140,9 @@ def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> 
     bare.write_text("\n".join([*lines()[1:50], "0.49,1.0,nan", *lines()[51:]]))
     with pytest.raises(BadRequest, match=r"column 2, line 50 = nan"):
         data(bare, input=1, output=2).build(0)
-    with pytest.raises(BadRequest, match=r"bare.csv \(column\) = 3: the file without names has 0, 1, 2"):
+    with pytest.raises(
+        BadRequest, match=r"bare.csv \(column\) = 3: the file without names has 0, 1, 2"
+    ):
         data(bare, input=1, output=3).build(0)
     with pytest.raises(BadRequest, match=r"log.csv \(column\) = 1: the header has t, u, y"):
         data(path, input=1, output=2).build(0)
@@ -162,29 +176,44 @@ def test_input_and_output_in_two_files(tmp_path: Path) -> None:
     both = data(csv(tmp_path), path=files, input="value", output="speed").build(0)
     assert (len(both.training), both.inputs[0].name, both.outputs[0].name) == (1, "value", "speed")
     np.testing.assert_array_equal(both.test[0].y, one.test[0].y)
-    tested = apart(tmp_path, u, y, test_path=source.path, test_output_path=source.output_path).build(0)
+    tested = apart(
+        tmp_path, u, y, test_path=source.path, test_output_path=source.output_path
+    ).build(0)
     np.testing.assert_array_equal(tested.test[0].y[:, 0], GOOD["y"])
 
 
 def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
     u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in ("u", "y"))
-    with pytest.raises(BadRequest, match=r"data.output_path = .*out.csv: has 199 rows, in.csv 200; cut them alike"):
+    with pytest.raises(
+        BadRequest, match=r"data.output_path = .*out.csv: has 199 rows, in.csv 200; cut them alike"
+    ):
         apart(tmp_path, u, y[:-1]).build(0)
-    with pytest.raises(BadRequest, match=r"its rows are up to 0.2 s away from those of the inputs; log both on one"):
+    with pytest.raises(
+        BadRequest, match=r"its rows are up to 0.2 s away from those of the inputs; log both on one"
+    ):
         apart(tmp_path, u, y.assign(t=y.t + 0.2), time="t").build(0)
-    with pytest.raises(BadRequest, match=r"data.output_path = \['a.csv', 'b.csv'\]: 2 files of outputs, 1 expected"):
+    with pytest.raises(
+        BadRequest, match=r"data.output_path = \['a.csv', 'b.csv'\]: 2 files of outputs, 1 expected"
+    ):
         apart(tmp_path, u, y, output_path=["a.csv", "b.csv"])
-    with pytest.raises(BadRequest, match=r"data.test_output_path = \[\]: 0 files of outputs, 1 expected"):
+    with pytest.raises(
+        BadRequest, match=r"data.test_output_path = \[\]: 0 files of outputs, 1 expected"
+    ):
         apart(tmp_path, u, y, test_path="test.csv")
     with pytest.raises(BadRequest, match=r"data.output = \['value'\]: is an input too"):
         apart(tmp_path, u, y, output_path=None)
     recordings = []
     for name, side in (("in", u), ("out", y)):
         group = (Channel(name="value", unit=""),)
-        group = SignalGroup(topic="/log", time_s=GOOD["t"], channels=group, values=side[["value"]].to_numpy())
+        group = SignalGroup(
+            topic="/log", time_s=GOOD["t"], channels=group, values=side[["value"]].to_numpy()
+        )
         write_mcap(tmp_path / f"{name}.mcap", (group,), {})
         recordings.append(str(tmp_path / f"{name}.mcap"))
-    with pytest.raises(BadRequest, match=r"log times count from each recording's own start; put both signals into one"):
+    with pytest.raises(
+        BadRequest,
+        match=r"log times count from each recording's own start; put both signals into one",
+    ):
         data(Path(recordings[0]), output_path=recordings[1], input="value", output="value").build(0)
 
 
@@ -204,7 +233,10 @@ def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
         ({"controller": [np.nan, 1.0]}, r"data.controller = \[nan, 1.0\]: is no PI"),
         ({"fold": 5}, r"data.fold = 5: there are 5 folds; count them from 0"),
         ({"folds": 1}, r"data.folds = 1: must be at least 2"),
-        ({"fold": 0, "split": "blocks"}, r"data.fold = 0: the parts are named too; leave out data.split"),
+        (
+            {"fold": 0, "split": "blocks"},
+            r"data.fold = 0: the parts are named too; leave out data.split",
+        ),
         ({"fold": 0, "test_path": "test.csv"}, r"data.fold = 0: the parts are named too"),
     ],
 )
@@ -292,7 +324,10 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
         for _ in range(40):
             writer.write_table(table)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for name, words in (("a.mat", "more than 128 MiB"), ("a.parquet", "40000000 rows are more than 16777216")):
+    for name, words in (
+        ("a.mat", "more than 128 MiB"),
+        ("a.parquet", "40000000 rows are more than 16777216"),
+    ):
         assert (tmp_path / name).stat().st_size < 2**20
         with pytest.raises(BadRequest, match=words):
             read_table(tmp_path / name, {"u": "", "y": ""})
@@ -302,8 +337,16 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
 @pytest.mark.parametrize(
     ("u", "y", "says"),
     [
-        (pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]), np.ones(9), r"u, y = \['a', 'a', 'y'\]: .*one name"),
-        (pd.Series(np.ones(9), name="a"), pd.Series(np.ones(9), name="a"), r"u, y = \['a', 'a'\]: .*one name"),
+        (
+            pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]),
+            np.ones(9),
+            r"u, y = \['a', 'a', 'y'\]: .*one name",
+        ),
+        (
+            pd.Series(np.ones(9), name="a"),
+            pd.Series(np.ones(9), name="a"),
+            r"u, y = \['a', 'a'\]: .*one name",
+        ),
         ([], [], r"u = shape \(0,\): not a signal; give an array \(T, channels\)"),
         ("speed", np.ones(9), r"u = str: not a table of numbers"),
     ],
@@ -326,5 +369,7 @@ def test_experiments_without_a_recording(part: str) -> None:
     one = [Recording(path="log.csv", input="u", output="y", step_s=0.01)]
     parts = dict.fromkeys(("training", "validation", "test"), one)
     RecordedExperiments(benchmark="own", **parts)
-    with pytest.raises(BadRequest, match=f"data.{part} = none: no recording is named; name at least one"):
+    with pytest.raises(
+        BadRequest, match=f"data.{part} = none: no recording is named; name at least one"
+    ):
         RecordedExperiments(benchmark="own", **(parts | {part: []}))

@@ -1,4 +1,5 @@
-"""Fuzzed files: whatever the bytes, a reader gives finite numbers of one length or one sentence; never a traceback."""
+"""Fuzzed files: whatever the bytes, a reader gives finite numbers of one length or one sentence;
+never a traceback."""
 
 import io
 from collections.abc import Callable
@@ -31,7 +32,11 @@ def whole(suffix: str, folder: Path) -> bytes:
     else:
         channels = tuple(Channel(name=name, unit="V") for name in COLUMNS)
         values = np.stack(list(COLUMNS.values()), axis=1)
-        write_mcap(path, (SignalGroup(topic="/log", time_s=np.arange(40.0), channels=channels, values=values),), {})
+        write_mcap(
+            path,
+            (SignalGroup(topic="/log", time_s=np.arange(40.0), channels=channels, values=values),),
+            {},
+        )
     return path.read_bytes()
 
 
@@ -39,7 +44,10 @@ def whole(suffix: str, folder: Path) -> bytes:
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[bytes, Path]]:
     folder = tmp_path_factory.mktemp("fuzz")
     cache: dict[str, bytes] = {}
-    return lambda suffix: (cache.setdefault(suffix, whole(suffix, folder)), folder / f"fuzzed{suffix}")
+    return lambda suffix: (
+        cache.setdefault(suffix, whole(suffix, folder)),
+        folder / f"fuzzed{suffix}",
+    )
 
 
 def read_or_refuse(path: Path) -> None:
@@ -59,7 +67,11 @@ def check(table: Table) -> None:
 
 
 edits = st.lists(
-    st.tuples(st.sampled_from(["flip", "cut", "insert", "delete"]), st.floats(0, 1), st.binary(min_size=1, max_size=8)),
+    st.tuples(
+        st.sampled_from(["flip", "cut", "insert", "delete"]),
+        st.floats(0, 1),
+        st.binary(min_size=1, max_size=8),
+    ),
     min_size=1,
     max_size=4,
 )
@@ -88,7 +100,9 @@ def test_the_sound_file_is_read(sound, suffix: str) -> None:  # type: ignore[no-
 
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".4.mat", ".parquet", ".mcap"])
 @given(changes=edits)
-@example(changes=[("flip", 0.8269672421898115, b"\x01")])  # a schema whose refusal by protobuf has two lines
+@example(
+    changes=[("flip", 0.8269672421898115, b"\x01")]
+)  # a schema whose refusal by protobuf has two lines
 def test_damaged_files(sound, suffix: str, changes: list[tuple[str, float, bytes]]) -> None:  # type: ignore[no-untyped-def]
     content, path = sound(suffix)
     path.write_bytes(edited(content, changes))
@@ -105,7 +119,10 @@ def test_arbitrary_bytes(sound, suffix: str, content: bytes) -> None:  # type: i
 
 @given(
     cells=st.lists(
-        st.lists(st.one_of(st.floats(), st.text(max_size=6), st.integers()), min_size=1, max_size=4), max_size=12
+        st.lists(
+            st.one_of(st.floats(), st.text(max_size=6), st.integers()), min_size=1, max_size=4
+        ),
+        max_size=12,
     )
 )
 def test_csv_of_arbitrary_cells(sound, cells: list[list[object]]) -> None:  # type: ignore[no-untyped-def]
@@ -114,12 +131,16 @@ def test_csv_of_arbitrary_cells(sound, cells: list[list[object]]) -> None:  # ty
     longest = max((len(row) for row in cells), default=0)
     padded = [[*row, *[None] * (longest - len(row))] for row in cells]
     pd.DataFrame(padded).to_csv(text, index=False, header=False)
-    path.write_text("u,y\n" + text.getvalue().replace("\0", ""), encoding="utf-8", errors="surrogatepass")
+    path.write_text(
+        "u,y\n" + text.getvalue().replace("\0", ""), encoding="utf-8", errors="surrogatepass"
+    )
     read_or_refuse(path)
 
 
 @given(changes=edits)
-def test_no_damaged_recording_gives_other_numbers(sound, changes: list[tuple[str, float, bytes]]) -> None:  # type: ignore[no-untyped-def]
+def test_no_damaged_recording_gives_other_numbers(
+    sound, changes: list[tuple[str, float, bytes]]
+) -> None:  # type: ignore[no-untyped-def]
     content, path = sound(".mcap")
     path.write_bytes(edited(content, changes))
     try:
@@ -131,6 +152,12 @@ def test_no_damaged_recording_gives_other_numbers(sound, changes: list[tuple[str
 
 def test_a_library_that_answers_in_lines_is_quoted_in_one() -> None:
     refusal = BadRequest(
-        "path", "a.mcap", 'damaged (no such type:\n  "Dat" (did you mean\n  "Data"))', "record it again"
+        "path",
+        "a.mcap",
+        'damaged (no such type:\n  "Dat" (did you mean\n  "Data"))',
+        "record it again",
     )
-    assert str(refusal) == 'path = a.mcap: damaged (no such type: "Dat" (did you mean "Data")); record it again.'
+    assert (
+        str(refusal)
+        == 'path = a.mcap: damaged (no such type: "Dat" (did you mean "Data")); record it again.'
+    )

@@ -1,4 +1,5 @@
-"""A configuration or a file from a stranger runs no program: everything not named in the allow-list is refused."""
+"""A configuration or a file from a stranger runs no program: everything not named in the allow-list
+is refused."""
 
 import ast
 import json
@@ -87,9 +88,13 @@ def test_everything_we_ship_is_allowed() -> None:
             if word.startswith("_target_:"):
                 targets.append((path.parent, word.split(":", 1)[1].split("#")[0].strip()))
     assert len(targets) > 5
-    plugins = ROOT / "conf" / "hydra" / "launcher"  # Hydra's own section may name our plugins, nothing else may
+    plugins = (
+        ROOT / "conf" / "hydra" / "launcher"
+    )  # Hydra's own section may name our plugins, nothing else may
     assert [
-        name for folder, name in targets if not (is_ours(name) or (folder == plugins and PLUGINS.fullmatch(name)))
+        name
+        for folder, name in targets
+        if not (is_ours(name) or (folder == plugins and PLUGINS.fullmatch(name)))
     ] == []
 
 
@@ -122,10 +127,17 @@ def test_an_evil_experiment_given_to_the_command_does_nothing(
 ) -> None:
     marker = tmp_path / "marker"
     (tmp_path / "experiment").mkdir()
-    touch = f"{{_target_: pathlib.Path.touch, self: {{_target_: pathlib.Path, _args_: ['{marker}']}}}}"
+    touch = (
+        f"{{_target_: pathlib.Path.touch, self: {{_target_: pathlib.Path, _args_: ['{marker}']}}}}"
+    )
     evil = f"# @package _global_\nstudy: evil\nhydra:\n  callbacks:\n    evil: {touch}\n"
     (tmp_path / "experiment" / "evil.yaml").write_text(evil)
-    words = ["--config-dir", str(tmp_path), "experiment=evil", f"results_dir={tmp_path / 'results'}"]
+    words = [
+        "--config-dir",
+        str(tmp_path),
+        "experiment=evil",
+        f"results_dir={tmp_path / 'results'}",
+    ]
     assert main(["run", *words]) == 2
     assert "may not be instantiated" in capsys.readouterr().err
     assert not marker.exists()
@@ -162,7 +174,11 @@ def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
     offences = []
     for path in (ROOT / "ssm_study").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
-            names = [alias.name for alias in node.names] if isinstance(node, (ast.Import, ast.ImportFrom)) else []
+            names = (
+                [alias.name for alias in node.names]
+                if isinstance(node, (ast.Import, ast.ImportFrom))
+                else []
+            )
             if {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"} & {
                 name.split(".")[0] for name in names
             }:
@@ -175,12 +191,20 @@ def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
                 "eval",
                 "exec",
             ):
-                safe = "weights_only=True" in ast.unparse(node) or "allow_pickle=False" in ast.unparse(node)
+                safe = "weights_only=True" in ast.unparse(
+                    node
+                ) or "allow_pickle=False" in ast.unparse(node)
                 offences += [] if safe else [f"{path.name}:{node.lineno} {ast.unparse(node)[:60]}"]
     assert offences == []
 
 
 def test_our_options_become_hydras() -> None:
-    assert translate(["seed=1,2", "-m", "--retry-failed"]) == ["--multirun", "seed=1,2", "retry_failed=true"]
-    planned = translate(["-m", "seed=1,2", "hydra/launcher=slurm", "hydra.launcher.partition=debug", "--dry-run"])
+    assert translate(["seed=1,2", "-m", "--retry-failed"]) == [
+        "--multirun",
+        "seed=1,2",
+        "retry_failed=true",
+    ]
+    planned = translate(
+        ["-m", "seed=1,2", "hydra/launcher=slurm", "hydra.launcher.partition=debug", "--dry-run"]
+    )
     assert planned == ["--multirun", "seed=1,2", "hydra/launcher=processes", "dry_run=true"]

@@ -24,7 +24,9 @@ def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
         "seconds": 0.0, "feasible": False, "certified": False,
     }  # fmt: skip
     (run / "certificate.json").write_text(json.dumps(certificate))
-    with pytest.raises(BadRequest, match=r"rate 0\.9 lies beyond the frontier 0\.2; export another"):
+    with pytest.raises(
+        BadRequest, match=r"rate 0\.9 lies beyond the frontier 0\.2; export another"
+    ):
         export(run, tmp_path / "out")
 
 

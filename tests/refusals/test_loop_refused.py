@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour
 from ssm_study.loop.reference import FileReference, StepReference
@@ -13,9 +14,8 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
-from ssm_study.certificates.certificate import Design
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import JacobianBall, Pair, StateSpace
+from ssm_study.systems import Gains, JacobianBall, StateSpace
 
 LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)
 
@@ -37,7 +37,7 @@ def test_values_out_of_range(values, names):
 
 def test_a_controller_for_other_dimensions():
     model = random_model(0, inputs=2, outputs=1)
-    controller = ObserverFeedback(model=model, gains=Pair(k=np.zeros((2, 4)), l=np.zeros((4, 1))))
+    controller = ObserverFeedback(model=model, gains=Gains(k=np.zeros((2, 4)), l=np.zeros((4, 1))))
     with pytest.raises(BadRequest, match="controller inputs, outputs"):
         LOOP.on_plant(motor(), controller, seed=0)
 
@@ -51,9 +51,9 @@ def test_a_controller_for_another_sampling_time():
 
 def test_gains_of_another_model():
     with pytest.raises(BadRequest, match=r"k = .*shape"):
-        ObserverFeedback(model=motor_model(), gains=Pair(k=np.zeros((1, 5)), l=np.zeros((5, 1))))
+        ObserverFeedback(model=motor_model(), gains=Gains(k=np.zeros((1, 5)), l=np.zeros((5, 1))))
     with pytest.raises(BadRequest, match=r"l = .*shape"):
-        ObserverFeedback(model=motor_model(), gains=Pair(k=np.zeros((1, 2)), l=np.zeros((2, 2))))
+        ObserverFeedback(model=motor_model(), gains=Gains(k=np.zeros((1, 2)), l=np.zeros((2, 2))))
 
 
 def test_an_infeasible_design_closes_no_loop():
@@ -61,7 +61,12 @@ def test_an_infeasible_design_closes_no_loop():
         motor_model().linear, JacobianBall.from_slopes(0.01, 1.0)
     )
     with pytest.raises(BadRequest, match="state_feedback"):
-        LOOP.run(motor(), motor_model(), Design(state_feedback=infeasible, observer=motor_design().observer), seed=0)
+        LOOP.run(
+            motor(),
+            motor_model(),
+            Design(state_feedback=infeasible, observer=motor_design().observer),
+            seed=0,
+        )
 
 
 def test_a_model_with_feedthrough_in_the_plants_place():
@@ -74,10 +79,15 @@ def test_a_model_with_feedthrough_in_the_plants_place():
 
 
 def test_a_diverging_loop_is_stopped_and_labelled():
-    """Gains with the wrong sign: every case leaves the bound, no overflow, no NaN, and the record says when."""
+    """Gains with the wrong sign: every case leaves the bound, no overflow, no NaN, and the record
+    says when."""
     design = motor_design()
-    wrong = ObserverFeedback(model=motor_model(), gains=Pair(k=-5 * design.state_feedback.k, l=design.observer.l))
-    loop = Loop(horizon_s=1.0, measurement_noise_variance=0.02)  # noise carries the slowest case out of the dead-zone
+    wrong = ObserverFeedback(
+        model=motor_model(), gains=Gains(k=-5 * design.state_feedback.k, l=design.observer.l)
+    )
+    loop = Loop(
+        horizon_s=1.0, measurement_noise_variance=0.02
+    )  # noise carries the slowest case out of the dead-zone
     result = loop.on_plant(motor(), wrong, seed=0)
     columns = behaviour(result)
     assert columns["stable_count"] == 0
@@ -95,7 +105,9 @@ def test_a_diverging_loop_is_stopped_and_labelled():
 
 def test_an_unstable_observer_is_stopped_before_it_overflows():
     design = motor_design()
-    wild = ObserverFeedback(model=motor_model(), gains=Pair(k=0 * design.state_feedback.k, l=1e3 * design.observer.l))
+    wild = ObserverFeedback(
+        model=motor_model(), gains=Gains(k=0 * design.state_feedback.k, l=1e3 * design.observer.l)
+    )
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
     run = loop.on_plant(motor(), wild, seed=0).controlled
     assert not run.stayed.any()
@@ -109,7 +121,9 @@ def test_references_out_of_order():
         PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0)
 
 
-@pytest.mark.parametrize("content", ["", "1,2,3\n", "0,1\n0,2\n", "0,1\n1,nan\n", "time,offset\n0,1\n"])
+@pytest.mark.parametrize(
+    "content", ["", "1,2,3\n", "0,1\n0,2\n", "0,1\n1,nan\n", "time,offset\n0,1\n"]
+)
 def test_a_malformed_reference_file(tmp_path, content):
     path = tmp_path / "reference.csv"
     path.write_text(content)
@@ -124,7 +138,13 @@ def test_a_missing_reference_file(tmp_path):
 
 def test_a_reference_that_needs_more_than_the_limits_allow():
     reference = StepReference(before=0.0, after=30.0, at_s=0.0)
-    loop = Loop(horizon_s=1.0, measurement_noise_variance=0.0, reference=reference, input_upper=3.0, input_lower=-3.0)
+    loop = Loop(
+        horizon_s=1.0,
+        measurement_noise_variance=0.0,
+        reference=reference,
+        input_upper=3.0,
+        input_lower=-3.0,
+    )
     with pytest.raises(BadRequest, match=r"loop\.reference"):
         loop.run(motor(), motor_model(), motor_design(), seed=0)
 

@@ -64,10 +64,19 @@ def test_a_scaffolding_that_does_not_fit_the_linear_part_is_refused() -> None:
 
 def test_a_monotone_scaffolding_with_crossed_break_points_is_refused() -> None:
     with pytest.raises(BadRequest, match="breakpoints"):
-        Scaffold.from_json({"kind": "monotone", "breakpoints": [[1.0, 0.0]], "slopes": [[1.0, 1.0, 1.0]]})
+        Scaffold.from_json(
+            {"kind": "monotone", "breakpoints": [[1.0, 0.0]], "slopes": [[1.0, 1.0, 1.0]]}
+        )
 
 
 def test_a_residual_scaffolding_without_its_certificate_is_refused() -> None:
-    layer = {"weights": [[[1.0]], [[1.0]]], "biases": [[0.0]], "negative_slopes": [[0.0]], "positive_slopes": [[1.0]]}
+    layer = {
+        "weights": [[[1.0]], [[1.0]]],
+        "biases": [[0.0]],
+        "negative_slopes": [[0.0]],
+        "positive_slopes": [[1.0]],
+    }
     with pytest.raises(BadRequest, match="multipliers"):
-        Scaffold.from_json({"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": [[-1.0]], **layer})
+        Scaffold.from_json(
+            {"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": [[-1.0]], **layer}
+        )

@@ -28,5 +28,7 @@ def test_refused(field: str, value: float) -> None:
 
 
 def test_a_step_that_ends_before_it_begins() -> None:
-    with pytest.raises(BadRequest, match=r"at_s, until_s = \(2.0, 1.0\): not in order; give at_s < until_s"):
+    with pytest.raises(
+        BadRequest, match=r"at_s, until_s = \(2.0, 1.0\): not in order; give at_s < until_s"
+    ):
         StepDisturbance(size=1.0, at_s=2.0, until_s=1.0)

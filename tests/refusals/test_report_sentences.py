@@ -1,4 +1,5 @@
-"""Damaged files, a full disk and a forged certificate end every command of the report in one sentence."""
+"""Damaged files, a full disk and a forged certificate end every command of the report in one
+sentence."""
 
 import errno
 import json
@@ -8,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from ssm_study.certificates.certificate import digest
 from ssm_study.cli.main import main
 from ssm_study.export.targets import describe
-from ssm_study.certificates.certificate import digest
 from ssm_study.table import gather
 
 
@@ -36,7 +37,10 @@ def forged(study: Path) -> None:
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "table": (lambda study: (study / "runs.parquet").write_bytes(b"PAR1"), "the table is damaged"),
     "model": (lambda study: (run_of(study) / "model.json").write_text("{"), "the file is damaged"),
-    "yaml": (lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"), "the file is damaged"),
+    "yaml": (
+        lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"),
+        "the file is damaged",
+    ),
 }
 
 

@@ -1,4 +1,5 @@
-"""A wrong request: one sentence with field, value and remedy, exit status 2, nothing computed and no folder left."""
+"""A wrong request: one sentence with field, value and remedy, exit status 2, nothing computed and
+no folder left."""
 
 import os
 import signal
@@ -41,7 +42,9 @@ WRONG = {
     "did you mean plant=dc_motor?": ["plant=dc_moter"],
     "did you mean experiment?": ["exp=paper"],
     "did you mean reference@loop.reference=step?": ["synthesis=riccati", "reference=step"],
-    "did you mean scaffold@model.scaffold_in=mlp or scaffold@model.scaffold_out=mlp?": ["scaffold=mlp"],
+    "did you mean scaffold@model.scaffold_in=mlp or scaffold@model.scaffold_out=mlp?": [
+        "scaffold=mlp"
+    ],
     "did you mean +comparison@loop.comparison=peers?": ["comparison=peers"],
     "data=recorded has it: add data=recorded": ["data.path=log.csv"],
     "did you mean data.path?": ["data=recorded", "data.pth=log.csv"],
@@ -73,7 +76,10 @@ WRONG = {
         "synthesis.rate_controller=0.9999999999999999",
     ],
     "excitation.path": ["excitation=file"],
-    "synthesis.rate_controller = nan: is not a finite number": ["synthesis=riccati", "synthesis.rate_controller=nan"],
+    "synthesis.rate_controller = nan: is not a finite number": [
+        "synthesis=riccati",
+        "synthesis.rate_controller=nan",
+    ],
     "excitation.amplitude = -inf: is not a finite number": ["excitation.amplitude=-inf"],
     "synthesis.rate = nan: is not a finite number; leave": ["-m", "synthesis.rate=0.1,nan"],
     "loop.input_lower.1 = inf: is not a finite number": ["-m", "loop.input_lower=[-1,inf],[-1,-1]"],
@@ -83,8 +89,14 @@ WRONG = {
     "study='x cannot be read": ["study='x"],
     "a group takes the name of one of its choices": ["plant=null"],
     "--dryrun: there is no such option; did you mean --dry-run?": ["--dryrun"],
-    "loop.input_lower, loop.input_upper = (3.0, -3.0)": ["loop.input_lower=3", "loop.input_upper=-3"],
-    "the plant rests at the input 0; choose limits around it": ["loop.input_lower=1", "loop.input_upper=3"],
+    "loop.input_lower, loop.input_upper = (3.0, -3.0)": [
+        "loop.input_lower=3",
+        "loop.input_upper=-3",
+    ],
+    "the plant rests at the input 0; choose limits around it": [
+        "loop.input_lower=1",
+        "loop.input_upper=3",
+    ],
     "the plant's inputs number 1": ["loop.input_lower=[-1.0,-2.0]", "loop.input_upper=[1.0,2.0]"],
     "training.accelerator = none: not available on this machine": ["training.accelerator=none"],
     "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
@@ -104,8 +116,14 @@ def refused(overrides: list[str], results: Path, capfd: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize(("names", "overrides"), WRONG.items(), ids=list(WRONG))
-def test_one_sentence(names: str, overrides: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    small = [] if any(word.startswith(("experiment=", "exp=")) for word in overrides) else ["experiment=smoke"]
+def test_one_sentence(
+    names: str, overrides: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    small = (
+        []
+        if any(word.startswith(("experiment=", "exp=")) for word in overrides)
+        else ["experiment=smoke"]
+    )
     said = refused([*small, *overrides], tmp_path / "results", capfd)
     assert names in said
     if "--nonsense" not in overrides:
@@ -123,7 +141,11 @@ EXCITED = np.sign(np.sin(37.0 * TIME)) * (1 + np.cos(5 * TIME))
 ANSWER = np.cumsum(EXCITED) * 0.01
 MALFORMED = {
     "log.csv (column) = u": {"time": TIME, "voltage": EXCITED, "speed": ANSWER},
-    "column y, line 79 = nan": {"time": TIME, "u": EXCITED, "y": np.where(TIME[77] == TIME, np.nan, ANSWER)},
+    "column y, line 79 = nan": {
+        "time": TIME,
+        "u": EXCITED,
+        "y": np.where(TIME[77] == TIME, np.nan, ANSWER),
+    },
     "(time) = 2.0: sample 200": {"time": TIME + (TIME > 2) * 0.007, "u": EXCITED, "y": ANSWER},
     "u = 1.0: constant": {"time": TIME, "u": np.ones(400), "y": ANSWER},
     "column u (largest) = 1.99": {"time": TIME, "u": 1e300 * EXCITED, "y": ANSWER},
@@ -143,9 +165,18 @@ def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        (["loop.input_lower=3"], "loop.input_lower, loop.input_upper = (3.0, inf): the log rests at the input 0.5;"),
-        (["loop.input_lower=[-9.0,-9.0]", "loop.input_upper=[9.0,9.0]"], "the log's inputs number 1"),
-        (["loop.input_lower=3", "reference@loop.reference=step", "loop.reference.at_s=1"], "choose limits around it"),
+        (
+            ["loop.input_lower=3"],
+            "loop.input_lower, loop.input_upper = (3.0, inf): the log rests at the input 0.5;",
+        ),
+        (
+            ["loop.input_lower=[-9.0,-9.0]", "loop.input_upper=[9.0,9.0]"],
+            "the log's inputs number 1",
+        ),
+        (
+            ["loop.input_lower=3", "reference@loop.reference=step", "loop.reference.at_s=1"],
+            "choose limits around it",
+        ),
     ],
 )
 def test_limits_beyond_the_rest_of_a_log(
@@ -154,7 +185,12 @@ def test_limits_beyond_the_rest_of_a_log(
     path = log(tmp_path / "log.csv", {"time": TIME, "u": EXCITED, "y": ANSWER})
     known = [*RECORDED, "data.time=time", f"data.path={path}", "+data.input_equilibrium=[0.5]"]
     assert words in refused([*known, *limits], tmp_path / "results", capfd)
-    from_a_set_point = [*known, "loop.input_lower=3", "reference@loop.reference=step", "dry_run=true"]
+    from_a_set_point = [
+        *known,
+        "loop.input_lower=3",
+        "reference@loop.reference=step",
+        "dry_run=true",
+    ]
     assert main(["run", f"results_dir={tmp_path / 'results'}", *from_a_set_point]) == 0
 
 
@@ -169,13 +205,17 @@ def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
 def test_more_threads_than_cores(
     asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A single run and Hydra's basic launcher work in this process: its threads are the whole budget."""
+    """A single run and Hydra's basic launcher work in this process: its threads are the whole
+    budget."""
     monkeypatch.setenv("OMP_NUM_THREADS", asked)
-    assert f"OMP_NUM_THREADS = {asked}" in refused(["experiment=smoke"], tmp_path / "results", capfd)
+    assert f"OMP_NUM_THREADS = {asked}" in refused(
+        ["experiment=smoke"], tmp_path / "results", capfd
+    )
 
 
 def test_one_thread_unless_asked(tmp_path: Path) -> None:
-    """What torch itself says in a fresh process, after a request that is refused before any work."""
+    """What torch itself says in a fresh process, after a request that is refused before any
+    work."""
     program = (
         "import sys; from ssm_study.cli.main import main\n"
         "status = main(['run', 'experiment=smoke', 'model.order=-1', *sys.argv[1:]])\n"
@@ -189,7 +229,9 @@ def test_one_thread_unless_asked(tmp_path: Path) -> None:
     assert said.split() == ["2", "1"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0 and not Path("/proc").is_dir(), reason="needs a folder nobody can write to")
+@pytest.mark.skipif(
+    os.geteuid() == 0 and not Path("/proc").is_dir(), reason="needs a folder nobody can write to"
+)
 def test_unwritable_results_folder(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "experiment=smoke", "results_dir=/proc/results"]) == 2
     assert "results_dir = /proc/results" in capfd.readouterr().err
@@ -208,7 +250,9 @@ def test_a_refused_study_leaves_nothing_where_it_points(
 
 
 def test_what_was_meant_is_found_beside_a_swept_choice() -> None:
-    assert meant("synthesis.rate_controler", ["synthesis=lmi,riccati"], configuration_folder()).endswith("controller?")
+    assert meant(
+        "synthesis.rate_controler", ["synthesis=lmi,riccati"], configuration_folder()
+    ).endswith("controller?")
 
 
 def test_the_folder_that_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,9 +263,13 @@ def test_the_folder_that_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         write_record(study / name, {"run": name, "status": "ok"})
     assert run_folder(study / "0a1b2c3d4e") == study / "order8-width32-seed0-0a1b2c3d4e"
     assert run_folder(study / "order4-width32-seed0-5f6a7b8c9d").name.startswith("order4")
-    with pytest.raises(BadRequest, match="2 runs are there; name one: order4-width32-seed0-5f6a7b8c9d, order8"):
+    with pytest.raises(
+        BadRequest, match="2 runs are there; name one: order4-width32-seed0-5f6a7b8c9d, order8"
+    ):
         run_folder(study)
-    with pytest.raises(BadRequest, match=r"there is no record\.json; name one of its study: order4"):
+    with pytest.raises(
+        BadRequest, match=r"there is no record\.json; name one of its study: order4"
+    ):
         run_folder(study / "nothing")
     assert study_folder(study) == study
     for wrong in ("paper", "results/papr"):
@@ -241,7 +289,8 @@ def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
 
 
 def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
-    """No traceback, yet the process ends by the signal, so that the loop of a script around it ends too."""
+    """No traceback, yet the process ends by the signal, so that the loop of a script around it ends
+    too."""
     program = (
         "import sys, ssm_study.cli.main as cli\n"
         "def interrupted(_): raise KeyboardInterrupt\n"
@@ -279,23 +328,36 @@ def test_what_was_silently_accepted(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_single_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["experiment=smoke", f"results_dir={tmp_path / 'r'}", "dry_run=true", "training.accelerator=none"]
+def test_a_single_dry_run_computes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "experiment=smoke",
+        f"results_dir={tmp_path / 'r'}",
+        "dry_run=true",
+        "training.accelerator=none",
+    ]
     assert main(["run", *words]) == 0
     said = capsys.readouterr().out
     assert "1 runs: 0 finished, 1 to do" in said
     assert not list(tmp_path.rglob("*.json"))
 
 
-@pytest.mark.parametrize("launcher", ["ssm_study_slurm.SlurmLauncher", "hydra_ray_launcher.ray_launcher.RayLauncher"])
-def test_a_cluster_may_have_what_this_machine_lacks(launcher: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "launcher", ["ssm_study_slurm.SlurmLauncher", "hydra_ray_launcher.ray_launcher.RayLauncher"]
+)
+def test_a_cluster_may_have_what_this_machine_lacks(
+    launcher: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     there = OmegaConf.create({"hydra": {"launcher": {"_target_": f"hydra_plugins.{launcher}"}}})
     config = composed(["experiment=smoke", "training.accelerator=none"])
     monkeypatch.setattr(HydraConfig.instance(), "cfg", there)
     assert STUDY.check(STUDY.settings(config)).training.accelerator == "none"
 
 
-def test_a_finished_run_says_that_its_data_have_changed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_run_says_that_its_data_have_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     rng = np.random.default_rng(0)
     log = tmp_path / "log.csv"
 
@@ -303,7 +365,10 @@ def test_a_finished_run_says_that_its_data_have_changed(tmp_path: Path, capsys: 
         u, y = np.repeat(rng.uniform(-3, 3, 100), 8), np.zeros(801)
         for k in range(800):
             y[k + 1] = 0.9 * y[k] + 0.2 * scale * u[k]
-        log.write_text("u,y\n" + "\n".join(f"{a!r},{b!r}" for a, b in zip(u.tolist(), y[:800].tolist(), strict=True)))
+        log.write_text(
+            "u,y\n"
+            + "\n".join(f"{a!r},{b!r}" for a, b in zip(u.tolist(), y[:800].tolist(), strict=True))
+        )
 
     words = [
         "data=recorded",
@@ -313,17 +378,27 @@ def test_a_finished_run_says_that_its_data_have_changed(tmp_path: Path, capsys: 
         "data.step_s=0.1",
         "model.slope_lower=0.5",
     ]
-    words += ["model=ssm", "model.order=2", "synthesis=riccati", "loop.initial_conditions=2", "study=log"]
+    words += [
+        "model=ssm",
+        "model.order=2",
+        "synthesis=riccati",
+        "loop.initial_conditions=2",
+        "study=log",
+    ]
     words += ["synthesis.rate_controller=0.5", "synthesis.rate_observer=0.6"]
     write(1.0)
     assert main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"]) == 0
     assert main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"]) == 0
     write(2.0)
     assert main(["run", *words, f"results_dir={tmp_path / 'r'}", "progress=false"]) == 2
-    assert "log.csv changed since this run was done; give study a new name" in capsys.readouterr().err
+    assert (
+        "log.csv changed since this run was done; give study a new name" in capsys.readouterr().err
+    )
 
 
-def test_a_broken_pipe_that_is_not_our_output_is_no_good_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_pipe_that_is_not_our_output_is_no_good_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def broken(_: list[str]) -> int:
         raise BrokenPipeError(32, "Broken pipe")
 

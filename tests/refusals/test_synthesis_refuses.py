@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_ratio import ratio_limit
 
-from ssm_study.refusal import BadRequest
 from ssm_study.certificates import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
-from ssm_study.synthesis.design import Request, broken_claims
 from ssm_study.certificates.exact import Exact
-from ssm_study.synthesis.frontier import frontier, unreached_modulus
-from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.design import DesignAttempt, failed_checks
+from ssm_study.synthesis.frontier import frontier, unreached_modulus
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 RATES = {"rate_controller": 0.3, "rate_observer": 0.3}
@@ -46,19 +46,23 @@ def stored() -> dict:
 
 
 def test_an_untouched_certificate_has_no_broken_claim(stored: dict) -> None:
-    assert broken_claims(stored, PLANT, BALLS) == []
+    assert failed_checks(stored, PLANT, BALLS) == []
 
 
-MATRICES = [("state_feedback", name) for name in "abpyxk"] + [("observer", name) for name in "acquvl"]
+MATRICES = [("state_feedback", name) for name in "abpyxk"] + [
+    ("observer", name) for name in "acquvl"
+]
 
 
 @given(st.sampled_from(MATRICES), st.integers(0, 99), st.sampled_from([1e-15, -1e-9, 1e-3, 2.0]))
-def test_any_tampering_with_any_matrix_is_found(stored: dict, where: tuple[str, str], entry: int, share: float) -> None:
+def test_any_tampering_with_any_matrix_is_found(
+    stored: dict, where: tuple[str, str], entry: int, share: float
+) -> None:
     content = copy.deepcopy(stored)
     rows = content[where[0]][where[1]]
     i, j = divmod(entry % (len(rows) * len(rows[0])), len(rows[0]))
     rows[i][j] = rows[i][j] * (1 + share) if rows[i][j] else share
-    assert any(claim.startswith(where[0]) for claim in broken_claims(content, PLANT, BALLS))
+    assert any(claim.startswith(where[0]) for claim in failed_checks(content, PLANT, BALLS))
 
 
 def test_the_digest_covers_every_field(stored: dict) -> None:
@@ -72,29 +76,34 @@ def test_the_digest_covers_every_field(stored: dict) -> None:
 def test_any_tampering_with_a_number_is_found(stored: dict, name: str) -> None:
     content = copy.deepcopy(stored)
     content["state_feedback"][name] *= 1 + 1e-6
-    assert broken_claims(content, PLANT, BALLS)
+    assert failed_checks(content, PLANT, BALLS)
 
 
 def test_a_forged_digest_does_not_help_where_the_inequality_fails(stored: dict) -> None:
     content = copy.deepcopy(stored)
     content["state_feedback"]["rate"] = 0.9
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
-    assert any("in exact arithmetic the inequality fails" in claim for claim in broken_claims(content, PLANT, BALLS))
+    assert any(
+        "in exact arithmetic the inequality fails" in claim
+        for claim in failed_checks(content, PLANT, BALLS)
+    )
 
 
 @pytest.mark.parametrize(
-    ("side", "name"), [("state_feedback", n) for n in ("k", "y", "x")] + [("observer", n) for n in ("l", "u", "v")]
+    ("side", "name"),
+    [("state_feedback", n) for n in ("k", "y", "x")] + [("observer", n) for n in ("l", "u", "v")],
 )
 def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, name: str) -> None:
     """The inequality still holds after so small a change, but the products no longer fit."""
     content = copy.deepcopy(stored)
     content[side][name][0][0] *= 1 + 1e-9
     content[side]["digest"] = digest(content[side])
-    assert any("differs from what" in claim for claim in broken_claims(content, PLANT, BALLS))
+    assert any("differs from what" in claim for claim in failed_checks(content, PLANT, BALLS))
 
 
 def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
-    """Determinant about `-0.375 2^-53`; in floats the matrix reads `[[1, 1], [1, 1 + 2^-52]]`, which is definite."""
+    """Determinant about `-0.375 2^-53`; in floats the matrix reads `[[1, 1], [1, 1 + 2^-52]]`,
+    which is definite."""
     one, off, last = 2**57, 2**57 + 15, 2**57 + 3 * 2**3
     assert np.linalg.cholesky(np.array([[1.0, 1.0], [1.0, 1 + 2.0**-52]]))[1, 1] > 0
     assert not exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last]])))
@@ -106,11 +115,14 @@ def test_one_unit_in_the_last_place_decides() -> None:
     below = np.nextafter(1.0, 0.0)
     assert exact.is_positive_definite(Exact.of(np.array([[1.0, below], [below, 1.0]])))
     assert not exact.is_positive_definite(Exact.of(np.array([[1.0, 1.0], [1.0, 1.0]])))
-    assert not exact.is_positive_definite(Exact.of(np.array([[1.0, below], [1.0, 1.0]])))  # not symmetric
+    assert not exact.is_positive_definite(
+        Exact.of(np.array([[1.0, below], [1.0, 1.0]]))
+    )  # not symmetric
 
 
 def test_a_scalar_certificate_at_the_last_representable_sigma() -> None:
-    """`a = 0, b = 1, beta = 0`: the inequality is `(1-rho) p > sigma`; equality is refused, one ulp less is not."""
+    """`a = 0, b = 1, beta = 0`: the inequality is `(1-rho) p > sigma`; equality is refused, one ulp
+    less is not."""
     one = np.ones((1, 1))
     for sigma, verdict in ((0.5, False), (np.nextafter(0.5, 0.0), True)):
         numbers = {"a": 0 * one, "b": one, "k": 0 * one, "p": one, "y": one, "sigma": float(sigma)}
@@ -119,7 +131,7 @@ def test_a_scalar_certificate_at_the_last_representable_sigma() -> None:
 
 def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
     wider = Balls(input=JacobianBall.from_slopes(0.29, 1.0), output=BALLS.output)
-    assert any("alpha, beta" in claim for claim in broken_claims(stored, PLANT, wider))
+    assert any("alpha, beta" in claim for claim in failed_checks(stored, PLANT, wider))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +151,7 @@ def test_a_malformed_certificate_is_one_sentence(stored: dict, change, field: st
     change(content)
     with pytest.raises(BadRequest, match=field):
         Design.from_json(content)
-    assert len(broken_claims(content, PLANT, BALLS)) == 1
+    assert len(failed_checks(content, PLANT, BALLS)) == 1
 
 
 @pytest.mark.parametrize("name", ["rate_controller", "rate_observer"])
@@ -193,8 +205,11 @@ def test_an_unobservable_slow_mode_is_refused_by_its_modulus() -> None:
 @pytest.mark.parametrize(
     ("lower", "limit", "by"), [(0.1, 1.2 * 9 / 11, "the slopes"), (0.2, 0.9, "a mode out of reach")]
 )
-def test_what_sets_the_limit_of_several_inputs_is_named(lower: float, limit: float, by: str) -> None:
-    """One mode at 0.9 that no input reaches; each of two inputs holds a mode at 1.2, down to `1.2 beta/alpha`."""
+def test_what_sets_the_limit_of_several_inputs_is_named(
+    lower: float, limit: float, by: str
+) -> None:
+    """One mode at 0.9 that no input reaches; each of two inputs holds a mode at 1.2, down to `1.2
+    beta/alpha`."""
     b = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     found = frontier(np.diag([0.9, 1.2, 1.2]), b, JacobianBall.from_slopes(lower, 1.0))
     assert found.contraction_limit == pytest.approx(limit)
@@ -208,14 +223,18 @@ def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None
 
 @pytest.mark.parametrize("unit", [1e-15, 1e-6, 1.0, 1e6, 1e15])
 def test_what_is_out_of_reach_does_not_hang_on_the_inputs_unit(unit: float) -> None:
-    reached, split = system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0]), np.array([[unit], [0.0]])
+    reached, split = (
+        system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0]),
+        np.array([[unit], [0.0]]),
+    )
     assert unreached_modulus(reached.a, unit * reached.b) == 0
     assert unreached_modulus(np.diag([0.9, 0.5]), split) == pytest.approx(0.5)
     assert unreached_modulus(np.diag([0.9, 0.9]), split) == pytest.approx(0.9)
 
 
 def clustered(order: int) -> StateSpace:
-    """Modes a thousandth apart under one input: the gain that moves them all is lost in rounding."""
+    """Modes a thousandth apart under one input: the gain that moves them all is lost in
+    rounding."""
     return system(np.diag(0.9 + 1e-3 * np.arange(order)).tolist(), [1.0] * order, [1.0] * order)
 
 
@@ -238,10 +257,11 @@ def test_the_same_model_with_fewer_states_is_certified() -> None:
 
 
 def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -> None:
-    """Far beyond the frontier the method's matrices are no certificate, whatever its status says."""
+    """Far beyond the frontier the method's matrices are no certificate, whatever its status
+    says."""
     ball = BALLS.input
     problem = RiccatiSynthesis(**RATES).problem(PLANT, ball)
-    request = Request(
+    request = DesignAttempt(
         theorem=StateFeedbackOfBall,
         rate=problem.rate,
         ball=ball,
@@ -269,7 +289,8 @@ ILL = st.sampled_from([1e-12, 1e-9, 1e-3, 1.0, 1e6])
 def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
     seed: int, gain: float, slope: float, state: float, effort: float, rate: float
 ) -> None:
-    """Weights, gains and slopes at the edge of floats: a singular matrix ends the attempt and not the run."""
+    """Weights, gains and slopes at the edge of floats: a singular matrix ends the attempt and not
+    the run."""
     rng = np.random.default_rng(seed)
     n, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
     linear = StateSpace(
@@ -281,7 +302,9 @@ def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
     ball = JacobianBall(alpha=slope, beta=0.5 * slope)
     weights = {"state_weight": state, "input_weight": effort, "output_noise": effort}
     for method in (RiccatiSynthesis, ClosedFormSynthesis):
-        part = method(rate_controller=rate, rate_observer=rate, **weights).state_feedback(linear, ball)
+        part = method(rate_controller=rate, rate_observer=rate, **weights).state_feedback(
+            linear, ball
+        )
         assert isinstance(part, Infeasible | StateFeedback)
         if isinstance(part, StateFeedback) and part.certified:
             assert StateFeedbackOfBall.holds(**part.numbers)
@@ -289,7 +312,8 @@ def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
 
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_the_frontier_at_the_modulus_of_a_mode(inputs: int) -> None:
-    """A mode on the circle costs no energy: the ratio is that of the modes outside it, from either side."""
+    """A mode on the circle costs no energy: the ratio is that of the modes outside it, from either
+    side."""
     a, b = np.diag([1.2, 0.9, 0.5]), np.array([[1.0, 0.3], [0.7, 1.0], [0.2, 0.4]])[:, :inputs]
     at, below, above = (ratio_limit(a, b, r) for r in (0.9, 0.9 * (1 - 1e-7), 0.9 * (1 + 1e-7)))
     assert below == pytest.approx(at, rel=1e-5)
@@ -298,11 +322,16 @@ def test_the_frontier_at_the_modulus_of_a_mode(inputs: int) -> None:
 
 
 def test_the_frontier_of_modes_that_two_inputs_hardly_tell_apart() -> None:
-    """Three at minus one, so nearly uncoupled that each input moves its own: one of them has two, which decides."""
-    a = np.array([[-1.0, 0.0, 0.0], [3.03608337e-11, -1.0, 0.0], [3.02671280e-10, -4.81049402e-10, -1.0]])
+    """Three at minus one, so nearly uncoupled that each input moves its own: one of them has two,
+    which decides."""
+    a = np.array(
+        [[-1.0, 0.0, 0.0], [3.03608337e-11, -1.0, 0.0], [3.02671280e-10, -4.81049402e-10, -1.0]]
+    )
     b = np.array([[0.57466926, -0.3113685], [-0.18975561, 0.30924853], [0.26792832, 0.38736124]])
     for ball in (BALLS.input, JacobianBall.from_slopes(1 / 3, 1.0)):
-        assert frontier(a, b, ball).contraction_limit == pytest.approx(np.sqrt(ball.relative_radius), abs=1e-6)
+        assert frontier(a, b, ball).contraction_limit == pytest.approx(
+            np.sqrt(ball.relative_radius), abs=1e-6
+        )
 
 
 def test_slopes_in_the_wrong_order() -> None:

@@ -1,4 +1,5 @@
-"""A stored certificate of a model with neurons: altered numbers are named, and r lowered to 0.8 of it is refused."""
+"""A stored certificate of a model with neurons: altered numbers are named, and r lowered to 0.8 of
+it is refused."""
 
 import json
 from dataclasses import replace
@@ -9,28 +10,31 @@ from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, digest
-from ssm_study.synthesis.design import broken_claims
+from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 
 @pytest.fixture(scope="module")
 def stored() -> dict:
-    design = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).design(model(), certified_balls(model()))
+    design = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).design(
+        model(), certified_balls(model())
+    )
     assert design.certified
     return json.loads(json.dumps(design.to_json()))
 
 
 def altered(stored: dict, side: str, name: str, value: object) -> list[str]:
-    """The claims that break, the digest and the stated rate made to fit as a careful forger would."""
+    """The claims that break, the digest and the stated rate made to fit as a careful forger
+    would."""
     content = json.loads(json.dumps(stored))
     content[side][name] = value
     content[side]["certified_rate"] = content[side]["rate"]
     content[side]["digest"] = digest(content[side])
-    return broken_claims(content, model().system, certified_balls(model()))
+    return failed_checks(content, model().system, certified_balls(model()))
 
 
 def test_what_was_written_holds(stored: dict) -> None:
-    assert broken_claims(stored, model().system, certified_balls(model())) == []
+    assert failed_checks(stored, model().system, certified_balls(model())) == []
     assert {"e", "f", "g", "lambda"} <= set(stored["state_feedback"])
     assert {"e", "f", "h", "l_z", "lambda"} <= set(stored["observer"])
 
@@ -50,8 +54,12 @@ def test_what_was_written_holds(stored: dict) -> None:
         ("observer", "lambda", 1e-3, "the inequality fails"),
     ],
 )
-def test_an_altered_number_is_named(stored: dict, side: str, name: str, factor: float, found: str) -> None:
-    value = (np.array(stored[side][name]) * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
+def test_an_altered_number_is_named(
+    stored: dict, side: str, name: str, factor: float, found: str
+) -> None:
+    value = (
+        (np.array(stored[side][name]) * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
+    )
     assert any(found in claim for claim in altered(stored, side, name, value))
 
 
@@ -62,18 +70,30 @@ def test_a_rate_that_the_matrices_do_not_prove_is_refused(stored: dict, side: st
 
 
 @pytest.mark.parametrize("side", ["state_feedback", "observer"])
-def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_reverse(stored: dict, side: str) -> None:
-    """Every matrix that the file shares with the model is the model's, and each inequality holds: of another loop."""
+def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_reverse(
+    stored: dict, side: str
+) -> None:
+    """Every matrix that the file shares with the model is the model's, and each inequality holds:
+    of another loop."""
     stand = model()
-    none = {name: getattr(stand, name)[:, :0] for name in "eh"} | {name: getattr(stand, name)[:0] for name in "fg"}
+    none = {name: getattr(stand, name)[:, :0] for name in "eh"} | {
+        name: getattr(stand, name)[:0] for name in "fg"
+    }
     alone = replace(stand, neurons=(), bias=stand.bias[:0], **none)
-    plain = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).design(alone, certified_balls(alone))
+    plain = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).design(
+        alone, certified_balls(alone)
+    )
     other = json.loads(json.dumps(plain.to_json()))
-    limits = {name: part["rate_limit"] for name, part in (("plain", other[side]), ("stored", stored[side]))}
+    limits = {
+        name: part["rate_limit"]
+        for name, part in (("plain", other[side]), ("stored", stored[side]))
+    }
     for part, limit, beside in ((other[side], "stored", stored), (stored[side], "plain", other)):
         forged = part | {"rate_limit": limits[limit]}
         content = beside | {side: forged | {"digest": digest(forged)}}
-        claims = broken_claims(content, (stand if beside is stored else alone).system, certified_balls(stand))
+        claims = failed_checks(
+            content, (stand if beside is stored else alone).system, certified_balls(stand)
+        )
         assert f"{side}: the matrices do not fit the model" in claims
 
 
@@ -85,5 +105,5 @@ def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: di
     assert other is not None
     assert other.certified
     forged = json.loads(json.dumps(replace(design, beside={"observer_deployed": other}).to_json()))
-    claims = broken_claims(forged, model().system, certified_balls(model()))
+    claims = failed_checks(forged, model().system, certified_balls(model()))
     assert "observer_deployed: the gain is not the one that is deployed" in claims

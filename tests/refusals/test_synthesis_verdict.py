@@ -1,4 +1,5 @@
-"""What stands between a method's matrices and a stored claim, each step against a fault that would let it pass."""
+"""What stands between a method's matrices and a stored claim, each step against a fault that would
+let it pass."""
 
 import copy
 import json
@@ -10,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.refusal import BadRequest
 from ssm_study.certificates import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
-from ssm_study.synthesis.design import Request, broken_claims
-from ssm_study.synthesis.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.certificates.theorem import Known, margin, unit_diagonal
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
+from ssm_study.certificates.theorem import VerificationContext, margin, unit_diagonal
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.design import DesignAttempt, failed_checks
+from ssm_study.synthesis.frontier import frontier
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 BALLS = Balls(input=JacobianBall.from_slopes(0.3, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
@@ -46,7 +47,7 @@ def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
     problem = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).problem(PLANT, BALLS.input)
     limit = frontier(PLANT.a, PLANT.b, BALLS.input)
     asked = {"rate": 0.3, "ball": BALLS.input, "frontier": limit}
-    request = Request(theorem=StateFeedbackOfBall, **asked, method="any", started=0.0)
+    request = DesignAttempt(theorem=StateFeedbackOfBall, **asked, method="any", started=0.0)
 
     def nothing() -> Solution:
         raise NoSolution("nothing")
@@ -66,15 +67,17 @@ def test_margins_are_of_a_unit_diagonal() -> None:
 def test_what_the_frontier_excludes_is_a_claim_that_holds() -> None:
     content = stored(0.9)
     assert content["state_feedback"]["proved"]
-    assert broken_claims(content, PLANT, BALLS) == []
+    assert failed_checks(content, PLANT, BALLS) == []
     inside = content["state_feedback"] | {"rate": 0.1}
     content["state_feedback"] = inside | {"digest": digest(inside)}
-    assert any("inside the frontier" in claim for claim in broken_claims(content, PLANT, BALLS))
+    assert any("inside the frontier" in claim for claim in failed_checks(content, PLANT, BALLS))
 
 
 def test_a_certificate_of_another_order_does_not_fit() -> None:
-    smaller = StateSpace(a=PLANT.a[:1, :1], b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
-    broken = broken_claims(stored(0.3), smaller, BALLS)
+    smaller = StateSpace(
+        a=PLANT.a[:1, :1], b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
+    )
+    broken = failed_checks(stored(0.3), smaller, BALLS)
     for side in ("state_feedback", "observer"):
         assert f"{side}: the matrices do not fit the model" in broken
 
@@ -95,7 +98,9 @@ def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "made", [str, bool, lambda entry: [entry], lambda _: 10**400], ids=["words", "bools", "lists", "huge"]
+    "made",
+    [str, bool, lambda entry: [entry], lambda _: 10**400],
+    ids=["words", "bools", "lists", "huge"],
 )
 def test_entries_of_a_matrix_are_numbers(made: Callable[[float], object]) -> None:
     content = stored(0.3)
@@ -113,15 +118,23 @@ def test_a_part_that_does_not_say_whether_it_is_feasible_is_a_certificate() -> N
 def test_a_certificate_that_is_not_a_number_is_not_written(tmp_path: Path) -> None:
     design = designed()
     with pytest.raises(ValueError, match="JSON"):
-        replace(design, state_feedback=replace(design.state_feedback, margin=np.nan)).save(tmp_path / "c.json")
+        replace(design, state_feedback=replace(design.state_feedback, margin=np.nan)).save(
+            tmp_path / "c.json"
+        )
 
 
 @pytest.mark.parametrize("name", ["k", "p", "y", "l", "q", "u"])
 def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
     design = designed()
-    part, side = (design.state_feedback, "state_feedback") if name in "kpy" else (design.observer, "observer")
-    object.__setattr__(part, name, np.ones((3, 3)))  # as a file may hold it: its shapes are checked here only
-    known = Known(system=PLANT, controlled=PLANT, balls=BALLS, gains=design.gains)
+    part, side = (
+        (design.state_feedback, "state_feedback")
+        if name in "kpy"
+        else (design.observer, "observer")
+    )
+    object.__setattr__(
+        part, name, np.ones((3, 3))
+    )  # as a file may hold it: its shapes are checked here only
+    known = VerificationContext(system=PLANT, controlled=PLANT, balls=BALLS, gains=design.gains)
     assert part.broken(known) == [": the matrices do not fit the model"], side
 
 
@@ -130,23 +143,35 @@ EDGE = {"p": 1.0, "y": 1.0, "sigma": float(np.nextafter(0.5, 0)), "rate": 0.5}
 
 @pytest.mark.parametrize(
     ("name", "start", "towards"),
-    [("p", 1.0, 0.0), ("sigma", EDGE["sigma"], 1.0), ("rate", 0.5, 1.0), ("y", float(np.nextafter(0.5, 1)), 0.0)],
+    [
+        ("p", 1.0, 0.0),
+        ("sigma", EDGE["sigma"], 1.0),
+        ("rate", 0.5, 1.0),
+        ("y", float(np.nextafter(0.5, 1)), 0.0),
+    ],
 )
-def test_one_unit_in_the_last_place_of_a_stored_number_is_found(name: str, start: float, towards: float) -> None:
-    """`x+ = S(u)`, K = 0: definite iff `(1 - rho) p > sigma` and `2 y > p`; every number is its last admissible float.
+def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
+    name: str, start: float, towards: float
+) -> None:
+    """`x+ = S(u)`, K = 0: definite iff `(1 - rho) p > sigma` and `2 y > p`; every number is its
+    last admissible float.
 
     The digest is written anew and the products still fit: exact arithmetic alone can find it.
     """
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
     linear, ball = StateSpace(a=zero, b=one, c=one, d=zero), BALLS.input
     limit = frontier(zero, one, ball).rate_limit
-    scalar = replace(designed().state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
+    scalar = replace(
+        designed().state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit
+    )
     content = json.loads(json.dumps(replace(designed(), state_feedback=scalar).to_json()))
 
     def claims(value: float) -> list[str]:
         part = content["state_feedback"] | EDGE | {name: value}
         part |= {"certified_rate": part["rate"], **{key: [[part[key]]] for key in "py"}}
-        said = broken_claims(content | {"state_feedback": part | {"digest": digest(part)}}, linear, BALLS)
+        said = failed_checks(
+            content | {"state_feedback": part | {"digest": digest(part)}}, linear, BALLS
+        )
         return [claim for claim in said if claim.startswith("state_feedback")]
 
     away = 0.0 if towards else 2.0
@@ -156,22 +181,39 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(name: str, start
 
 
 @pytest.mark.parametrize("rate", [1.0, 1.5, 3.0])
-def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(rate: float) -> None:
+def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
+    rate: float,
+) -> None:
     """With `p < 0` the corner `(1 - rho) p - sigma` is positive, and so are `2 y - p` and sigma."""
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
     linear = StateSpace(a=zero, b=one, c=one, d=zero)
-    forged = replace(designed().state_feedback, a=zero, b=one, p=-one, y=zero, k=zero, x=zero, sigma=0.1, rate=rate)
+    forged = replace(
+        designed().state_feedback,
+        a=zero,
+        b=one,
+        p=-one,
+        y=zero,
+        k=zero,
+        x=zero,
+        sigma=0.1,
+        rate=rate,
+    )
     conditions = StateFeedbackOfBall.exactly(**forged.numbers)
     assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
     content = json.loads(json.dumps(replace(designed(), state_feedback=forged).to_json()))
-    said = broken_claims(content, linear, BALLS)
+    said = failed_checks(content, linear, BALLS)
     assert any("state_feedback.certified = True" in claim for claim in said)
 
 
 def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     limit = frontier(PLANT.a, PLANT.b, BALLS.input)
-    request = Request(
-        theorem=StateFeedbackOfBall, rate=limit.rate_limit, ball=BALLS.input, frontier=limit, method="any", started=0.0
+    request = DesignAttempt(
+        theorem=StateFeedbackOfBall,
+        rate=limit.rate_limit,
+        ball=BALLS.input,
+        frontier=limit,
+        method="any",
+        started=0.0,
     )
     refused = request.refused()
     assert isinstance(refused, Infeasible)
@@ -180,7 +222,8 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("rate", 0.0), ("rate", 1.0), ("rate", 1.5), ("input_weight", 0.0), ("input_weight", -1.0)]
+    ("name", "value"),
+    [("rate", 0.0), ("rate", 1.0), ("rate", 1.5), ("input_weight", 0.0), ("input_weight", -1.0)],
 )
 def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
     asked = {"rate": 0.1, "input_weight": 1.0, name: value}
@@ -189,11 +232,15 @@ def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
 
 
 def test_the_margin_is_that_of_the_exact_inequality() -> None:
-    """The smallest eigenvalue of what exact arithmetic decides on, rounded afterwards; Y is not P here."""
+    """The smallest eigenvalue of what exact arithmetic decides on, rounded afterwards; Y is not P
+    here."""
     part = designed().state_feedback
     y = part.y @ np.array([[1.0, 0.1], [0.0, 1.2]])
     numbers = part.numbers | {"y": y}
-    ours, exactly = (conditions(**numbers)["inequality"] for conditions in (type(part).in_floats, type(part).exactly))
+    ours, exactly = (
+        conditions(**numbers)["inequality"]
+        for conditions in (type(part).as_floats, type(part).exactly)
+    )
     np.testing.assert_allclose(ours, unit_diagonal(exactly.rounded()), atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
     assert type(part).proved(numbers, **known).margin == margin(ours)
@@ -205,6 +252,8 @@ def test_what_stands_beside_the_matrices() -> None:
     feedback, observer = designed().state_feedback, designed().observer
     beyond = designed(0.9).state_feedback
     elapsed = time.perf_counter() - started
-    assert feedback.gain_norm == pytest.approx(np.sqrt((feedback.k**2).sum()))  # one row: its Euclidean length
+    assert feedback.gain_norm == pytest.approx(
+        np.sqrt((feedback.k**2).sum())
+    )  # one row: its Euclidean length
     assert observer.gain_norm == pytest.approx(np.sqrt((observer.l**2).sum()))
     assert all(0 <= part.seconds <= elapsed for part in (feedback, observer, beyond))

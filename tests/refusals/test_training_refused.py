@@ -88,7 +88,11 @@ def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
     data, settings = data_set(), training(max_epochs=1, checkpoint_every_s=0.0)
     settings.identify(spec(), data, 0, tmp_path)
     wider = replace(data, scale=replace(data.scale, input_scale=np.array([2.0])))
-    for model, records in ((spec(hidden_width=9), data), (spec(), replace(data, start_up_samples=20)), (spec(), wider)):
+    for model, records in (
+        (spec(hidden_width=9), data),
+        (spec(), replace(data, start_up_samples=20)),
+        (spec(), wider),
+    ):
         with pytest.raises(BadRequest, match="another model, training or data set"):
             settings.identify(model, records, 0, tmp_path)
 
@@ -101,7 +105,9 @@ def test_a_damaged_or_evil_checkpoint_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="unreadable"):
         settings.identify(spec(), data, 0, tmp_path)
     marker = tmp_path / "ran"
-    DurableCheckpointIO().save_checkpoint({"state": Evil(str(marker))}, last)  # in good order but for its content
+    DurableCheckpointIO().save_checkpoint(
+        {"state": Evil(str(marker))}, last
+    )  # in good order but for its content
     with pytest.raises(pickle.UnpicklingError, match="weights_only"):
         DurableCheckpointIO().load_checkpoint(last, weights_only=False)
     with pytest.raises(BadRequest, match="unreadable"):

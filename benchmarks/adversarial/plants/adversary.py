@@ -14,9 +14,11 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class Adversary(Plant):
-    """`dx/dt = rate(x, u)`, `y = h(x)`, `h` the state number `reading` unless a plant says otherwise.
+    """`dx/dt = rate(x, u)`, `y = h(x)`, `h` the state number `reading` unless a plant says
+    otherwise.
 
-    `shown_by` names the record that shows the fault, written down before any sweep: `ordinary` where there is none.
+    `shown_by` names the record that shows the fault, written down before any sweep: `ordinary`
+    where there is none.
     """
 
     inputs = (Channel(name="input", unit="V"),)
@@ -36,7 +38,9 @@ class Adversary(Plant):
     noise: float = 1e-4
 
     @abstractmethod
-    def rate(self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N n"]:
+    def rate(
+        self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N n"]:
         """Right-hand side, inputs held."""
 
     @property

@@ -10,7 +10,8 @@ from benchmarks.adversarial.plants.adversary import Adversary
 
 @dataclass(frozen=True, kw_only=True)
 class DeadTime(Adversary):
-    """`T_1 a' = u(t - 3 h) - a`, `T_2 y' = a - y`: state `(y, a, u_1, u_2, u_3)`, the last three in samples."""
+    """`T_1 a' = u(t - 3 h) - a`, `T_2 y' = a - y`: state `(y, a, u_1, u_2, u_3)`, the last three in
+    samples."""
 
     order = 5
     shown_by = "ordinary"
@@ -18,10 +19,14 @@ class DeadTime(Adversary):
     first_s: float
     second_s: float
 
-    def rate(self, x: Float[np.ndarray, "N 5"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 5"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 5"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 5"]:
         y, a = x[:, 0], x[:, 1]
         still = np.zeros_like(y)
-        return np.stack([(a - y) / self.second_s, (u - a) / self.first_s, still, still, still], axis=1)
+        return np.stack(
+            [(a - y) / self.second_s, (u - a) / self.first_s, still, still, still], axis=1
+        )
 
     def advance(
         self, x: Float[np.ndarray, "N 5"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N q"]

@@ -20,8 +20,14 @@ class Drag(Adversary):
     quadratic: float
     thrust_s: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         y, f = x.T
         return np.stack(
-            [(f - (self.linear + self.quadratic * np.abs(y)) * y) / self.mass, (u - f) / self.thrust_s], axis=1
+            [
+                (f - (self.linear + self.quadratic * np.abs(y)) * y) / self.mass,
+                (u - f) / self.thrust_s,
+            ],
+            axis=1,
         )

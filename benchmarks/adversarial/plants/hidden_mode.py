@@ -12,7 +12,8 @@ from benchmarks.adversarial.plants.adversary import Adversary
 class HiddenMode(Adversary):
     """`T s' = u - s`, `q'' = w^2 (c u - q) - 2 zeta w q'`, `y = s + q`: state `(s, q, q')`.
 
-    The mode lies where a signal that holds its levels for ten samples has a thousandth of its power.
+    The mode lies where a signal that holds its levels for ten samples has a thousandth of its
+    power.
     """
 
     order = 3
@@ -23,10 +24,15 @@ class HiddenMode(Adversary):
     damping: float
     share: float
 
-    def rate(self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 3"]:
         s, q, v = x.T
         w = self.mode_rad_per_s
-        return np.stack([(u - s) / self.slow_s, v, w**2 * (self.share * u - q) - 2 * self.damping * w * v], axis=1)
+        return np.stack(
+            [(u - s) / self.slow_s, v, w**2 * (self.share * u - q) - 2 * self.damping * w * v],
+            axis=1,
+        )
 
     def output(self, x: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 1"]:
         return x[:, :1] + x[:, 1:2]

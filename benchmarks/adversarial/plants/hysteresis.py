@@ -1,4 +1,5 @@
-"""Smooth hysteresis between a command and the force it makes (Bouc-Wen), as in a piezo or a magnet."""
+"""Smooth hysteresis between a command and the force it makes (Bouc-Wen), as in a piezo or a
+magnet."""
 
 from dataclasses import dataclass
 
@@ -10,7 +11,8 @@ from benchmarks.adversarial.plants.adversary import Adversary
 
 @dataclass(frozen=True, kw_only=True)
 class Hysteresis(Adversary):
-    """`T_1 a' = u - a`, `z' = a' (1 - |z| / width) ...`, `T_2 y' = a - share z - y`: state `(y, a, z)`."""
+    """`T_1 a' = u - a`, `z' = a' (1 - |z| / width) ...`, `T_2 y' = a - share z - y`: state `(y, a,
+    z)`."""
 
     order = 3
     shown_by = "ordinary"
@@ -20,7 +22,9 @@ class Hysteresis(Adversary):
     width: float
     share: float
 
-    def rate(self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 3"]:
         y, a, z = x.T
         da = (u - a) / self.first_s
         dz = da - np.abs(da) * z / self.width

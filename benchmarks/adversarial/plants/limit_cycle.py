@@ -10,7 +10,8 @@ from benchmarks.adversarial.plants.adversary import Adversary
 
 @dataclass(frozen=True, kw_only=True)
 class LimitCycle(Adversary):
-    """`y'' - 2 zeta w (1 - (y / size)^2) y' + w^2 y = w^2 u`, damped beyond `size`: state `(y, y')` (van der Pol)."""
+    """`y'' - 2 zeta w (1 - (y / size)^2) y' + w^2 y = w^2 u`, damped beyond `size`: state `(y, y')`
+    (van der Pol)."""
 
     order = 2
     shown_by = "the rest at the end of the records, which does not come to rest"
@@ -19,7 +20,9 @@ class LimitCycle(Adversary):
     damping: float
     size: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         y, v = x.T
         w = self.natural_rad_per_s
         damp = 2 * self.damping * w * (1 - np.minimum((y / self.size) ** 2, 4.0))

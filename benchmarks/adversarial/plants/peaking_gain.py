@@ -1,4 +1,5 @@
-"""A process whose gain peaks at rest: what a sensor with a steep characteristic at its set point shows."""
+"""A process whose gain peaks at rest: what a sensor with a steep characteristic at its set point
+shows."""
 
 from dataclasses import dataclass
 
@@ -23,7 +24,9 @@ class PeakingGain(Adversary):
     peak: float
     width: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         b, a = x.T
         return np.stack([(a - b) / self.second_s, (u - a) / self.first_s], axis=1)
 

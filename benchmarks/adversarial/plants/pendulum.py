@@ -18,7 +18,9 @@ class Pendulum(Adversary):
     natural_rad_per_s: float
     damping: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         y, v = x.T
         w = self.natural_rad_per_s
         return np.stack([v, w**2 * (u - np.sin(y)) - 2 * self.damping * w * v], axis=1)

@@ -12,7 +12,8 @@ from benchmarks.adversarial.plants.adversary import Adversary
 class Play(Adversary):
     """`T m' = g u - m`, `h` follows `m` when `|m - h| = gap`, `T_l y' = h - y`: state `(y, m, h)`.
 
-    At the excitation's amplitude the gap is a fiftieth of the stroke and hardly shows; near rest it is all there is.
+    At the excitation's amplitude the gap is a fiftieth of the stroke and hardly shows; near rest it
+    is all there is.
     """
 
     order = 3
@@ -23,7 +24,9 @@ class Play(Adversary):
     load_s: float
     gap: float
 
-    def rate(self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 3"]:
         y, m, h = x.T
         dm = (self.gain * u - m) / self.motor_s
         pushed = ((m - h >= self.gap) & (dm > 0)) | ((m - h <= -self.gap) & (dm < 0))

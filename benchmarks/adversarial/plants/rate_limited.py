@@ -10,7 +10,8 @@ from benchmarks.adversarial.plants.adversary import Adversary
 
 @dataclass(frozen=True, kw_only=True)
 class RateLimited(Adversary):
-    """`a' = clip((u - a) / T_1, fastest)`, `T_2 y' = a - y`, read in steps of `resolution`: state `(y, a)`."""
+    """`a' = clip((u - a) / T_1, fastest)`, `T_2 y' = a - y`, read in steps of `resolution`: state
+    `(y, a)`."""
 
     order = 2
     shown_by = "ordinary"
@@ -20,9 +21,14 @@ class RateLimited(Adversary):
     fastest: float
     resolution: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         y, a = x.T
-        return np.stack([(a - y) / self.second_s, np.clip((u - a) / self.first_s, -self.fastest, self.fastest)], axis=1)
+        return np.stack(
+            [(a - y) / self.second_s, np.clip((u - a) / self.first_s, -self.fastest, self.fastest)],
+            axis=1,
+        )
 
     def output(self, x: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 1"]:
         return self.resolution * np.round(x[:, :1] / self.resolution)

@@ -23,9 +23,14 @@ class SlowMode(Adversary):
     slow_s: float
     share: float
 
-    def rate(self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 3"]:
         f, v, s = x.T
-        return np.stack([(v - f) / self.fast_s, (u - v) / self.actuator_s, (self.share * u - s) / self.slow_s], axis=1)
+        return np.stack(
+            [(v - f) / self.fast_s, (u - v) / self.actuator_s, (self.share * u - s) / self.slow_s],
+            axis=1,
+        )
 
     def output(self, x: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 1"]:
         return x[:, :1] + x[:, 2:3]

@@ -1,4 +1,5 @@
-"""A valve with stiction: the stem stays until it is pushed hard enough, then slips to where it is pushed."""
+"""A valve with stiction: the stem stays until it is pushed hard enough, then slips to where it is
+pushed."""
 
 from dataclasses import dataclass
 
@@ -22,7 +23,11 @@ class Stiction(Adversary):
     first_s: float
     second_s: float
 
-    def rate(self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 3"]:  # noqa: ARG002
+    def rate(
+        self,
+        x: Float[np.ndarray, "N 3"],
+        u: Float[np.ndarray, "N"],  # noqa: ARG002
+    ) -> Float[np.ndarray, "N 3"]:
         y, a, s = x.T
         return np.stack([(a - y) / self.second_s, (s - a) / self.first_s, np.zeros_like(s)], axis=1)
 

@@ -19,7 +19,11 @@ class ThinningDamping(Adversary):
     least_damping: float
     square_damping: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         y, v = x.T
         w = self.natural_rad_per_s
-        return np.stack([v, w**2 * (u - y) - (self.least_damping + self.square_damping * np.abs(v)) * v], axis=1)
+        return np.stack(
+            [v, w**2 * (u - y) - (self.least_damping + self.square_damping * np.abs(v)) * v], axis=1
+        )

@@ -19,6 +19,11 @@ class TwoLags(Adversary):
     second_s: float
     full: float
 
-    def rate(self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def rate(
+        self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         y, a = x.T
-        return np.stack([(a - y) / self.second_s, (self.full * np.tanh(u / self.full) - a) / self.first_s], axis=1)
+        return np.stack(
+            [(a - y) / self.second_s, (self.full * np.tanh(u / self.full) - a) / self.first_s],
+            axis=1,
+        )

@@ -1,7 +1,9 @@
 """The board of the temperature control laboratory, through its own package `tclab`, in real time.
 
-Its heater is off at whatever ends a record or a loop: its last sample, an exception, Ctrl-C or a request to terminate.
-What no program sees (a power cut, a kill) ends it, too: the firmware switches off five minutes after the last command.
+Its heater is off at whatever ends a record or a loop: its last sample, an exception, Ctrl-C or a
+request to terminate.
+What no program sees (a power cut, a kill) ends it, too: the firmware switches off five minutes
+after the last command.
 """
 
 import atexit
@@ -18,7 +20,8 @@ _board: "list[Board]" = []  # the one that is attached
 
 
 class Board:
-    """One sample after another: `hold` applies a duty for a sampling period and reads the sensor at its end."""
+    """One sample after another: `hold` applies a duty for a sampling period and reads the sensor at
+    its end."""
 
     def __init__(self, device: Any) -> None:
         self.device, self.due = device, -float("inf")
@@ -28,7 +31,8 @@ class Board:
         return float(self.device.T1)
 
     def hold(self, percent: float, step_s: float) -> float:
-        """The sensor `step_s` after the last sample was due; a pause longer than that starts a new clock."""
+        """The sensor `step_s` after the last sample was due; a pause longer than that starts a new
+        clock."""
         try:
             now = time.monotonic()
             self.device.Q1(min(max(percent, LOWER), UPPER))
@@ -50,7 +54,9 @@ def attached() -> Board:
             device = tclab.TCLab()
         except Exception as error:  # no package, no serial port, no permission: each has its own
             cause = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-            raise BadRequest("plant.hardware", True, f"no board answers ({cause})", remedy) from error
+            raise BadRequest(
+                "plant.hardware", True, f"no board answers ({cause})", remedy
+            ) from error
         _board.append(Board(device))
         atexit.register(release)
         if threading.current_thread() is threading.main_thread():

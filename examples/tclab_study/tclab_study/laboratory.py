@@ -1,4 +1,5 @@
-"""One heater of the temperature control laboratory (Arduino), its model or the board itself: radiation makes the gain
+"""One heater of the temperature control laboratory (Arduino), its model or the board itself:
+radiation makes the gain
 of a hot one fall."""
 
 from dataclasses import dataclass
@@ -21,14 +22,20 @@ ZERO_C_K = 273.15
 class TemperatureLab(Plant):
     """Energy balance of a transistor and the thermistor glued to it.
 
-        m c dT/dt = U A (T_a - T) + eps sigma A (T_a^4 - T^4) + a Q + d,     tau dT_s/dt = T - T_s,     0 <= Q <= 100 %
+        m c dT/dt = U A (T_a - T) + eps sigma A (T_a^4 - T^4) + a Q + d,     tau dT_s/dt = T - T_s,
+           0 <= Q <= 100 %
 
-    State `(T, T_s)` in degrees C, input the heater's duty Q (%), output T_s, disturbance a heat flow (W).
-    `transfer_w_per_m2k` U, `emissivity` eps (pure), `heater_w_per_percent` a; `settling_band` in K. Source:
-    Oliveira & Hedengren, An APMonitor temperature lab PID control experiment for undergraduate students, ETFA 2019.
+    State `(T, T_s)` in degrees C, input the heater's duty Q (%), output T_s, disturbance a heat
+    flow (W).
+    `transfer_w_per_m2k` U, `emissivity` eps (pure), `heater_w_per_percent` a; `settling_band` in K.
+    Source:
+    Oliveira & Hedengren, An APMonitor temperature lab PID control experiment for undergraduate
+    students, ETFA 2019.
 
-    With `hardware` every sample is one of the board (`board.Board`), in real time: one case after another from where it
-    is; both states read its sensor, no disturbance acts but its own, and `air_c` must be the room's.
+    With `hardware` every sample is one of the board (`board.Board`), in real time: one case after
+    another from where it
+    is; both states read its sensor, no disturbance acts but its own, and `air_c` must be the
+    room's.
     """
 
     inputs = (Channel(name="heater", unit="%"),)
@@ -55,8 +62,16 @@ class TemperatureLab(Plant):
 
     def __post_init__(self) -> None:
         may_be_zero = ("hardware", "air_c", "emissivity", "temperature_noise_variance")
-        check_signs(self, tuple(name for name in vars(self) if name not in may_be_zero), may_be_zero[2:])
-        require(self.rest_percent <= 100, "rest_percent", self.rest_percent, "the heater ends at 100 %", "use 30")
+        check_signs(
+            self, tuple(name for name in vars(self) if name not in may_be_zero), may_be_zero[2:]
+        )
+        require(
+            self.rest_percent <= 100,
+            "rest_percent",
+            self.rest_percent,
+            "the heater ends at 100 %",
+            "use 30",
+        )
 
     @property
     def real(self) -> bool:
@@ -71,14 +86,21 @@ class TemperatureLab(Plant):
 
     @property
     def noise_variance(self) -> tuple[float, ...]:
-        return (0.0 if self.hardware else self.temperature_noise_variance,)  # the board's own is in what it reads
+        return (
+            0.0 if self.hardware else self.temperature_noise_variance,
+        )  # the board's own is in what it reads
 
     def equilibrium(self) -> Equilibrium:
         heated = self.heater_w_per_percent * self.rest_percent
         hot = brentq(
-            lambda t: self._lost(t) + heated, self.air_c, self.air_c + heated / self._transfer + 1.0, xtol=1e-13
+            lambda t: self._lost(t) + heated,
+            self.air_c,
+            self.air_c + heated / self._transfer + 1.0,
+            xtol=1e-13,
         )
-        return Equilibrium(u=np.array([self.rest_percent]), x=np.array([hot, hot]), y=np.array([hot]))
+        return Equilibrium(
+            u=np.array([self.rest_percent]), x=np.array([hot, hot]), y=np.array([hot])
+        )
 
     def states_at(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 2"]:
         """Transistor and sensor as warm as each other; of the board as warm as it is."""
@@ -96,7 +118,10 @@ class TemperatureLab(Plant):
         if not self.hardware:
             return super().simulate(u, x0, d)
         try:
-            found = [super(TemperatureLab, self).simulate(one[None], self.states_at(np.zeros((1, 1)))) for one in u]
+            found = [
+                super(TemperatureLab, self).simulate(one[None], self.states_at(np.zeros((1, 1))))
+                for one in u
+            ]
         finally:
             self.stop()
         x, y = zip(*found, strict=True)
@@ -106,12 +131,20 @@ class TemperatureLab(Plant):
         self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
     ) -> Float[np.ndarray, "N 2"]:
         if self.hardware:
-            require(len(x) == 1, "loop.initial_conditions", len(x), "a board runs one case at a time", "use 1")
+            require(
+                len(x) == 1,
+                "loop.initial_conditions",
+                len(x),
+                "a board runs one case at a time",
+                "use 1",
+            )
             return np.full((1, 2), board.attached().hold(float(u[0, 0]), self.step_s))
         heat = self.heater_w_per_percent * np.clip(u[:, 0], 0.0, 100.0) + d[:, 0]
         return runge_kutta(lambda z: self._rate(z, heat), x, self.step_s, substeps=4)
 
-    def _rate(self, x: Float[np.ndarray, "N 2"], heat: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N 2"]:
+    def _rate(
+        self, x: Float[np.ndarray, "N 2"], heat: Float[np.ndarray, "N"]
+    ) -> Float[np.ndarray, "N 2"]:
         transistor, sensor = x.T
         warming = (heat + self._lost(transistor)) / (self.mass_kg * self.heat_capacity_j_per_kgk)
         return np.stack([warming, (transistor - sensor) / self.sensor_time_s], axis=1)
@@ -125,4 +158,7 @@ class TemperatureLab(Plant):
 
     def _lost(self, t: Float[np.ndarray, "N"] | float) -> Float[np.ndarray, "N"] | float:
         radiated = (self.air_c + ZERO_C_K) ** 4 - (t + ZERO_C_K) ** 4
-        return self._transfer * (self.air_c - t) + self.emissivity * STEFAN_BOLTZMANN * self.area_m2 * radiated
+        return (
+            self._transfer * (self.air_c - t)
+            + self.emissivity * STEFAN_BOLTZMANN * self.area_m2 * radiated
+        )

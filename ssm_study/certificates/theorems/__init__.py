@@ -1,1 +1,2 @@
-"""One theorem a file, in one form: problem, hypotheses, statement, when not to use it, reference, example."""
+"""One theorem a file, in one form: problem, hypotheses, statement, when not to use it, reference,
+example."""

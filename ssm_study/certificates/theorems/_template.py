@@ -8,20 +8,29 @@ Statement. The inequality, then what it proves: which gain, in which metric, at 
 
 When not to use it. Where it is useless, too cautious, or says nothing.
 
-Reference. [Z26], or authors, journal, year; number of theorem and equation; what differs from it here.
+Reference. [Z26], or authors, journal, year; number of theorem and equation; what differs from it
+here.
 
-Example. A case that can be done by hand, one that holds and one that does not; a test compares what is printed.
+Example. A case that can be done by hand, one that holds and one that does not; a test compares what
+is printed.
 
 >>> print("one line that holds, one that does not")
 one line that holds, one that does not
 
-How to use this file. Copy it to `theorems/<name>.py`, take out `abstract=True`, and import it: the base class says what
-is not answered. The fields are what `certificate.json` stores and reads back; `conditions` is what exact arithmetic
-decides and `verify` derives again; `given` and `products` are what a tampered file is held against. Where gains are
-searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose `solve` returns what
-`numbers_of` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that are given, call `proved`.
-A field that Python reserves is written with an underscore (`lambda_`) and stored without. A multiplier that must stay
-diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as `theorem.diagonal(of.lambda_)`. A theorem for models with
+How to use this file. Copy it to `theorems/<name>.py`, take out `abstract=True`, and import it: the
+base class says what
+is not answered. The fields are what `certificate.json` stores and reads back; `conditions` is what
+exact arithmetic
+decides and `verify` derives again; `given` and `products` are what a tampered file is held against.
+Where gains are
+searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose
+`solve` returns what
+`numbers_of` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that are
+given, call `proved`.
+A field that Python reserves is written with an underscore (`lambda_`) and stored without. A
+multiplier that must stay
+diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as `theorem.diagonal(of.lambda_)`. A
+theorem for models with
 neurons has their matrix `e` for a field: without it `verify` takes it for one that knows none.
 """
 
@@ -29,28 +38,38 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ssm_study.certificates.certificate import StateFeedback  # or Observer, or Theorem where there is neither gain
-from ssm_study.certificates.theorem import Blocks, Known
+from ssm_study.certificates.certificate import (
+    StateFeedback,
+)  # or Observer, or Theorem where there is neither gain
+from ssm_study.certificates.theorem import Blocks, VerificationContext
 
 
 @dataclass(frozen=True, kw_only=True)
 class NameOfTheTheorem(StateFeedback, abstract=True):
-    """The equation in one line; shapes of the fields of one's own (`y: Float[np.ndarray, "n n"]`), which
+    """The equation in one line; shapes of the fields of one's own (`y: Float[np.ndarray, "n n"]`),
+    which
     stand here, beside `a, b, alpha, beta, rate, p, k` of the base."""
 
-    products: ClassVar[Mapping[str, tuple[str, str]]] = {}  # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below
+    products: ClassVar[
+        Mapping[str, tuple[str, str]]
+    ] = {}  # {"x": ("k", "y")}: x = k y, exactly, is `of.x` below
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Upper triangles of symmetric block matrices, all of them positive definite; 0 stands for a block of zeros."""
-        return {"inequality": [[of.p]], "rate above 0": [[of.rate]], "rate below 1": [[1 - of.rate]]}
+        """Upper triangles of symmetric block matrices, all of them positive definite; 0 stands for
+        a block of zeros."""
+        return {
+            "inequality": [[of.p]],
+            "rate above 0": [[of.rate]],
+            "rate below 1": [[1 - of.rate]],
+        }
 
-    def given(self, known: Known) -> dict[str, Any]:
+    def given(self, known: VerificationContext) -> dict[str, Any]:
         """The fields that are the model's."""
         return {"a": known.controlled.a, "b": known.controlled.b}
 
     @classmethod
-    def rate_limit_of(cls, known: Known) -> float | None:  # noqa: ARG003
+    def rate_limit_of(cls, known: VerificationContext) -> float | None:  # noqa: ARG003
         """The exact limit of the rate for every gain, where there is a formula."""
         return None
 

@@ -1,27 +1,36 @@
-"""The largest rate that one metric proves for a gain that is given: what is deployed often does more than was asked.
+"""The largest rate that one metric proves for a gain that is given: what is deployed often does
+more than was asked.
 
-Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate at which some metric
+Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
+at which some metric
 certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
 
 Hypotheses. Those of `state_feedback` (`observer`); the gain is given.
 
-Statement. With `A_K = A + alpha B K`, a metric for the distance factor r exists if and only if `r > radius(A_K)` and
+Statement. With `A_K = A + alpha B K`, a metric for the distance factor r exists if and only if `r >
+radius(A_K)` and
 
     || beta K (z I - A_K / r)^{-1} B / r ||_inf < 1,
 
 which is monotone in r (bounded-real lemma). At such r the least solution of
 
-    P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E,      Ah_K = A_K / r,  Bh = B / r,  E > 0
+    P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E,      Ah_K = A_K / r,  Bh = B / r,  E
+    > 0
 
-satisfies the inequality of `state_feedback`, `[(1 - rate) P - B B^T, A P + alpha B K P, 0; ...] > 0`, with slack E.
+satisfies the inequality of `state_feedback`, `[(1 - rate) P - B B^T, A P + alpha B K P, 0; ...] >
+0`, with slack E.
 What is stored lies 0.1 % inside, and exact arithmetic decides.
 
-When not to use it. As a promise for the plant, or as a reason to ask for no rate: the weights chose the gain, not the
-rate. For Jacobians known to be diagonal several multipliers prove more; this is then sufficient only.
+When not to use it. As a promise for the plant, or as a reason to ask for no rate: the weights chose
+the gain, not the
+rate. For Jacobians known to be diagonal several multipliers prove more; this is then sufficient
+only.
 
-Reference. [Z26] Theorem 1, eq. (11), at a given gain; docs/theory.md; Gahinet & Apkarian 1994 (bounded-real lemma).
+Reference. [Z26] Theorem 1, eq. (11), at a given gain; docs/theory.md; Gahinet & Apkarian 1994
+(bounded-real lemma).
 
-Example. `x+ = x + S_u(u)`, slopes in [0.8, 1.2], `K = -0.7`: the slowest slope leaves 0.44 of a distance.
+Example. `x+ = x + S_u(u)`, slopes in [0.8, 1.2], `K = -0.7`: the slowest slope leaves 0.44 of a
+distance.
 
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
@@ -39,13 +48,14 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Side
-from ssm_study.synthesis.modes import SLACK, least_metric
 from ssm_study.certificates.problem import NoSolution, Solution
 from ssm_study.robustness.sensitivity import hinf_norm
+from ssm_study.synthesis.modes import SLACK, least_metric
 from ssm_study.systems import JacobianBall, StateSpace
 
 RATE_TOLERANCE = 1e-6  # the rate is found to this share; what is stored lies further inside
-# How far inside, as shares of the rate, in order of trial; where none is certified the asked rate stands.
+# How far inside, as shares of the rate, in order of trial; where none is certified the asked rate
+# stands.
 INSIDE = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)
 SLACKS = (SLACK, 1e-3 * SLACK)  # E, where the largest rate leaves more room, and less
 BETWEEN = 0.5  # the equation is solved this share of the way (in log r) from the largest rate to the stored one
@@ -53,9 +63,13 @@ FAR = 1e6  # stands for a norm that is infinite (r at or below the spectral radi
 
 
 def largest_rate(
-    a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], k: Float[np.ndarray, "m n"], ball: JacobianBall
+    a: Float[np.ndarray, "n n"],
+    b: Float[np.ndarray, "n m"],
+    k: Float[np.ndarray, "m n"],
+    ball: JacobianBall,
 ) -> float:
-    """`1 - r^2` at the smallest such r, to a share of `RATE_TOLERANCE`; negative where even r = 1 is too small."""
+    """`1 - r^2` at the smallest such r, to a share of `RATE_TOLERANCE`; negative where even r = 1
+    is too small."""
     closed = a + ball.alpha * b @ k
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     smallest = max(radius, np.finfo(float).eps)
@@ -65,11 +79,20 @@ def largest_rate(
     def excess(log_r: float) -> float:
         r = float(np.exp(log_r))
         none = np.zeros((len(k), b.shape[1]))
-        norm = hinf_norm(StateSpace(a=closed / r, b=b / r, c=ball.beta * k, d=none)) if r > radius else np.inf
+        norm = (
+            hinf_norm(StateSpace(a=closed / r, b=b / r, c=ball.beta * k, d=none))
+            if r > radius
+            else np.inf
+        )
         return float(np.log(np.clip(norm, 1 / FAR, FAR)))
 
-    low, high = float(np.log(smallest)), float(np.log(smallest)) + 1.0  # the norm falls as r grows: bracket, then Brent
-    if excess(low) <= 0:  # the gain does next to nothing: the metric of the linear part has all the room
+    low, high = (
+        float(np.log(smallest)),
+        float(np.log(smallest)) + 1.0,
+    )  # the norm falls as r grows: bracket, then Brent
+    if (
+        excess(low) <= 0
+    ):  # the gain does next to nothing: the metric of the linear part has all the room
         return 1 - smallest**2
     while excess(high) >= 0:
         low, high = high, high + 1.0
@@ -78,11 +101,14 @@ def largest_rate(
 
 
 def at_largest_rate(part: Any) -> Side | None:
-    """The part's gain with a metric at the largest rate; None where that is no more than is certified already."""
+    """The part's gain with a metric at the largest rate; None where that is no more than is
+    certified already."""
     started, (problem, found) = time.perf_counter(), part.posed()
     limit = largest_rate(problem.a, problem.b, found.k, problem.ball)
     try:
-        right = np.linalg.cholesky(found.p / found.sigma)  # coordinates in which the known metric is the identity
+        right = np.linalg.cholesky(
+            found.p / found.sigma
+        )  # coordinates in which the known metric is the identity
     except np.linalg.LinAlgError:
         return None  # definite by a margin that floats do not see
     for inside, slack in product(INSIDE, SLACKS):
@@ -95,7 +121,9 @@ def at_largest_rate(part: Any) -> Side | None:
         except NoSolution:
             continue
         status = f"{inside:.1%} inside the largest rate {limit:.6g}"
-        numbers = part.numbers_of(problem.at(rate), Solution(p=p, y=p, k=found.k, sigma=1.0, status=status))
+        numbers = part.numbers_of(
+            problem.at(rate), Solution(p=p, y=p, k=found.k, sigma=1.0, status=status)
+        )
         told = {"rate_limit": part.rate_limit, "method": part.method}
         proved: Side = part.proved(numbers, status=status, started=started, **told)
         if proved.certified:

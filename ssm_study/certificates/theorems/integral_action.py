@@ -1,28 +1,39 @@
-"""Internal models: the model with the modes of what shall be rejected or followed, under the same theorems.
+"""Internal models: the model with the modes of what shall be rejected or followed, under the same
+theorems.
 
-Problem. Remove errors that constants, ramps or sines of known frequency cause, as disturbances or as references, with a
+Problem. Remove errors that constants, ramps or sines of known frequency cause, as disturbances or
+as references, with a
 certified rate. Integral action is the constant's case.
 
-Hypotheses. Those of `state_feedback`; a linear output map `S_y(v) = G v`, an input for every controlled output, and no
+Hypotheses. Those of `state_feedback`; a linear output map `S_y(v) = G v`, an input for every
+controlled output, and no
 transmission zero of the model at a mode.
 
-Statement. With `z+ = A_z z + E (y - y*) / s_y`, `A_z` holding for each output the modes asked for, 1 for a constant, a
+Statement. With `z+ = A_z z + E (y - y*) / s_y`, `A_z` holding for each output the modes asked for,
+1 for a constant, a
 double 1 for a ramp, `e^{+-j 2 pi f step_s}` for a sine, and `u = u* + K_x (xh - x*) + K_z z`,
 
     (x, z)+ = [A 0; E G C A_z] (x, z) + [B; E G D] S_u(u)
 
-is again a linear recurrence behind `S_u`, so the inequality of `state_feedback` with this `(A, B)`, `[(1 - rate) P -
-sigma B B^T, ...] > 0`, its frontier and its verdict hold as they stand; z is known exactly, so the observer is
-unchanged. The loop contracts: under a disturbance of period T every trajectory tends to one of period T, z too, which
-is bounded only if the error has no component at the modes: exactly, whatever `S_u`. Behind a linear `S_u` nothing else
+is again a linear recurrence behind `S_u`, so the inequality of `state_feedback` with this `(A, B)`,
+`[(1 - rate) P -
+sigma B B^T, ...] > 0`, its frontier and its verdict hold as they stand; z is known exactly, so the
+observer is
+unchanged. The loop contracts: under a disturbance of period T every trajectory tends to one of
+period T, z too, which
+is bounded only if the error has no component at the modes: exactly, whatever `S_u`. Behind a linear
+`S_u` nothing else
 of a sine is left; a curved one leaves harmonics, to which modes of their own can be given.
 
-When not to use it. With a nonlinear output map, fewer inputs than outputs, or inputs that saturate for long.
+When not to use it. With a nonlinear output map, fewer inputs than outputs, or inputs that saturate
+for long.
 
-Reference. [Z26] Theorem 1, eq. (11), for the augmented pair, announced as future work in its section V; the internal
+Reference. [Z26] Theorem 1, eq. (11), for the augmented pair, announced as future work in its
+section V; the internal
 model principle: Francis & Wonham 1976.
 
-Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second state, driven by `0.5 x`.
+Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second state, driven by
+`0.5 x`.
 
 >>> import numpy as np
 >>> from ssm_study.systems import StateSpace
@@ -41,12 +52,12 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.certificates.certificate import StateFeedback
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.synthesis.integrated_error import at_rest
-from ssm_study.certificates.certificate import StateFeedback
 from ssm_study.robustness.sensitivity import frequency_response
-from ssm_study.systems import StateSpace, StructuredSystem, System, feed
+from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix
 
 FIELD = "synthesis.internal_model"
 BLOCKED = 1e-6  # of the model's largest gain: an output that the inputs move by less at a mode cannot be held there
@@ -56,7 +67,8 @@ SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
 def frequencies(words: Sequence[str]) -> dict[float, int]:
-    """How many modes there are at each frequency (Hz): `step` one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
+    """How many modes there are at each frequency (Hz): `step` one at zero, `ramp` two,
+    `sine(0.5Hz)` one at 0.5.
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
@@ -65,17 +77,32 @@ def frequencies(words: Sequence[str]) -> dict[float, int]:
         sine, ramp = SINE.fullmatch(word), word == "ramp"
         hertz = float(sine[1]) if sine else 0.0
         known = hertz > 0 if sine else word in ("step", "ramp")
-        require(known, FIELD, word, "is no internal model", "use step, ramp, or a sine such as sine(0.5Hz)")
+        require(
+            known,
+            FIELD,
+            word,
+            "is no internal model",
+            "use step, ramp, or a sine such as sine(0.5Hz)",
+        )
         found[hertz] = max(found.get(hertz, 0), 1 + ramp)
     return dict(sorted(found.items()))  # modes at one come first, as the exported code has them
 
 
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
-    """`A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for too fast ones."""
+    """`A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for
+    too fast ones."""
     blocks, nyquist = [], 0.5 / step_s
     for hertz, count in frequencies(words).items():
-        problem = f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
-        require(hertz < nyquist, FIELD, f"sine({hertz:g}Hz)", problem, "name a slower sine, or sample faster")
+        problem = (
+            f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
+        )
+        require(
+            hertz < nyquist,
+            FIELD,
+            f"sine({hertz:g}Hz)",
+            problem,
+            "name a slower sine, or sample faster",
+        )
         angle = 2 * np.pi * hertz * step_s
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         blocks.append(turn if hertz else np.tril(np.ones((count, count))))
@@ -83,36 +110,53 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[n
 
 
 def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1.0) -> System:
-    """The recurrence of `(x, z)`; its `c` reads the scaled output and `sqrt(weight) z`, for a cost on both.
+    """The recurrence of `(x, z)`; its `c` reads the scaled output and `sqrt(weight) z`, for a cost
+    on both.
 
-    Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not steer them all, and
+    Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not
+    steer them all, and
     where the inputs do not move every output at a mode.
     """
     gain, inputs, linear = output_gain(model), model.linear.b.shape[1], at_rest(model)
     linear = replace(linear, a=linear.a * (1 - NUDGE))
-    problem, remedy = "an input is needed for every controlled output", "use a synthesis without an internal model"
+    problem, remedy = (
+        "an input is needed for every controlled output",
+        "use a synthesis without an internal model",
+    )
     require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
     hertz = np.array(list(frequencies(words)))
     modes = internal_model(words, model.step_s, len(gain))
-    moved = gain @ frequency_response(linear, np.concatenate([2 * np.pi * hertz * model.step_s, ANGLES]))
-    sizes = np.linalg.svd(moved, compute_uv=False)[:, len(gain) - 1]  # of the output that is moved least
+    moved = gain @ frequency_response(
+        linear, np.concatenate([2 * np.pi * hertz * model.step_s, ANGLES])
+    )
+    sizes = np.linalg.svd(moved, compute_uv=False)[
+        :, len(gain) - 1
+    ]  # of the output that is moved least
     shares = sizes[: len(hertz)] / sizes[len(hertz) :].max()
-    problem = f"at {hertz[shares.argmin()]:g} Hz the model passes {shares.min():.0e} of its largest gain"
+    problem = (
+        f"at {hertz[shares.argmin()]:g} Hz the model passes {shares.min():.0e} of its largest gain"
+    )
     remedy = "leave this mode out: no controller holds the output there"
     require(bool(shares.min() > BLOCKED), FIELD, list(words), problem, remedy)
     return augmented(model.system, gain, modes, weight)
 
 
 def augmented(
-    system: System, gain: Float[np.ndarray, "p k"], modes: Float[np.ndarray, "z z"], weight: float = 1.0
+    system: System,
+    gain: Float[np.ndarray, "p k"],
+    modes: Float[np.ndarray, "z z"],
+    weight: float = 1.0,
 ) -> System:
-    """The recurrence of `(x, z)`; its output is what a cost weighs. Neurons drive both and see x alone."""
+    """The recurrence of `(x, z)`; its output is what a cost weighs. Neurons drive both and see x
+    alone."""
     (n, m), p, z = system.b.shape, len(gain), len(modes)
-    fed = feed(modes, p) @ gain
+    fed = error_input_matrix(modes, p) @ gain
     linear = {
         "a": np.block([[system.a, np.zeros((n, z))], [fed @ system.c, modes]]),
         "b": np.vstack([system.b, fed @ system.d]),
-        "c": np.block([[gain @ system.c, np.zeros((p, z))], [np.zeros((z, n)), np.sqrt(weight) * np.eye(z)]]),
+        "c": np.block(
+            [[gain @ system.c, np.zeros((p, z))], [np.zeros((z, n)), np.sqrt(weight) * np.eye(z)]]
+        ),
         "d": np.vstack([gain @ system.d, np.zeros((z, m))]),
     }
     if isinstance(system, StateSpace):
@@ -136,7 +180,8 @@ def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
 
 
 def controlled_system(model: Model, feedback: StateFeedback) -> System:
-    """What a state feedback is certified for: the model's recurrence, with the internal model that it states, if any.
+    """What a state feedback is certified for: the model's recurrence, with the internal model that
+    it states, if any.
 
     The verifier holds this statement beside what was asked for.
     """

@@ -2,17 +2,22 @@
 
 Problem. As in `state_feedback`, for a law that commands `v = S_u(u)` and not u.
 
-Hypotheses. The Jacobians of `S_u` lie in a ball that does not hold zero, `|alpha_u| > beta_u`: `S_u` is then one to
+Hypotheses. The Jacobians of `S_u` lie in a ball that does not hold zero, `|alpha_u| > beta_u`:
+`S_u` is then one to
 one, and `u = S_u^{-1}(v)` exists for every v. No limit of u acts.
 
-Statement. `S_u(S_u^{-1}(K x)) = K x`, so the inequality of `state_feedback` with `alpha = 1, beta = 0`,
-`[(1 - rate) P - sigma B B^T, A Y + B X, 0; ...] > 0`, proves that `u = S_u^{-1}(K x)` contracts at the rate.
+Statement. `S_u(S_u^{-1}(K x)) = K x`, so the inequality of `state_feedback` with `alpha = 1, beta =
+0`,
+`[(1 - rate) P - sigma B B^T, A Y + B X, 0; ...] > 0`, proves that `u = S_u^{-1}(K x)` contracts at
+the rate.
 
-When not to use it. Through a dead zone, for the sake of speed: it asks for several times the input and buys little.
+When not to use it. Through a dead zone, for the sake of speed: it asks for several times the input
+and buys little.
 
 Reference. [Z26] Theorem 1, eq. (11), at another ball; docs/theory.md, "With neurons".
 
-Example. Slopes in [0.2, 1] of `x+ = 1.2 x + S_u(u)`, `K = -0.9`: 0.3 of a distance is left, whatever the slopes.
+Example. Slopes in [0.2, 1] of `x+ = 1.2 x + S_u(u)`, `K = -0.9`: 0.3 of a distance is left,
+whatever the slopes.
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))

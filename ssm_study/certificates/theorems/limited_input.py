@@ -4,18 +4,25 @@ Problem. `u = sat(K x)`, each input cut at its limits: what is certified from an
 
 Hypotheses. Those of `state_feedback`.
 
-Statement. A limit is a map of slopes in [0, 1], so `S_u(sat(.))` has Jacobians `J D`, D diagonal with entries in
+Statement. A limit is a map of slopes in [0, 1], so `S_u(sat(.))` has Jacobians `J D`, D diagonal
+with entries in
 [0, 1]. They lie in the ball `alpha_s I + beta_s Delta` with
 
-    alpha_s = beta_s = nu / 2 (one input, slopes of S_u up to nu),    alpha_s = alpha / 2, beta_s = |alpha| / 2 + beta,
+    alpha_s = beta_s = nu / 2 (one input, slopes of S_u up to nu),    alpha_s = alpha / 2, beta_s =
+    |alpha| / 2 + beta,
 
-since `J D - alpha I / 2 = alpha (D - I / 2) + beta Delta D`; the inequality of `state_feedback` with it,
-`[(1 - rate) P - sigma B B^T, A Y + alpha_s B X, 0; ...] > 0`, proves the rate, at most the model's own: with slope zero
-the input does nothing. The observer is told the applied input: its rate holds, and its error enters, as without limits.
+since `J D - alpha I / 2 = alpha (D - I / 2) + beta Delta D`; the inequality of `state_feedback`
+with it,
+`[(1 - rate) P - sigma B B^T, A Y + alpha_s B X, 0; ...] > 0`, proves the rate, at most the model's
+own: with slope zero
+the input does nothing. The observer is told the applied input: its rate holds, and its error
+enters, as without limits.
 
-When not to use it. Where no limit acts (`unlimited_start`), or with integrators, which a limit holds.
+When not to use it. Where no limit acts (`unlimited_start`), or with integrators, which a limit
+holds.
 
-Reference. [Z26] Theorem 1, eq. (11), with another ball; docs/theory.md, "The gains that are deployed".
+Reference. [Z26] Theorem 1, eq. (11), with another ball; docs/theory.md, "The gains that are
+deployed".
 
 Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, at a limit 0.5.
 
@@ -32,10 +39,10 @@ Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, 
 import math
 from dataclasses import dataclass, replace
 
-from ssm_study.synthesis.frontier import frontier
-from ssm_study.certificates.theorem import Known
+from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import at_largest_rate
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.synthesis.frontier import frontier
 from ssm_study.systems import JacobianBall
 
 LEAST = 1e-6  # below it nothing is said to contract
@@ -46,16 +53,19 @@ class LimitedFeedback(StateFeedbackOfBall):
     """The fields of `state_feedback` at the wider ball."""
 
     @classmethod
-    def ball(cls, known: Known) -> JacobianBall:
+    def ball(cls, known: VerificationContext) -> JacobianBall:
         return limited(known.balls.input, known.controlled.b.shape[1])
 
 
 def limited(ball: JacobianBall, inputs: int) -> JacobianBall:
-    """The ball of `S_u(sat(.))`, its radius rounded up so that it holds zero and the ball of `S_u`."""
+    """The ball of `S_u(sat(.))`, its radius rounded up so that it holds zero and the ball of
+    `S_u`."""
     half = math.nextafter((abs(ball.alpha) + ball.beta) / 2, math.inf)
     if inputs == 1:
         return JacobianBall(alpha=math.copysign(half, ball.alpha), beta=half)
-    return JacobianBall(alpha=ball.alpha / 2, beta=math.nextafter(abs(ball.alpha) / 2 + ball.beta, math.inf))
+    return JacobianBall(
+        alpha=ball.alpha / 2, beta=math.nextafter(abs(ball.alpha) / 2 + ball.beta, math.inf)
+    )
 
 
 def from_everywhere(part: StateFeedbackOfBall) -> LimitedFeedback | None:

@@ -1,21 +1,28 @@
 """How far a sensor's noise moves the output of the closed loop, for slopes that vary at will.
 
-Problem. The loop `u = K xh` with its observer measures `y + n`: how large is the true output y, beside the noise n?
+Problem. The loop `u = K xh` with its observer measures `y + n`: how large is the true output y,
+beside the noise n?
 
-Hypotheses. `S_u` as in `state_feedback`; `S_y` linear, `S_y(v) = alpha_out v`, no feedthrough; no limit acts.
+Hypotheses. `S_u` as in `state_feedback`; `S_y` linear, `S_y(v) = alpha_out v`, no feedthrough; no
+limit acts.
 
-Statement. With the matrices of `tolerance` and `C_y = alpha_out [C, 0, 0]`, if `P > 0`, `lambda_p > 0` and `s > 0`
+Statement. With the matrices of `tolerance` and `C_y = alpha_out [C, 0, 0]`, if `P > 0`, `lambda_p >
+0` and `s > 0`
 satisfy
 
-    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_y^T C_y,  lambda_p I,  I ) - [A_xi B_p B_e]^T P [A_xi B_p B_e]  >  0
+    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_y^T C_y,  lambda_p I,  I ) - [A_xi B_p B_e]^T P
+    [A_xi B_p B_e]  >  0
 
-then `||y - y'||_2 <= ||n - n'||_2 / s` for any two noises from the same start; `1 / s` is the peak without a ball.
+then `||y - y'||_2 <= ||n - n'||_2 / s` for any two noises from the same start; `1 / s` is the peak
+without a ball.
 
-When not to use it. As a forecast for white noise, which moves the output less: the bound is for the worst frequency.
+When not to use it. As a forecast for white noise, which moves the output less: the bound is for the
+worst frequency.
 
 Reference. [Z26] Theorem 3 without noise; docs/theory.md; Megretski & Rantzer 1997 (multipliers).
 
-Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: y answers n as `-0.125 / (z (z - 0.25))`, at most 1/6 at z = 1.
+Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: y answers n as `-0.125 / (z (z - 0.25))`, at
+most 1/6 at z = 1.
 
 >>> import numpy as np
 >>> from ssm_study.certificates.theorems.tolerance import largest_tolerance
@@ -34,7 +41,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ssm_study.certificates.theorem import Known
+from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.tolerance import Tolerance
 
 
@@ -48,6 +55,6 @@ class NoiseGain(Tolerance):
     def seen(of: Any) -> Any:
         return of.alpha_out * (of.c @ np.eye(of.c.shape[1], of.a.shape[0] + of.c.shape[1]))
 
-    def given(self, known: Known) -> dict[str, Any]:
+    def given(self, known: VerificationContext) -> dict[str, Any]:
         direct = {"alpha_out": np.nan} if known.system.d.any() else {}
         return super().given(known) | {"weight": np.eye(len(self.k))} | direct

@@ -1,10 +1,14 @@
 """An observer with linear output injection contracts its error through a monotone output map.
 
-Problem. `x+ = A x + B S_u(u)`, `y = S_y(C x + D S_u(u))` with `A (n, n)`, `C (p, n)`: find `L` such that
-`xh+ = A xh + B S_u(u) + L (yh - y)`, `yh = S_y(C xh + D S_u(u))`, comes nearer to `x` by `r = sqrt(1 - rate)` a sample.
+Problem. `x+ = A x + B S_u(u)`, `y = S_y(C x + D S_u(u))` with `A (n, n)`, `C (p, n)`: find `L` such
+that
+`xh+ = A xh + B S_u(u) + L (yh - y)`, `yh = S_y(C xh + D S_u(u))`, comes nearer to `x` by `r =
+sqrt(1 - rate)` a sample.
 
-Hypotheses. Every Jacobian of `S_y` lies in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`, with `|alpha| > beta`;
-for a linear `S_y` `beta = 0`, and observability is the only limit. `S_u` may be anything: it cancels.
+Hypotheses. Every Jacobian of `S_y` lies in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`,
+with `|alpha| > beta`;
+for a linear `S_y` `beta = 0`, and observability is the only limit. `S_u` may be anything: it
+cancels.
 
 Statement. If `Q = Q^T, U, V, eta` satisfy
 
@@ -12,13 +16,17 @@ Statement. If `Q = Q^T, U, V, eta` satisfy
     [ *                          U + U^T - Q           beta V  ]  > 0
     [ *                          *                     eta I   ]
 
-then `L = U^{-1} V` does so in the metric `M = Q`. Exact arithmetic takes `V = U L` from the stored `U` and `L`.
+then `L = U^{-1} V` does so in the metric `M = Q`. Exact arithmetic takes `V = U L` from the stored
+`U` and `L`.
 
-When not to use it. Where the sensor's noise matters more than the rate: the gain of a fast observer passes it on.
+When not to use it. Where the sensor's noise matters more than the rate: the gain of a fast observer
+passes it on.
 
-Reference. [Z26] Theorem 2, eq. (19); docs/theory.md. It is Theorem 1 for `(A^T, C^T)`. `U = Q` loses nothing.
+Reference. [Z26] Theorem 2, eq. (19); docs/theory.md. It is Theorem 1 for `(A^T, C^T)`. `U = Q`
+loses nothing.
 
-Example. `x+ = x`, `y = S_y(x)` with slopes in [0.8, 1.2] and `L = -0.7`: as in `state_feedback`, transposed.
+Example. `x+ = x`, `y = S_y(x)` with slopes in [0.8, 1.2] and `L = -0.7`: as in `state_feedback`,
+transposed.
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))
@@ -51,7 +59,11 @@ class ObserverOfBall(OfProblem, Observer):
     @staticmethod
     def inequality(of: Any) -> Blocks:
         return [
-            [(1 - of.rate) * of.q - of.eta * (of.c.T @ of.c), (of.u @ of.a + of.alpha * (of.v @ of.c)).T, 0],
+            [
+                (1 - of.rate) * of.q - of.eta * (of.c.T @ of.c),
+                (of.u @ of.a + of.alpha * (of.v @ of.c)).T,
+                0,
+            ],
             [of.u + of.u.T - of.q, of.beta * of.v],
             [of.eta * np.eye(of.c.shape[0])],
         ]

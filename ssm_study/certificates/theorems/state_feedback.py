@@ -1,10 +1,13 @@
 """A linear state feedback contracts a linear recurrence behind a monotone input map.
 
-Problem. `x+ = A x + B S_u(u)` with `A (n, n)`, `B (n, m)`: find `K` such that `u = K x` makes the distance of any two
+Problem. `x+ = A x + B S_u(u)` with `A (n, n)`, `B (n, m)`: find `K` such that `u = K x` makes the
+distance of any two
 trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.
 
-Hypotheses. Every Jacobian of `S_u` lies in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1` (for one input: slopes
-in `[alpha - beta, alpha + beta]`), with `|alpha| > beta`. Bounds on singular values alone are not enough.
+Hypotheses. Every Jacobian of `S_u` lies in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1` (for
+one input: slopes
+in `[alpha - beta, alpha + beta]`), with `|alpha| > beta`. Bounds on singular values alone are not
+enough.
 
 Statement. If `P = P^T, Y, X, sigma` satisfy
 
@@ -12,14 +15,18 @@ Statement. If `P = P^T, Y, X, sigma` satisfy
     [ *                            Y + Y^T - P       beta X^T   ]  > 0
     [ *                            *                 sigma I    ]
 
-then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. Exact arithmetic takes `X = K Y` from the stored `K` and `Y`.
+then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. Exact arithmetic takes `X = K Y` from the
+stored `K` and `Y`.
 
-When not to use it. For a map whose slopes come near zero: the rate is then limited by the open loop (`frontier`). For
+When not to use it. For a map whose slopes come near zero: the rate is then limited by the open loop
+(`frontier`). For
 what happens on a plant that is not the model: see `tolerance` and `synthesis.mismatch`.
 
-Reference. [Z26] Theorem 1, eq. (11), in the dual form that its proof derives; docs/theory.md. `Y = P` loses nothing.
+Reference. [Z26] Theorem 1, eq. (11), in the dual form that its proof derives; docs/theory.md. `Y =
+P` loses nothing.
 
-Example. `x+ = x + S_u(u)`, slopes in [0.8, 1.2], `K = -0.7`: distances shrink by `1 - 0.7 * 0.8 = 0.44` at the smallest
+Example. `x+ = x + S_u(u)`, slopes in [0.8, 1.2], `K = -0.7`: distances shrink by `1 - 0.7 * 0.8 =
+0.44` at the smallest
 slope, so `r = 0.5` is proved and `0.4` is not.
 
 >>> import numpy as np
@@ -53,7 +60,11 @@ class StateFeedbackOfBall(OfProblem, StateFeedback):
     @staticmethod
     def inequality(of: Any) -> Blocks:
         return [
-            [(1 - of.rate) * of.p - of.sigma * (of.b @ of.b.T), of.a @ of.y + of.alpha * (of.b @ of.x), 0],
+            [
+                (1 - of.rate) * of.p - of.sigma * (of.b @ of.b.T),
+                of.a @ of.y + of.alpha * (of.b @ of.x),
+                0,
+            ],
             [of.y + of.y.T - of.p, of.beta * of.x.T],
             [of.sigma * np.eye(of.b.shape[1])],
         ]

@@ -4,14 +4,18 @@ Problem. As in `structured_state_feedback`, for the law `u = S_u^{-1}(K xh)`.
 
 Hypotheses. Those of `inverted_input`; slopes of each neuron in [0, 1].
 
-Statement. `v = S_u(u) = K x` exactly, so the inequality of `structured_state_feedback` with `alpha = 1, beta = 0`,
-`[r^2 (Y + Y^T - P), 0, -(F Y + G X)^T Lambda, (A Y + B X)^T, X^T; ...] > 0`, proves that the law contracts at the rate.
+Statement. `v = S_u(u) = K x` exactly, so the inequality of `structured_state_feedback` with `alpha
+= 1, beta = 0`,
+`[r^2 (Y + Y^T - P), 0, -(F Y + G X)^T Lambda, (A Y + B X)^T, X^T; ...] > 0`, proves that the law
+contracts at the rate.
 
 When not to use it. As `inverted_input`.
 
-Reference. docs/theory.md, "With neurons"; `E = 0` is `inverted_input`: [Z26] Theorem 1 with a known input map.
+Reference. docs/theory.md, "With neurons"; `E = 0` is `inverted_input`: [Z26] Theorem 1 with a known
+input map.
 
-Example. That of `structured_state_feedback`, at 0.25: frozen slopes leave between 0.2 and -0.2 of a distance.
+Example. That of `structured_state_feedback`, at 0.25: frozen slopes leave between 0.2 and -0.2 of a
+distance.
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))
@@ -30,4 +34,5 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredInvertedInput(StructuredStateFeedback):
-    """The fields of `structured_state_feedback`; `alpha = 1, beta = 0` is what the verifier demands."""
+    """The fields of `structured_state_feedback`; `alpha = 1, beta = 0` is what the verifier
+    demands."""

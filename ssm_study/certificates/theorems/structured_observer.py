@@ -1,10 +1,13 @@
 """An observer of a model with neurons contracts its error, with injection also inside the neurons.
 
-Problem. For `x+ = A x + B v + E w`, `w = phi(F x + G v + bias) - phi(bias)`, `y = S_y(C x + D v + H w)`: find `L` and
-`L_z` such that `xh+ = A xh + B v + E wh + L (yh - y)`, `wh = phi(F xh + G v + bias + L_z (yh - y)) - phi(bias)`, comes
+Problem. For `x+ = A x + B v + E w`, `w = phi(F x + G v + bias) - phi(bias)`, `y = S_y(C x + D v + H
+w)`: find `L` and
+`L_z` such that `xh+ = A xh + B v + E wh + L (yh - y)`, `wh = phi(F xh + G v + bias + L_z (yh - y))
+- phi(bias)`, comes
 nearer to `x` by `r = sqrt(1 - rate)` a sample. `B, D, G` cancel.
 
-Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_y` in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`;
+Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_y` in the ball `alpha I + beta Delta`,
+`||Delta||_2 <= 1`;
 `L_z = 0` where `H != 0`, for the injection would then depend on itself.
 
 Statement. If `Q = Q^T, U, V, eta` and a diagonal `Lambda > 0`, with `N = Lambda L_z`, satisfy
@@ -14,14 +17,16 @@ Statement. If `Q = Q^T, U, V, eta` and a diagonal `Lambda > 0`, with `N = Lambda
     [ *                   *       2 Lambda - eta H^T H                    (U E + alpha V H)^T ]  > 0
     [ *                   *       *                                       U + U^T - Q         ]
 
-then `L = U^{-1} V` and `L_z` do so in the metric `M = Q`. Row 2 makes eta positive: with a negative one the first
+then `L = U^{-1} V` and `L_z` do so in the metric `M = Q`. Row 2 makes eta positive: with a negative
+one the first
 corner would certify anything. For a linear `S_y`, `beta = 0`, a small eta drops out.
 
 When not to use it. Without neurons: `observer` has an exact frontier.
 
 Reference. docs/theory.md, "With neurons"; `E = 0` is [Z26] Theorem 2. `U = Q` loses nothing.
 
-Example. `x+ = 0.5 x + 0.4 phi(x)`, `y = x`. With `L = -0.5` alone the error shrinks by 0.4 at slope one; injected into
+Example. `x+ = 0.5 x + 0.4 phi(x)`, `y = x`. With `L = -0.5` alone the error shrinks by 0.4 at slope
+one; injected into
 the neuron as well, `L_z = -1`, nothing is left of it.
 
 >>> import numpy as np
@@ -40,12 +45,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Observer, OfProblem
-from ssm_study.certificates.theorem import Blocks, Known, diagonal
+from ssm_study.certificates.theorem import Blocks, VerificationContext, diagonal
 
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredObserver(OfProblem, Observer):
-    """The statement above: `e (n, q)`, `f (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q, p)`, `lambda_ (q,)`."""
+    """The statement above: `e (n, q)`, `f (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q,
+    p)`, `lambda_ (q,)`."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -68,10 +74,12 @@ class StructuredObserver(OfProblem, Observer):
         """The conditions, and the hypothesis on `L_z`."""
         return not _looped(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
 
-    def broken(self, known: Known) -> list[str]:
+    def broken(self, known: VerificationContext) -> list[str]:
         """As every theorem, and the hypothesis on `L_z`."""
         looped = _looped(self.h, self.l_z) and self.certified
-        return [".l_z: must be zero, for neurons stand in the output (H)"] * looped + super().broken(known)
+        return [
+            ".l_z: must be zero, for neurons stand in the output (H)"
+        ] * looped + super().broken(known)
 
 
 def _looped(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:

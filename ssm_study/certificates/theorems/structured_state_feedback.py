@@ -1,27 +1,37 @@
-"""A linear state feedback contracts a model with neurons inside its recurrence, whatever their slopes.
+"""A linear state feedback contracts a model with neurons inside its recurrence, whatever their
+slopes.
 
-Problem. `x+ = A x + B v + E w`, `v = S_u(u)`, `w = phi(F x + G v + bias) - phi(bias)` with q neurons: find `K` such
-that `u = K x` makes the distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.
+Problem. `x+ = A x + B v + E w`, `v = S_u(u)`, `w = phi(F x + G v + bias) - phi(bias)` with q
+neurons: find `K` such
+that `u = K x` makes the distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in
+each sample.
 
-Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_u` in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`.
+Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_u` in the ball `alpha I + beta Delta`,
+`||Delta||_2 <= 1`.
 
 Statement. If `P = P^T, Y, X, sigma > 0` and a diagonal `Lambda > 0` satisfy
 
     [ r^2 (Y + Y^T - P)   0         -(F Y + alpha G X)^T Lambda   (A Y + alpha B X)^T   X^T     ]
     [ *                   sigma I   -beta sigma G^T Lambda        beta sigma B^T        0       ]
-    [ *                   *         2 Lambda                      E^T                   0       ]  > 0
+    [ *                   *         2 Lambda                      E^T                   0       ]  >
+    0
     [ *                   *         *                             P                     0       ]
     [ *                   *         *                             *                     sigma I ]
 
-then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. With rows and columns 3 multiplied by `T = Lambda^{-1}` it is
-linear in `(P, Y, X, T, sigma)`: the form that is solved. For a linear `S_u`, `beta = 0`, a large sigma drops out.
+then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. With rows and columns 3 multiplied by `T =
+Lambda^{-1}` it is
+linear in `(P, Y, X, T, sigma)`: the form that is solved. For a linear `S_u`, `beta = 0`, a large
+sigma drops out.
 
-When not to use it. Without neurons: `state_feedback` has an exact frontier. Where a neuron can cut the input off.
+When not to use it. Without neurons: `state_feedback` has an exact frontier. Where a neuron can cut
+the input off.
 
-Reference. docs/theory.md; Revay, Wang & Manchester 2024 (multiplier); `E = 0` is [Z26] Theorem 1. `Y = P` loses
+Reference. docs/theory.md; Revay, Wang & Manchester 2024 (multiplier); `E = 0` is [Z26] Theorem 1.
+`Y = P` loses
 nothing.
 
-Example. `x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, slopes of `S_u` in [0.8, 1], `K = -0.7`: between `0.9 - 0.56 = 0.34` and
+Example. `x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, slopes of `S_u` in [0.8, 1], `K = -0.7`: between `0.9 -
+0.56 = 0.34` and
 `0.5 - 0.7 = -0.2` for frozen slopes, so 0.5 is proved and 0.3 is not.
 
 >>> import numpy as np
@@ -45,7 +55,8 @@ from ssm_study.certificates.theorem import Blocks, diagonal
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredStateFeedback(OfProblem, StateFeedback):
-    """The statement above: `e (n, q)`, `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_ (q,)`, `sigma > 0`."""
+    """The statement above: `e (n, q)`, `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_
+    (q,)`, `sigma > 0`."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -70,7 +81,12 @@ def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
     neurons = (of.f @ of.y + of.alpha * (of.g @ of.x)).T @ scale
     return [
         [(1 - of.rate) * (of.y + of.y.T - of.p), 0, -1.0 * neurons, step, of.x.T],
-        [of.sigma * one, (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale), (of.sigma * of.beta) * of.b.T, 0],
+        [
+            of.sigma * one,
+            (of.sigma * (-1.0 * of.beta)) * (of.g.T @ scale),
+            (of.sigma * of.beta) * of.b.T,
+            0,
+        ],
         [2.0 * t, scaled_t @ of.e.T, 0],
         [of.p, 0],
         [of.sigma * one],

@@ -1,31 +1,42 @@
-"""The largest mismatch of a model with neurons under which every trajectory of the loop is proved to come to rest.
+"""The largest mismatch of a model with neurons under which every trajectory of the loop is proved
+to come to rest.
 
-Problem. The loop `u = K xh` with the observer of `structured_observer` runs on a plant with `y = y_model + e`,
+Problem. The loop `u = K xh` with the observer of `structured_observer` runs on a plant with `y =
+y_model + e`,
 `e = Delta(W u)`: how large may the mismatch Delta be? Letters as there and in `tolerance`.
 
-Hypotheses. Slopes of each neuron in [0, 1]; `S_u` in the ball `alpha I + beta Delta`; `S_y(v) = alpha_out v`; `L_z = 0`
-where `H != 0`. Delta is causal, and `||e||_2 <= s ||W u||_2` from rest: it is held against rest, not against another
+Hypotheses. Slopes of each neuron in [0, 1]; `S_u` in the ball `alpha I + beta Delta`; `S_y(v) =
+alpha_out v`; `L_z = 0`
+where `H != 0`. Delta is causal, and `||e||_2 <= s ||W u||_2` from rest: it is held against rest,
+not against another
 trajectory, so the claim is rest and not contraction.
 
-Statement. With `xi = (x, eps, x_W)`, `A_xi, B_p, B_e, C_u, C_W` of `tolerance`, and two sets of neurons beside them, of
+Statement. With `xi = (x, eps, x_W)`, `A_xi, B_p, B_e, C_u, C_W` of `tolerance`, and two sets of
+neurons beside them, of
 the plant's model against rest and of the observer against the plant's,
 
     w = phi(z) - phi(bias),    z - bias = [F + alpha G K, alpha G K_x, 0] xi + G p,
     d = phi(zh) - phi(z),      zh - z = [0, F + alpha_out L_z C, 0] xi - L_z e,
 
-which enter by `B_w = [E; 0; 0]`, `B_d = [0; E + alpha_out L H; 0]`, if `P, lambda_p, s > 0` and diagonal
+which enter by `B_w = [E; 0; 0]`, `B_d = [0; E + alpha_out L H; 0]`, if `P, lambda_p, s > 0` and
+diagonal
 `Lambda > 0` (both sets) satisfy, with `Z (xi, p, e)` the two rows above,
 
-    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I,  2 Lambda ) - [0, -Z^T Lambda; *, 0]
+    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I,  2 Lambda ) - [0, -Z^T
+    Lambda; *, 0]
         - [A_xi B_p B_e B_w B_d]^T P [A_xi B_p B_e B_w B_d]  >  0
 
-(the second matrix added with both its corners), then x and eps are square-summable and tend to zero from every start.
+(the second matrix added with both its corners), then x and eps are square-summable and tend to zero
+from every start.
 
-When not to use it. As a promise of contraction: all come to rest, but nothing is said of two on their way.
+When not to use it. As a promise of contraction: all come to rest, but nothing is said of two on
+their way.
 
-Reference. docs/theory.md, "With neurons"; Megretski & Rantzer 1997, Theorem 1; `E = 0, H = 0` is `tolerance`.
+Reference. docs/theory.md, "With neurons"; Megretski & Rantzer 1997, Theorem 1; `E = 0, H = 0` is
+`tolerance`.
 
-Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e answers u by `1.2 / (8 * 0.7 * 0.95)`.
+Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e answers u by `1.2 /
+(8 * 0.7 * 0.95)`.
 
 >>> import numpy as np
 >>> from ssm_study.certificates.theorems.tolerance import largest_tolerance
@@ -46,13 +57,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.theorem import Known, stacked
+from ssm_study.certificates.theorem import VerificationContext, stacked
 from ssm_study.certificates.theorems.tolerance import Candidates, Tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredTolerance(Tolerance):
-    """The fields of `tolerance`, and `e (s, q), f (q, s), g (q, m)`, `h (p, q)`, `l_z (q, p)`, `lambda_ (2 q,)`."""
+    """The fields of `tolerance`, and `e (s, q), f (q, s), g (q, m)`, `h (p, q)`, `l_z (q, p)`,
+    `lambda_ (2 q,)`."""
 
     e: Float[np.ndarray, "s q"]
     f: Float[np.ndarray, "q s"]
@@ -74,16 +86,25 @@ class StructuredTolerance(Tolerance):
         ]
         none, moved = np.zeros((q, filtered)), of.alpha * of.g
         first = [of.f + moved @ of.k, moved @ of.k[:, :n], none, of.g, np.zeros((q, p))]
-        second = [np.zeros((q, s)), of.f[:, :n] + of.alpha_out * (of.l_z @ of.c), none, np.zeros((q, m)), -1.0 * of.l_z]
+        second = [
+            np.zeros((q, s)),
+            of.f[:, :n] + of.alpha_out * (of.l_z @ of.c),
+            none,
+            np.zeros((q, m)),
+            -1.0 * of.l_z,
+        ]
         return stacked([[linear, stacked(steps)]]), into_u, stacked([first, second])
 
-    def given(self, known: Known) -> dict[str, Any]:
+    def given(self, known: VerificationContext) -> dict[str, Any]:
         looped = known.system.h.any() and self.l_z.any()
         return super().given(known) | ({"alpha_out": np.nan} if looped else {})
 
     @classmethod
-    def candidates(cls, into_w: Any, beta: float, loop: Any, into_u: Any, seen: Any = None) -> Candidates:
-        """As there, with `lambda_`: a semidefinite program, `s^2` its goal, then a little inside with room to round."""
+    def candidates(
+        cls, into_w: Any, beta: float, loop: Any, into_u: Any, seen: Any = None
+    ) -> Candidates:
+        """As there, with `lambda_`: a semidefinite program, `s^2` its goal, then a little inside
+        with room to round."""
         from ssm_study.synthesis.structured_lmi import largest_mismatch  # CVXPY
 
         for found in largest_mismatch(loop, into_u, seen, into_w, beta):

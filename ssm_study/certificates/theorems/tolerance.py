@@ -1,10 +1,15 @@
-"""The largest mismatch of the model under which contraction of the closed loop is proved, for slopes that vary at will.
+"""The largest mismatch of the model under which contraction of the closed loop is proved, for
+slopes that vary at will.
 
-Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = y_model + e`, `e = Delta(W u)`: how
-large may the mismatch Delta be? Shapes: `K (m, s)`, `L (n, p)`, W a stable filter of the input, m channels.
+Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = y_model + e`, `e
+= Delta(W u)`: how
+large may the mismatch Delta be? Shapes: `K (m, s)`, `L (n, p)`, W a stable filter of the input, m
+channels.
 
-Hypotheses. `S_u` as in `state_feedback`; `S_y` linear, `S_y(v) = alpha_out v`; Delta is causal, and for any two inputs
-`||e - e'||_2 <= s ||W (u - u')||_2` from rest. Nothing is asked of it sample by sample, so no rate is claimed.
+Hypotheses. `S_u` as in `state_feedback`; `S_y` linear, `S_y(v) = alpha_out v`; Delta is causal, and
+for any two inputs
+`||e - e'||_2 <= s ||W (u - u')||_2` from rest. Nothing is asked of it sample by sample, so no rate
+is claimed.
 
 Statement. With `xi = (x, eps, x_W)`, `eps = xh - x`, `C_u = [K, K_x, 0]`, `C_W = [D_W C_u, C_w]`,
 
@@ -13,16 +18,22 @@ Statement. With `xi = (x, eps, x_W)`, `eps = xh - x`, `C_u = [K, K_x, 0]`, `C_W 
 
 (x with its internal model, which E feeds e to), if `P > 0`, `lambda_p > 0` and `s > 0` satisfy
 
-    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I ) - [A_xi B_p B_e]^T P [A_xi B_p B_e]  >  0
+    diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I ) - [A_xi B_p B_e]^T P
+    [A_xi B_p B_e]  >  0
 
-then differences of trajectories are square-summable and tend to zero. Without a ball this is small gain,
-`s = 1 / ||W T_ue||_inf`; with one, slopes may vary at will, and s is below what the margin at constant slopes says.
+then differences of trajectories are square-summable and tend to zero. Without a ball this is small
+gain,
+`s = 1 / ||W T_ue||_inf`; with one, slopes may vary at will, and s is below what the margin at
+constant slopes says.
 
-When not to use it. As a forecast: that the plant's mismatch is below s is a premise. With a nonlinear output map.
+When not to use it. As a forecast: that the plant's mismatch is below s is a premise. With a
+nonlinear output map.
 
-Reference. docs/theory.md; [Z26] Theorem 3 is the case without mismatch; cf. Megretski & Rantzer 1997 (multipliers).
+Reference. docs/theory.md; [Z26] Theorem 3 is the case without mismatch; cf. Megretski & Rantzer
+1997 (multipliers).
 
-Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: `T_ue = 0.125 (z - 0.5) / (z (z - 0.25))`, 0.15 at z = -1.
+Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`: `T_ue = 0.125 (z - 0.5) / (z (z - 0.25))`, 0.15
+at z = -1.
 
 >>> import numpy as np
 >>> from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -45,17 +56,36 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.synthesis.modes import doubled
 from ssm_study.certificates.problem import DUAL, symmetric
+from ssm_study.certificates.theorem import (
+    Blocks,
+    Theorem,
+    VerificationContext,
+    diagonal,
+    full,
+    stacked,
+)
 from ssm_study.robustness.sensitivity import frequency_response
-from ssm_study.certificates.theorem import Blocks, Known, Theorem, diagonal, full, stacked
-from ssm_study.systems import JacobianBall, StateSpace, feed
+from ssm_study.synthesis.modes import doubled
+from ssm_study.systems import JacobianBall, StateSpace, error_input_matrix
 
-# Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again around the worst.
+# Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again
+# around the worst.
 ANGLES = np.concatenate([[0.0], np.geomspace(1e-4, np.pi, 400)])
-MULTIPLIERS = np.geomspace(1e-8, 1e8, 65)  # lambda_p over the gain from e to u: the coarse search, then a line search
-INSIDE = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # of the largest s, in order of trial; the equation is solved half way there
-SLACKS = (1e-7, 1e-10)  # of the inequality, as shares of its supply, where the loop's Gramian is the identity
+MULTIPLIERS = np.geomspace(
+    1e-8, 1e8, 65
+)  # lambda_p over the gain from e to u: the coarse search, then a line search
+INSIDE = (
+    1e-3,
+    3e-3,
+    1e-2,
+    3e-2,
+    0.1,
+)  # of the largest s, in order of trial; the equation is solved half way there
+SLACKS = (
+    1e-7,
+    1e-10,
+)  # of the inequality, as shares of its supply, where the loop's Gramian is the identity
 FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean in these coordinates
 Into = Float[np.ndarray, "m x"]
 Candidates = Iterator[dict[str, Any]]
@@ -63,7 +93,8 @@ Candidates = Iterator[dict[str, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance(Theorem):
-    """`s` and its proof `p (n_xi, n_xi)`, `lambda_p`; the loop `a, b, k` (controlled), `c, l, alpha_out` (observed).
+    """`s` and its proof `p (n_xi, n_xi)`, `lambda_p`; the loop `a, b, k` (controlled), `c, l,
+    alpha_out` (observed).
 
     `weight (w + m, w + m)` is `[A_W, B_W; C_W, D_W]`, of order w: for a constant weight just `D_W`.
     """
@@ -85,8 +116,16 @@ class Tolerance(Theorem):
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class: it says what is `seen`
         (loop, into_u, *neurons), into_w = cls.matrices(of), cls.seen(of)
-        storage = of.p - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u) - of.s * of.s * (into_w.T @ into_w)
-        supply = stacked(full([[storage, 0, 0], [of.lambda_p * np.eye(of.b.shape[1]), 0], [np.eye(of.c.shape[0])]]))
+        storage = (
+            of.p
+            - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u)
+            - of.s * of.s * (into_w.T @ into_w)
+        )
+        supply = stacked(
+            full(
+                [[storage, 0, 0], [of.lambda_p * np.eye(of.b.shape[1]), 0], [np.eye(of.c.shape[0])]]
+            )
+        )
         for met in neurons:  # none, or what `structured_tolerance` adds
             weights = diagonal(of.lambda_)
             supply = stacked(full([[supply, -1.0 * (weights @ met).T], [2.0 * weights]]))
@@ -100,8 +139,11 @@ class Tolerance(Theorem):
         w = of.weight.shape[0] - m
         k_x, none = of.k[:, :n], np.zeros((s, w))
         a_w, b_w = of.weight[:w, :w], of.weight[:w, w:]
-        closed, observed = of.a + of.alpha * (of.b @ of.k), of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
-        fed = np.vstack([np.zeros((n, p)), feed(np.eye(s - n), p)])  # E
+        closed, observed = (
+            of.a + of.alpha * (of.b @ of.k),
+            of.a[:n, :n] + of.alpha_out * (of.l @ of.c),
+        )
+        fed = np.vstack([np.zeros((n, p)), error_input_matrix(np.eye(s - n), p)])  # E
         top = [closed, of.alpha * (of.b @ k_x), none, of.b, fed]
         middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
         bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
@@ -115,21 +157,29 @@ class Tolerance(Theorem):
         c_w, d_w = of.weight[w:, :w], of.weight[w:, w:]
         return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
-    def given(self, known: Known) -> dict[str, Any]:
+    def given(self, known: VerificationContext) -> dict[str, Any]:
         return self.loop_of(known)
 
     @classmethod
-    def loop_of(cls, known: Known) -> dict[str, Any]:
-        """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear output map."""
+    def loop_of(cls, known: VerificationContext) -> dict[str, Any]:
+        """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear
+        output map."""
         names, out = [part.name for part in fields(cls) if part.name in DUAL], known.balls.output
-        given = {name: getattr(known.system if name in ("c", "h") else known.controlled, name) for name in names}
+        given = {
+            name: getattr(known.system if name in ("c", "h") else known.controlled, name)
+            for name in names
+        }
         return {**given, **known.gains, "alpha_out": np.nan if out.beta > 0 else out.alpha}
 
     @classmethod
-    def candidates(cls, into_w: Into, beta: float, loop: Float[np.ndarray, "x c"], into_u: Into) -> Candidates:
-        """`s, lambda_p, p` inside the largest s, in order of trial, with the `status` each is told by.
+    def candidates(
+        cls, into_w: Into, beta: float, loop: Float[np.ndarray, "x c"], into_u: Into
+    ) -> Candidates:
+        """`s, lambda_p, p` inside the largest s, in order of trial, with the `status` each is told
+        by.
 
-        A search over the one multiplier: at a given `lambda_p` the largest s is a peak over frequency, and P the least
+        A search over the one multiplier: at a given `lambda_p` the largest s is a peak over
+        frequency, and P the least
         solution of a Riccati equation. No solver is asked; one is the oracle of the test.
         """
         if np.abs(np.linalg.eigvals(loop[:, : len(loop)])).max() >= 1:
@@ -137,23 +187,32 @@ class Tolerance(Theorem):
         lambda_p, largest = _search(loop, beta * into_u, into_w)
         for inside, slack in product(INSIDE, SLACKS if largest < np.inf else ()):
             s, said = largest * (1 - inside), f"{inside:.1%} inside the largest at this multiplier"
-            p = _energy(loop, lambda_p**0.5 * beta * into_u, largest * (1 - inside / 2) * into_w, lambda_p, slack)
+            p = _energy(
+                loop,
+                lambda_p**0.5 * beta * into_u,
+                largest * (1 - inside / 2) * into_w,
+                lambda_p,
+                slack,
+            )
             if p is not None and s > 0:
                 yield {"s": s, "lambda_p": lambda_p, "p": p, "status": said}
 
     @staticmethod
-    def ball(known: Known) -> JacobianBall:
+    def ball(known: VerificationContext) -> JacobianBall:
         return known.balls.input
 
     @classmethod
-    def rate_limit_of(cls, known: Known) -> None:
+    def rate_limit_of(cls, known: VerificationContext) -> None:
         """No rate is claimed."""
 
 
 def largest_tolerance(
-    known: Known, weight: Float[np.ndarray, "v v"], theorem: type[Tolerance] = Tolerance
+    known: VerificationContext,
+    weight: Float[np.ndarray, "v v"],
+    theorem: type[Tolerance] = Tolerance,
 ) -> Tolerance | None:
-    """The largest s that is certified for this weight; None with a nonlinear output map, where none is found, and where
+    """The largest s that is certified for this weight; None with a nonlinear output map, where none
+    is found, and where
     no mismatch has an effect (K or L is zero): no number is the largest then.
     """
     started = time.perf_counter()
@@ -170,13 +229,15 @@ def largest_tolerance(
 
 
 def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple[float, float]:
-    """The multiplier, and the largest s that it allows: peaks on a grid of frequencies, refined around the worst."""
+    """The multiplier, and the largest s that it allows: peaks on a grid of frequencies, refined
+    around the worst."""
     order, m, outputs = len(loop), len(into_u), np.vstack([into_u, into_w])
     direct = np.zeros((len(outputs), loop.shape[1] - order))
     system = StateSpace(a=loop[:, :order], b=loop[:, order:], c=outputs, d=direct)
     angles = np.union1d(ANGLES, np.abs(np.angle(np.linalg.eigvals(system.a))))
     response = frequency_response(system, angles)
-    # the square of the largest gain from e to `beta u`, one if there is none: the scale of `1 / lambda_p`
+    # the square of the largest gain from e to `beta u`, one if there is none: the scale of `1 /
+    # lambda_p`
     gain = float(np.linalg.norm(response[:, :m, m:], ord=2, axis=(1, 2)).max())
     logs = np.log(MULTIPLIERS * (1 / gain**2 if gain > 0 else 1.0))
 
@@ -188,16 +249,20 @@ def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple
     refined = float(scipy.optimize.minimize_scalar(peak, bounds=around, method="bounded").x)
     log = min((float(logs[best]), refined), key=peak)
     worst = int(np.argmax(_inverse_squares(response, m, log)))
-    near = np.linspace(angles[max(worst - 1, 0)], angles[min(worst + 1, len(angles) - 1)], len(ANGLES))
+    near = np.linspace(
+        angles[max(worst - 1, 0)], angles[min(worst + 1, len(angles) - 1)], len(ANGLES)
+    )
     between = float(_inverse_squares(frequency_response(system, near), m, log).max())
     highest = max(peak(log), between)
     return float(np.exp(log)), highest**-0.5 if highest > 0 else np.inf
 
 
 def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Float[np.ndarray, "F"]:
-    """`1 / s^2` at each frequency: the largest eigenvalue of `M_2 (I - M_1^* M_1)^{-1} M_2^*`, infinite if that fails.
+    """`1 / s^2` at each frequency: the largest eigenvalue of `M_2 (I - M_1^* M_1)^{-1} M_2^*`,
+    infinite if that fails.
 
-    `M_1` maps `(p, e)` to `beta u` and `M_2` to `W u`, scaled by the multiplier: `p / sqrt(lambda)`, `sqrt(lambda) u`.
+    `M_1` maps `(p, e)` to `beta u` and `M_2` to `W u`, scaled by the multiplier: `p /
+    sqrt(lambda)`, `sqrt(lambda) u`.
     """
     root = np.exp(log_multiplier / 2)
     scaled = response.copy()
@@ -212,14 +277,19 @@ def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Flo
 def _energy(
     loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into, lambda_p: float, slack: float
 ) -> Float[np.ndarray, "x x"] | None:
-    """`P = A^T P A + A^T P B (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's coordinates."""
+    """`P = A^T P A + A^T P B (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's
+    coordinates."""
     order, m = len(loop), len(into_u)
     a, b = loop[:, :order], loop[:, order:].copy()
     b[:, :m] /= lambda_p**0.5  # sqrt(lambda_p) p then has unit weight, as e has
     gramian = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
-    right = np.linalg.cholesky(symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order))
+    right = np.linalg.cholesky(
+        symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order)
+    )
     left = np.linalg.inv(right)
     energy = (into_u @ right).T @ (into_u @ right) + (into_w @ right).T @ (into_w @ right)
     scaled = left @ b
-    p = doubled(left @ a @ right, -scaled @ scaled.T, energy + slack * np.trace(energy) * np.eye(order))
+    p = doubled(
+        left @ a @ right, -scaled @ scaled.T, energy + slack * np.trace(energy) * np.eye(order)
+    )
     return None if p is None else symmetric(left.T @ p @ left)

@@ -2,17 +2,22 @@
 
 Problem. The input is limited: from which initial states does the loop never reach a limit?
 
-Hypotheses. Those of `state_feedback`; the estimate starts exact (`controller_init` at rest), aimed at the rest point.
+Hypotheses. Those of `state_feedback`; the estimate starts exact (`controller_init` at rest), aimed
+at the rest point.
 
-Statement. Let P prove a rate in (0, 1) for K (the inequality of `state_feedback`), `[l_i, h_i]` be the limits of input
+Statement. Let P prove a rate in (0, 1) for K (the inequality of `state_feedback`), `[l_i, h_i]` be
+the limits of input
 i as scaled deviations from rest, and `v` a level with, for each input and each start `x_j`,
 
     l_i < 0 < h_i,    h_i^2 > v K_i P K_i^T,    l_i^2 > v K_i P K_i^T,    [v, x_j^T; x_j, P] > 0.
 
-Then no limit acts from their convex hull and its mirror image: `x^T P^{-1} x < v` there, it falls as long as none acts,
-and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below the limits. So every rate that is proved of the pair holds.
+Then no limit acts from their convex hull and its mirror image: `x^T P^{-1} x < v` there, it falls
+as long as none acts,
+and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below the limits. So every rate that is proved of
+the pair holds.
 
-When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set point near a limit.
+When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set
+point near a limit.
 
 Reference. [Z26] Theorem 1, eq. (11); level sets: Boyd et al. 1994, section 5.2; docs/theory.md.
 
@@ -46,7 +51,8 @@ FARTHEST = 1e6  # scaled: a gain that hardly moves an input reaches no limit fro
 
 @dataclass(frozen=True, kw_only=True)
 class UnlimitedStart(StateFeedbackOfBall):
-    """Beside the fields of `state_feedback` the limits `(m, 2)` and starts `(n, j)`, scaled, and the level."""
+    """Beside the fields of `state_feedback` the limits `(m, 2)` and starts `(n, j)`, scaled, and
+    the level."""
 
     limits: Float[np.ndarray, "m two"]
     starts: Float[np.ndarray, "n j"]
@@ -55,19 +61,27 @@ class UnlimitedStart(StateFeedbackOfBall):
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class, to extend its parent's
         found = super().conditions(of)
-        for i, (row, k) in enumerate((of.limits[i : i + 1, :], of.k[i : i + 1, :]) for i in range(of.limits.shape[0])):
+        for i, (row, k) in enumerate(
+            (of.limits[i : i + 1, :], of.k[i : i + 1, :]) for i in range(of.limits.shape[0])
+        ):
             taken = of.level * (k @ of.p @ k.T)
             for name, end in (("lower", -1 * row[:, 0:1]), ("upper", row[:, 1:2])):
-                found |= {f"{name} limit {i}": [[end]], f"{name} limit {i} is not reached": [[end @ end - taken]]}
+                found |= {
+                    f"{name} limit {i}": [[end]],
+                    f"{name} limit {i} is not reached": [[end @ end - taken]],
+                }
         for j in range(of.starts.shape[1]):
             found[f"start {j}"] = [[of.level, of.starts[:, j : j + 1].T], [of.p]]
         return found
 
 
 def unlimited(
-    parts: Sequence[StateFeedbackOfBall], corners: Float[np.ndarray, "n j"], limits: Float[np.ndarray, "m two"]
+    parts: Sequence[StateFeedbackOfBall],
+    corners: Float[np.ndarray, "n j"],
+    limits: Float[np.ndarray, "m two"],
 ) -> UnlimitedStart | None:
-    """The largest share of the `corners` that some part's metric proves; None without room, and for corners at rest."""
+    """The largest share of the `corners` that some part's metric proves; None without room, and for
+    corners at rest."""
     started, room = time.perf_counter(), np.minimum(-limits[:, 0], limits[:, 1])
     if not (room > 0).all() or not corners.any():
         return None
@@ -75,10 +89,21 @@ def unlimited(
     for part in parts:
         reach = np.einsum("ij,jk,ik->i", part.k, part.p, part.k)
         far = (corners * scipy.linalg.solve(part.p, corners, assume_a="pos")).sum(axis=0).max()
-        level = min(float((room**2 / np.maximum(reach, np.finfo(float).tiny)).min()), float(far) * FARTHEST**2)
+        level = min(
+            float((room**2 / np.maximum(reach, np.finfo(float).tiny)).min()),
+            float(far) * FARTHEST**2,
+        )
         found.append((float(np.sqrt(level / far)), level, part))
     share, level, part = max(found, key=lambda one: one[0])
-    starts = {"limits": limits, "starts": (1 - ROUNDING) * share * corners, "level": level * (1 - ROUNDING)}
-    told: Any = {"rate_limit": parts[0].rate_limit, "method": "limited input", "status": "level set"}
+    starts = {
+        "limits": limits,
+        "starts": (1 - ROUNDING) * share * corners,
+        "level": level * (1 - ROUNDING),
+    }
+    told: Any = {
+        "rate_limit": parts[0].rate_limit,
+        "method": "limited input",
+        "status": "level set",
+    }
     proved: UnlimitedStart = UnlimitedStart.proved(part.numbers | starts, started=started, **told)
     return proved if proved.certified else None

@@ -1,4 +1,5 @@
-"""Signals that walk through a range: a chirp through frequencies, a staircase through amplitudes."""
+"""Signals that walk through a range: a chirp through frequencies, a staircase through
+amplitudes."""
 
 from dataclasses import dataclass
 
@@ -11,9 +12,11 @@ from ssm_study.refusal import at_least, require
 
 @dataclass(frozen=True, kw_only=True)
 class Chirp(Excitation):
-    """`u = A sin(phi + 2 pi (f0 t + (f1 - f0) t^2 / 2T))`: frequency rises linearly from f0 to f1 over the record.
+    """`u = A sin(phi + 2 pi (f0 t + (f1 - f0) t^2 / 2T))`: frequency rises linearly from f0 to f1
+    over the record.
 
-    Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per record, `high_hz` None
+    Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per
+    record, `high_hz` None
     is `0.5 / clock_s`.
     """
 
@@ -26,12 +29,20 @@ class Chirp(Excitation):
         super().__post_init__()
         check_band(self.low_hz, self.high_hz)
 
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         t, length = np.arange(request.samples) * request.step_s, request.samples * request.step_s
         low = 1.0 / length if self.low_hz is None else self.low_hz
         high = 0.5 / request.clock_s if self.high_hz is None else self.high_hz
         nyquist = 0.5 / request.step_s
-        require(low < high <= nyquist, "excitation.high_hz", high, f"not in ({low:g}, {nyquist:g}] Hz", "sweep inside")
+        require(
+            low < high <= nyquist,
+            "excitation.high_hz",
+            high,
+            f"not in ({low:g}, {nyquist:g}] Hz",
+            "sweep inside",
+        )
         turns = low * t + (high - low) * t**2 / (2 * length)
         columns = [np.sin(2 * np.pi * (rng.random() + turns)) for _ in range(request.inputs)]
         return np.stack([column[:: 1 - 2 * (j % 2)] for j, column in enumerate(columns)], axis=1)
@@ -39,9 +50,11 @@ class Chirp(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class Staircase(Excitation):
-    """`levels` values spaced uniformly over `[-A, A]`, climbed and descended, each held for `hold_clocks` clocks.
+    """`levels` values spaced uniformly over `[-A, A]`, climbed and descended, each held for
+    `hold_clocks` clocks.
 
-    Shows the static map: long holds let each level settle. Every channel starts at a random point of the climb.
+    Shows the static map: long holds let each level settle. Every channel starts at a random point
+    of the climb.
     """
 
     kind = "staircase"
@@ -54,8 +67,14 @@ class Staircase(Excitation):
         at_least(3, "excitation.levels", self.levels, "use 11 or so")
         at_least(1, "excitation.hold_clocks", self.hold_clocks, "use 5 or so")
 
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         up = np.linspace(-1.0, 1.0, self.levels)
-        cycle = np.repeat(np.concatenate([up, up[-2:0:-1]]), self.hold_clocks * request.clock_samples)
+        cycle = np.repeat(
+            np.concatenate([up, up[-2:0:-1]]), self.hold_clocks * request.clock_samples
+        )
         starts = [rng.integers(len(cycle)) for _ in range(request.inputs)]
-        return np.stack([np.resize(np.roll(cycle, -start), request.samples) for start in starts], axis=1)
+        return np.stack(
+            [np.resize(np.roll(cycle, -start), request.samples) for start in starts], axis=1
+        )

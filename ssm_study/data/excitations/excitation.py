@@ -14,7 +14,8 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRequest:
-    """`samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at least `clock_s`."""
+    """`samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at
+    least `clock_s`."""
 
     samples: int
     step_s: float
@@ -30,13 +31,20 @@ class SignalRequest:
         """Whole samples in a clock period; refuses less than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
-        require(samples >= 1, "excitation.clock_s", self.clock_s, problem, "hold each level for at least one sample")
+        require(
+            samples >= 1,
+            "excitation.clock_s",
+            self.clock_s,
+            problem,
+            "hold each level for at least one sample",
+        )
         return samples
 
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation(ABC):
-    """`|u_i - u_eq,i| <= amplitude_i`: offsets `(T, m)` in physical units; equal generators give equal signals.
+    """`|u_i - u_eq,i| <= amplitude_i`: offsets `(T, m)` in physical units; equal generators give
+    equal signals.
 
     `amplitude` and `clock_s` None take the plant's own. Every channel gets a signal of its own.
     """
@@ -54,7 +62,9 @@ class Excitation(ABC):
         """The name under which records file it."""
 
     @abstractmethod
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         """The signal for amplitude one: values in [-1, 1]."""
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
@@ -64,26 +74,46 @@ class Excitation(ABC):
     def _asked(self, request: SignalRequest) -> SignalRequest:
         """The request with this excitation's own amplitude and clock in place of the plant's."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
-        given = (float(amplitude),) * request.inputs if isinstance(amplitude, int | float) else tuple(amplitude)
+        given = (
+            (float(amplitude),) * request.inputs
+            if isinstance(amplitude, int | float)
+            else tuple(amplitude)
+        )
         problem = f"one number or one per input is needed, and the plant has {request.inputs}"
-        require(len(given) == request.inputs, "excitation.amplitude", given, problem, "give as many")
-        return replace(request, amplitude=given, clock_s=request.clock_s if self.clock_s is None else self.clock_s)
+        require(
+            len(given) == request.inputs, "excitation.amplitude", given, problem, "give as many"
+        )
+        return replace(
+            request,
+            amplitude=given,
+            clock_s=request.clock_s if self.clock_s is None else self.clock_s,
+        )
 
 
 def check_band(low_hz: float | None, high_hz: float | None, name: str = "") -> None:
-    """Refuse ends of a frequency band, called `<name>low_hz` and `<name>high_hz`, that are not positive and ordered."""
+    """Refuse ends of a frequency band, called `<name>low_hz` and `<name>high_hz`, that are not
+    positive and ordered."""
     positive(f"excitation.{name}low_hz", low_hz, "give hertz, or null")
     positive(f"excitation.{name}high_hz", high_hz, "give hertz, or null")
     ordered = low_hz is None or high_hz is None or low_hz < high_hz
-    require(ordered, f"excitation.{name}low_hz", low_hz, f"not below {name}high_hz = {high_hz}", "swap them")
+    require(
+        ordered,
+        f"excitation.{name}low_hz",
+        low_hz,
+        f"not below {name}high_hz = {high_hz}",
+        "swap them",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PRBS(Excitation):
-    """`u in {-A, +A}`: a maximum-length shift register of `register_bits` bits, clocked every `clock_s`.
+    """`u in {-A, +A}`: a maximum-length shift register of `register_bits` bits, clocked every
+    `clock_s`.
 
-    Period `2^bits - 1` clocks with a flat spectrum up to about `0.44 / clock_s`. Each channel starts the register
-    elsewhere. Two levels show a static input nonlinearity at two points only: its slopes are not identifiable.
+    Period `2^bits - 1` clocks with a flat spectrum up to about `0.44 / clock_s`. Each channel
+    starts the register
+    elsewhere. Two levels show a static input nonlinearity at two points only: its slopes are not
+    identifiable.
     """
 
     kind = "prbs"
@@ -93,23 +123,35 @@ class PRBS(Excitation):
     def __post_init__(self) -> None:
         super().__post_init__()
         bits = self.register_bits
-        require(2 <= bits <= 32, "excitation.register_bits", bits, "a register has 2 to 32 bits", "use 9 or so")
+        require(
+            2 <= bits <= 32,
+            "excitation.register_bits",
+            bits,
+            "a register has 2 to 32 bits",
+            "use 9 or so",
+        )
 
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         hold, columns = request.clock_samples, []
         for _ in range(request.inputs):
             start = rng.integers(0, 2, self.register_bits)
             start[0] |= not start.any()  # the all-zero register never moves
-            bits, _ = scipy.signal.max_len_seq(self.register_bits, state=start, length=-(-request.samples // hold))
+            bits, _ = scipy.signal.max_len_seq(
+                self.register_bits, state=start, length=-(-request.samples // hold)
+            )
             columns.append(np.repeat(2.0 * bits - 1.0, hold)[: request.samples])
         return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class APRBS(Excitation):
-    """Levels uniform in `[-A, A]`, each held for a whole number of clocks uniform in `1 .. longest_hold_clocks`.
+    """Levels uniform in `[-A, A]`, each held for a whole number of clocks uniform in `1 ..
+    longest_hold_clocks`.
 
-    A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity can be identified.
+    A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity
+    can be identified.
     """
 
     kind = "aprbs"
@@ -120,7 +162,9 @@ class APRBS(Excitation):
         super().__post_init__()
         at_least(1, "excitation.longest_hold_clocks", self.longest_hold_clocks, "use 5 or so")
 
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         clock, columns = request.clock_samples, []
         most = -(-request.samples // clock)  # levels, if each were held for one clock
         for _ in range(request.inputs):

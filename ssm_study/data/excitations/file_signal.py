@@ -14,9 +14,11 @@ from ssm_study.refusal import require
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSignal(Excitation):
-    """Columns of a file, one per input: offsets from the equilibrium in the input's unit, one row per sampling period.
+    """Columns of a file, one per input: offsets from the equilibrium in the input's unit, one row
+    per sampling period.
 
-    Records shorter than the file start at a random row of it. `amplitude` None takes the values as they are; a number
+    Records shorter than the file start at a random row of it. `amplitude` None takes the values as
+    they are; a number
     scales each column to that peak.
     """
 
@@ -32,18 +34,32 @@ class OwnSignal(Excitation):
         start = int(rng.integers(len(values) - request.samples + 1))
         return values[start : start + request.samples]
 
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         u = self.signal(request, rng)
         return u / np.abs(u).max(axis=0)
 
     def _values(self, request: SignalRequest) -> Float[np.ndarray, "T2 m"]:
         names, problem = listed(self.column), f"the plant has {request.inputs} inputs"
-        require(len(names) == request.inputs, "excitation.column", names, problem, "name one column per input")
+        require(
+            len(names) == request.inputs,
+            "excitation.column",
+            names,
+            problem,
+            "name one column per input",
+        )
         table = read_table(Path(self.path), dict.fromkeys(names, ""))
         values = np.stack([table.columns[name] for name in names], axis=1)
         problem = f"has {len(values)} rows and records of {request.samples} samples are asked for"
         remedy = "lengthen the file, or shorten data.samples"
         require(len(values) >= request.samples, "excitation.path", self.path, problem, remedy)
         for name, column in zip(names, values.T, strict=True):
-            require(float(np.ptp(column)) > 0, f"{self.path}, column {name}", column[0], "constant", "vary it")
+            require(
+                float(np.ptp(column)) > 0,
+                f"{self.path}, column {name}",
+                column[0],
+                "constant",
+                "vary it",
+            )
         return values

@@ -1,4 +1,5 @@
-"""A sum of sines with a low crest factor: power where it is wanted, as much as the amplitude allows."""
+"""A sum of sines with a low crest factor: power where it is wanted, as much as the amplitude
+allows."""
 
 from dataclasses import dataclass
 
@@ -14,11 +15,15 @@ CLIP_AT = 0.85  # of the peak: deep enough to make progress, shallow enough to c
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine(Excitation):
-    """`u(t) = A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band with equal power, T the record.
+    """`u(t) = A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band with equal power,
+    T the record.
 
-    Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat spectrum, which lowers the
-    crest factor peak/rms (random phases: about 3; afterwards about 1.6). `band_low_hz` None is the first line,
-    `band_high_hz` None is `0.5 / clock_s`. Source: Pintelon & Schoukens 2012, sec. 5.3; Van der Ouderaa et al. 1988.
+    Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat
+    spectrum, which lowers the
+    crest factor peak/rms (random phases: about 3; afterwards about 1.6). `band_low_hz` None is the
+    first line,
+    `band_high_hz` None is `0.5 / clock_s`. Source: Pintelon & Schoukens 2012, sec. 5.3; Van der
+    Ouderaa et al. 1988.
     """
 
     kind = "multisine"
@@ -32,19 +37,39 @@ class Multisine(Excitation):
         check_band(self.band_low_hz, self.band_high_hz, "band_")
         at_least(0, "excitation.crest_iterations", self.crest_iterations, "use 0 for random phases")
 
-    def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+    def unit_signal(
+        self, request: SignalRequest, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T m"]:
         frequencies = np.fft.rfftfreq(request.samples, request.step_s)
         low = 0.0 if self.band_low_hz is None else self.band_low_hz
         high = 0.5 / request.clock_s if self.band_high_hz is None else self.band_high_hz
-        band = (frequencies > 0) & (frequencies >= low * (1 - 1e-9)) & (frequencies <= high * (1 + 1e-9))
-        band &= frequencies < 0.5 / request.step_s * (1 - 1e-9)  # the Nyquist line has no phase to choose
+        band = (
+            (frequencies > 0)
+            & (frequencies >= low * (1 - 1e-9))
+            & (frequencies <= high * (1 + 1e-9))
+        )
+        band &= frequencies < 0.5 / request.step_s * (
+            1 - 1e-9
+        )  # the Nyquist line has no phase to choose
         field, lines = "excitation.band_low_hz, excitation.band_high_hz", int(band.sum())
         problem = f"holds {lines} lines of a record of {request.samples} samples every {request.step_s:g} s"
-        require(lines >= FEWEST_LINES, field, (low, high), problem, "widen the band or lengthen the record")
-        return np.stack([self._channel(band, request.samples, rng) for _ in range(request.inputs)], axis=1)
+        require(
+            lines >= FEWEST_LINES,
+            field,
+            (low, high),
+            problem,
+            "widen the band or lengthen the record",
+        )
+        return np.stack(
+            [self._channel(band, request.samples, rng) for _ in range(request.inputs)], axis=1
+        )
 
-    def _channel(self, band: np.ndarray, samples: int, rng: np.random.Generator) -> Float[np.ndarray, "T"]:
-        best = np.fft.irfft(np.where(band, np.exp(2j * np.pi * rng.random(len(band))), 0.0), samples)
+    def _channel(
+        self, band: np.ndarray, samples: int, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T"]:
+        best = np.fft.irfft(
+            np.where(band, np.exp(2j * np.pi * rng.random(len(band))), 0.0), samples
+        )
         for _ in range(self.crest_iterations):
             level = CLIP_AT * np.abs(best).max()
             clipped = np.fft.rfft(np.clip(best, -level, level))

@@ -10,7 +10,11 @@ from jaxtyping import Float
 from ssm_study.data.excitations.excitation import APRBS, SignalRequest
 from ssm_study.refusal import positive, require
 
-AMPLITUDES = (1.0, 0.5, 0.2)  # of the way from rest to the limits: a plant may answer small inputs differently
+AMPLITUDES = (
+    1.0,
+    0.5,
+    0.2,
+)  # of the way from rest to the limits: a plant may answer small inputs differently
 PERIODS = 2  # what differs between equal periods is noise, and is measured so by itself
 HOLDS_PER_SETTLING = 10  # the shortest hold is a tenth of the settling time: fast modes show
 LONGEST_HOLD = 5  # of these holds, half of the settling time: slow modes do
@@ -19,9 +23,11 @@ PERIOD_IN_SETTLINGS = 20  # some seventy levels a period: S_u is seen all over t
 
 @dataclass(frozen=True, kw_only=True)
 class OwnPlantRecord:
-    """Rest, then for each amplitude two equal periods of random levels, then rest; all within `lower, upper`.
+    """Rest, then for each amplitude two equal periods of random levels, then rest; all within
+    `lower, upper`.
 
-    `settle_s` is how long the plant takes to come to rest, roughly: from a step by hand or a first log. `rest` must lie
+    `settle_s` is how long the plant takes to come to rest, roughly: from a step by hand or a first
+    log. `rest` must lie
     strictly inside the limits. Raises `BadRequest` for a settling time below twenty samples.
     """
 
@@ -34,7 +40,10 @@ class OwnPlantRecord:
 
     def __post_init__(self) -> None:
         limits = (self.lower, self.rest, self.upper)
-        problem, remedy = "rest must lie strictly between the limits", "give --lower < --rest < --upper"
+        problem, remedy = (
+            "rest must lie strictly between the limits",
+            "give --lower < --rest < --upper",
+        )
         between = -np.inf < self.lower < self.rest < self.upper < np.inf
         require(between, "lower, rest, upper", limits, problem, remedy)
         positive("step_s", self.step_s, "give it in seconds")
@@ -47,10 +56,14 @@ class OwnPlantRecord:
         """The input, one value per sample, to be held until the next."""
         settling, rng = round(self.settle_s / self.step_s), np.random.default_rng(self.seed)
         samples, clock_s = PERIOD_IN_SETTLINGS * settling, self.settle_s / HOLDS_PER_SETTLING
-        request = SignalRequest(samples=samples, step_s=self.step_s, amplitude=(1.0,), clock_s=clock_s)
+        request = SignalRequest(
+            samples=samples, step_s=self.step_s, amplitude=(1.0,), clock_s=clock_s
+        )
         parts = [still := np.full(2 * settling, self.rest)]
         for amplitude in AMPLITUDES:
-            levels = amplitude * APRBS(longest_hold_clocks=LONGEST_HOLD).unit_signal(request, rng)[:, 0]
+            levels = (
+                amplitude * APRBS(longest_hold_clocks=LONGEST_HOLD).unit_signal(request, rng)[:, 0]
+            )
             reach = np.where(levels > 0, self.upper - self.rest, self.rest - self.lower)
             parts += [self.rest + reach * levels] * PERIODS + [still]
         return np.concatenate(parts)
@@ -58,6 +71,8 @@ class OwnPlantRecord:
     def write(self, path: Path) -> str:
         """The CSV file, and a sentence on what it holds."""
         u = self.signal()
-        pd.DataFrame({"time_s": np.arange(len(u)) * self.step_s, "input": u}).to_csv(path, index=False)
+        pd.DataFrame({"time_s": np.arange(len(u)) * self.step_s, "input": u}).to_csv(
+            path, index=False
+        )
         lasts = f"{len(u)} samples, {len(u) * self.step_s / 60:.1f} minutes"
         return f"{path}: {lasts}, inputs from {u.min():.4g} to {u.max():.4g}, rest {self.rest:.4g}"

@@ -1,7 +1,9 @@
 """MATLAB files of the formats 4 and 5 (to version 7), real matrices only.
 
-Format 5 is read in plain Python with every length checked: `scipy.io.loadmat` ends the whole process on some damaged
-files of it (2026-11, found by fuzzing); there it is the tests' oracle. Source: MathWorks, "MAT-File Format", R2024a.
+Format 5 is read in plain Python with every length checked: `scipy.io.loadmat` ends the whole
+process on some damaged
+files of it (2026-11, found by fuzzing); there it is the tests' oracle. Source: MathWorks, "MAT-File
+Format", R2024a.
 """
 
 import math
@@ -18,7 +20,18 @@ from ssm_study.data.readers.reader import Reader, Table, check_named
 from ssm_study.refusal import BadRequest, require
 
 COMPRESSED, MATRIX = 15, 14
-STORAGE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+STORAGE = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
 CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function",
            17: "an object"}  # fmt: skip
 FIRST_NUMERIC_CLASS, LAST_NUMERIC_CLASS, COMPLEX = 6, 15, 0x0800
@@ -39,7 +52,9 @@ class MatReader(Reader, names=(".mat",)):
     def read(self, path: Path, names: list[str]) -> Table:
         try:
             contents = parse(path)
-        except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
+        except (
+            Exception
+        ) as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
             said = repr(error) if isinstance(error, LookupError) else error
             problem = f"not a complete MAT file: {said}"
             raise BadRequest("data.path", path, problem, "save it again with -v7") from error
@@ -48,7 +63,9 @@ class MatReader(Reader, names=(".mat",)):
         for name in names:
             value = contents[name]
             if isinstance(value, str):
-                raise BadRequest(where, name, f"is {value}, not real numbers", "save it as a vector")
+                raise BadRequest(
+                    where, name, f"is {value}, not real numbers", "save it as a vector"
+                )
             vector = value.size == max(value.shape, default=0)
             require(vector, where, name, f"has shape {value.shape}, no vector", "cut a column out")
             columns[name] = value.astype(np.float64).reshape(-1)
@@ -74,14 +91,18 @@ def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
             stream = zlib.decompressobj()
             unpacked = stream.decompress(data, max(left, 1))  # 0 would be no limit
             left -= len(unpacked)
-            _must(not stream.unconsumed_tail, f"it unpacks to more than {MOST_BYTES >> 20} MiB; split it")
+            _must(
+                not stream.unconsumed_tail,
+                f"it unpacks to more than {MOST_BYTES >> 20} MiB; split it",
+            )
             parts = _elements(unpacked, order)
             _must(stream.eof, "a compressed variable is cut short")
         yield from (_matrix(matrix, order) for inner, matrix in parts if inner == MATRIX)
 
 
 def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Tagged elements: `(type, length)` and the data, padded to 8 bytes; or both in 8 bytes when they fit."""
+    """Tagged elements: `(type, length)` and the data, padded to 8 bytes; or both in 8 bytes when
+    they fit."""
     at = 0
     while at < len(content):
         first, length = struct.unpack_from(order + "II", content, at)
@@ -117,8 +138,13 @@ def _matrix(data: bytes, order: str) -> tuple[str, Value]:
 def _version_4(path: Path) -> Iterator[tuple[str, Value]]:
     """By scipy, whose reader of this format is plain Python."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # sizes that overflow: what they lead to is an error
+        warnings.simplefilter(
+            "ignore", RuntimeWarning
+        )  # sizes that overflow: what they lead to is an error
         warnings.simplefilter("error", UserWarning)  # a byte order that is not known
         found = scipy.io.loadmat(path, appendmat=False)
     for name, value in found.items():
-        yield name, V4_KINDS.get(value.dtype.kind, value) if isinstance(value, np.ndarray) else CLASSES[5]
+        yield (
+            name,
+            V4_KINDS.get(value.dtype.kind, value) if isinstance(value, np.ndarray) else CLASSES[5],
+        )

@@ -15,18 +15,39 @@ class McapReader(Reader, names=(".mcap",)):
 
     def read(self, path: Path, names: list[str]) -> Table:
         groups, _ = read_mcap(path)
-        fields = [(group, index, channel) for group in groups for index, channel in enumerate(group.channels)]
+        fields = [
+            (group, index, channel)
+            for group in groups
+            for index, channel in enumerate(group.channels)
+        ]
         known = ", ".join(f"{group.topic}.{channel.name}" for group, _, channel in fields)
         columns, units, time_s = {}, {}, None
         for name in names:
-            slashed = re.sub(r"^(/[^.]*)\.(\w+\.)", r"\1/\2", name)  # `/case_0.output.speed`, as Foxglove plots it
-            matches = [one for one in fields if {name, slashed} & {one[2].name, f"{one[0].topic}.{one[2].name}"}]
+            slashed = re.sub(
+                r"^(/[^.]*)\.(\w+\.)", r"\1/\2", name
+            )  # `/case_0.output.speed`, as Foxglove plots it
+            matches = [
+                one
+                for one in fields
+                if {name, slashed} & {one[2].name, f"{one[0].topic}.{one[2].name}"}
+            ]
             problem = "several topics have it" if matches else f"the recording has {known}"
-            require(len(matches) == 1, f"{path.name} (field)", name, problem, "name one as topic.field")
+            require(
+                len(matches) == 1, f"{path.name} (field)", name, problem, "name one as topic.field"
+            )
             ((group, index, channel),) = matches
             columns[name], units[name] = np.ascontiguousarray(group.values[:, index]), channel.unit
             since_s = group.time_s - groups[0].time_s[0]
             time_s = since_s if time_s is None else time_s
-            together, problem = np.array_equal(since_s, time_s), f"not logged at the times of {names[0]}"
-            require(together, f"{path.name} (topic of)", name, problem, "log both in one topic, or resample them")
+            together, problem = (
+                np.array_equal(since_s, time_s),
+                f"not logged at the times of {names[0]}",
+            )
+            require(
+                together,
+                f"{path.name} (topic of)",
+                name,
+                problem,
+                "log both in one topic, or resample them",
+            )
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")

@@ -12,7 +12,8 @@ MOST_BYTES = 1 << 28  # of the named columns, unpacked
 
 
 class ParquetReader(Reader, names=(".parquet",)):
-    """The named columns; page checksums are verified where the file has them. Refuses a file that is not whole."""
+    """The named columns; page checksums are verified where the file has them. Refuses a file that
+    is not whole."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         where = f"{path.name} (column)"
@@ -20,15 +21,30 @@ class ParquetReader(Reader, names=(".parquet",)):
             schema = parquet.read_schema(path)
             check_named(where, names, schema.names)
             for kind, name in ((schema.field(name).type, name) for name in names):
-                numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
+                numeric = (
+                    pa.types.is_floating(kind)
+                    or pa.types.is_integer(kind)
+                    or pa.types.is_timestamp(kind)
+                )
                 require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
             rows, most = parquet.read_metadata(path).num_rows, MOST_BYTES // 8 // len(names)
-            require(rows <= most, "data.path", path, f"{rows} rows are more than {most}", "split the record")
+            require(
+                rows <= most,
+                "data.path",
+                path,
+                f"{rows} rows are more than {most}",
+                "split the record",
+            )
             table = parquet.read_table(path, columns=names, page_checksum_verification=True)
             columns = arrow_numbers(path, table, {name: name for name in names}, "row", 0)
         except BadRequest:
             raise
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise BadRequest("data.path", path, f"not a complete Parquet file ({error})", "write it again") from error
-        units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode(errors="replace") for name in names}
+            raise BadRequest(
+                "data.path", path, f"not a complete Parquet file ({error})", "write it again"
+            ) from error
+        units = {
+            name: (schema.field(name).metadata or {}).get(b"unit", b"").decode(errors="replace")
+            for name in names
+        }
         return Table(columns=columns, units=units, row_word="row")

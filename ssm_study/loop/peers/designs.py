@@ -1,13 +1,14 @@
-"""The plant left alone, and certified designs: any solution of the paper's inequalities, guaranteed cost, and ours."""
+"""The plant left alone, and certified designs: any solution of the paper's inequalities, guaranteed
+cost, and ours."""
 
 # ruff: noqa: ARG002 - every peer is shown everything; these need less
+from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import Uncontrolled
 from ssm_study.loop.peers.peer import Identified, Peer
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.auto import Auto
-from ssm_study.certificates.certificate import Design
-from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis
 
 
 class UncontrolledPeer(Peer, names=("uncontrolled",)):
@@ -21,7 +22,9 @@ class PaperLmiPeer(Peer, names=("paper_lmi",)):
     """Any solution of the theorems' inequalities."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        asked = LmiSynthesis(rate_controller=rate, rate_observer=rate, objective="feasibility", full=True)
+        asked = LmiSynthesis(
+            rate_controller=rate, rate_observer=rate, objective="feasibility", full=True
+        )
         return asked.design(known.model, known.balls)
 
 
@@ -29,7 +32,9 @@ class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
     """Riccati, with the weights of `synthesis=riccati`."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        return RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(known.model, known.balls)
+        return RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(
+            known.model, known.balls
+        )
 
 
 class ChosenPeer(Peer, names=("auto",)):

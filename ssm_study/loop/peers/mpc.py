@@ -1,4 +1,5 @@
-"""Linear model predictive control on the recurrence, the input nonlinearity inverted: a peer that knows its limits."""
+"""Linear model predictive control on the recurrence, the input nonlinearity inverted: a peer that
+knows its limits."""
 
 # ruff: noqa: ARG002 - every law is shown everything; some need less
 from dataclasses import dataclass
@@ -24,10 +25,13 @@ SOLVER_TOLERANCE = 1e-5  # of OSQP, in scaled input: far below what the noise mo
 
 @dataclass(frozen=True, kw_only=True)
 class MPC(EstimateFeedback):
-    """`min sum |C x|^2 + R |v|^2 + x_N^T S x_N` over `v[0..HORIZON-1]` within limits, `v = S_u(u)`; `v[0]` is applied.
+    """`min sum |C x|^2 + R |v|^2 + x_N^T S x_N` over `v[0..HORIZON-1]` within limits, `v = S_u(u)`;
+    `v[0]` is applied.
 
-    `x` is measured from the set point; the state comes from the Kalman predictor of `lqg`. One quadratic program per
-    case and sample, by OSQP, warm-started. `input_lower, input_upper (m,)` are physical; scalar-input models only need
+    `x` is measured from the set point; the state comes from the Kalman predictor of `lqg`. One
+    quadratic program per
+    case and sample, by OSQP, warm-started. `input_lower, input_upper (m,)` are physical;
+    scalar-input models only need
     increasing S_u.
     """
 
@@ -42,7 +46,9 @@ class MPC(EstimateFeedback):
         v = np.stack([self._solve(x - target[:n], rest) for x in memory]) + rest
         return self.model.scale.physical_input(inverse(self.model.scaffold_in, v))
 
-    def _solve(self, x: Float[np.ndarray, "n"], rest: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    def _solve(
+        self, x: Float[np.ndarray, "n"], rest: Float[np.ndarray, "k"]
+    ) -> Float[np.ndarray, "k"]:
         program, linear = self._program
         lower, upper = (limit - rest for limit in self._limits)
         program.update(q=linear @ x, l=np.tile(lower, HORIZON), u=np.tile(upper, HORIZON))
@@ -55,14 +61,25 @@ class MPC(EstimateFeedback):
 
     @cached_property
     def _program(self) -> tuple["osqp.OSQP", Float[np.ndarray, "Hk n"]]:
-        """Condensed: `x_i = A^i x + sum_j A^(i-1-j) B v_j`, so the cost is `v^T H v / 2 + (F x)^T v`."""
-        a, b, q = self.model.linear.a, self.model.linear.b, self.weights.problem(self.model.linear, LINEAR).state_weight
+        """Condensed: `x_i = A^i x + sum_j A^(i-1-j) B v_j`, so the cost is `v^T H v / 2 + (F x)^T
+        v`."""
+        a, b, q = (
+            self.model.linear.a,
+            self.model.linear.b,
+            self.weights.problem(self.model.linear, LINEAR).state_weight,
+        )
         (n, k), slope = b.shape, np.linalg.norm(mean_slope(self.model), 2)
         r = self.weights.input_weight / slope**2 * np.eye(k)
         powers, steps = [np.linalg.matrix_power(a, i) for i in range(HORIZON + 1)], range(HORIZON)
-        forced = np.block([[powers[i - j] @ b if j <= i else np.zeros((n, k)) for j in steps] for i in steps])
-        cost = scipy.linalg.block_diag(*[q] * (HORIZON - 1), scipy.linalg.solve_discrete_are(a, b, q, r))
-        hessian = scipy.sparse.csc_matrix(np.triu(forced.T @ cost @ forced + np.kron(np.eye(HORIZON), r)))
+        forced = np.block(
+            [[powers[i - j] @ b if j <= i else np.zeros((n, k)) for j in steps] for i in steps]
+        )
+        cost = scipy.linalg.block_diag(
+            *[q] * (HORIZON - 1), scipy.linalg.solve_discrete_are(a, b, q, r)
+        )
+        hessian = scipy.sparse.csc_matrix(
+            np.triu(forced.T @ cost @ forced + np.kron(np.eye(HORIZON), r))
+        )
         program, identity = osqp.OSQP(), scipy.sparse.eye(HORIZON * k, format="csc")
         lower, upper = (np.tile(limit, HORIZON) for limit in self._limits)
         settings = {"verbose": False, "eps_abs": SOLVER_TOLERANCE, "eps_rel": SOLVER_TOLERANCE}
@@ -71,7 +88,8 @@ class MPC(EstimateFeedback):
 
 
 class MpcPeer(Peer, names=("mpc",)):
-    """LQG's weights and Kalman gain, horizon 20, S_u inverted, within the inputs of the validation record."""
+    """LQG's weights and Kalman gain, horizon 20, S_u inverted, within the inputs of the validation
+    record."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> MPC:
         weights = weights_of(plant, known, rate)

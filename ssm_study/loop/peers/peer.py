@@ -1,21 +1,22 @@
-"""The controllers compared on one plant, one file each: left alone, textbook, the paper's, ours; what each may know."""
+"""The controllers compared on one plant, one file each: left alone, textbook, the paper's, ours;
+what each may know."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.family import Family
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import DataSet, Trajectory
-from ssm_study.synthesis.integrated_error import at_rest
-from ssm_study.certificates.certificate import Design
 from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.robustness.prediction import predict
+from ssm_study.signals import DataSet, Trajectory
+from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.systems import Balls
 
 if TYPE_CHECKING:
@@ -29,7 +30,8 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """What every controller may know: the model, the balls of its Jacobians, the validation record."""
+    """What every controller may know: the model, the balls of its Jacobians, the validation
+    record."""
 
     model: Model
     balls: Balls
@@ -40,15 +42,20 @@ class Identified:
     @classmethod
     def of(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
         """The model beside the records that may be known."""
-        records = {name: getattr(data, name) for name in ("validation", "trials", "start_up_samples")}
+        records = {
+            name: getattr(data, name) for name in ("validation", "trials", "start_up_samples")
+        }
         return cls(model=model, balls=balls, **records)
 
     @cached_property
     def without_neurons(self) -> SSM:
-        """What a textbook's design takes the model for: neurons by their slopes at rest, within A, B, C and D."""
+        """What a textbook's design takes the model for: neurons by their slopes at rest, within A,
+        B, C and D."""
         if isinstance(self.model, SSM):
             return self.model
-        parts: dict[str, Any] = {n: getattr(self.model, n) for n in ("scaffold_in", "scaffold_out", "scale", "step_s")}
+        parts: dict[str, Any] = {
+            n: getattr(self.model, n) for n in ("scaffold_in", "scaffold_out", "scale", "step_s")
+        }
         return SSM(linear=at_rest(self.model), **parts)
 
     @cached_property
@@ -66,12 +73,16 @@ class Peer(Family):
 
     @abstractmethod
     def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:
-        """`rate` is asked of controller and observer where the method takes rates. Raises `BadRequest` for a model or
+        """`rate` is asked of controller and observer where the method takes rates. Raises
+        `BadRequest` for a model or
         plant that it has no controller for."""
 
 
-def compared(name: str, plant: Plant, known: Identified, rate: float = 0.05) -> tuple[Controller | None, Row]:
-    """One of the peers, None where it has no controller, and what is proved and predicted of it, or the reason."""
+def compared(
+    name: str, plant: Plant, known: Identified, rate: float = 0.05
+) -> tuple[Controller | None, Row]:
+    """One of the peers, None where it has no controller, and what is proved and predicted of it, or
+    the reason."""
     said = UNSAID | {"controller": name}
     try:
         built = Peer.known[name]().build(plant, known, rate)

@@ -1,4 +1,5 @@
-"""A PI controller tuned by a textbook rule from the identified model: what most plants of this kind run on."""
+"""A PI controller tuned by a textbook rule from the identified model: what most plants of this kind
+run on."""
 
 # ruff: noqa: ARG002 - every law is shown everything; some need less
 from dataclasses import dataclass
@@ -17,9 +18,11 @@ from ssm_study.refusal import require
 
 @dataclass(frozen=True, kw_only=True)
 class PI(Controller):
-    """`u = u_eq + gain (e + i),  i+ = i + (step_s / integral_s) e,  e = r - y`, one input, one output.
+    """`u = u_eq + gain (e + i),  i+ = i + (step_s / integral_s) e,  e = r - y`, one input, one
+    output.
 
-    `gain` in input per output unit, `integral_s` in seconds; i is held while a limit keeps the input from what was
+    `gain` in input per output unit, `integral_s` in seconds; i is held while a limit keeps the
+    input from what was
     asked (no wind-up).
     """
 
@@ -31,9 +34,16 @@ class PI(Controller):
 
     @classmethod
     def on(cls, plant: Plant, gain: float, integral_s: float) -> "PI":
-        """For this plant and its sampling time; raises `BadRequest` for more than one input or output."""
+        """For this plant and its sampling time; raises `BadRequest` for more than one input or
+        output."""
         shape = len(plant.inputs), len(plant.outputs)
-        require(shape == (1, 1), "loop.comparison.own_pi", shape, "inputs and outputs of the plant", "leave it out")
+        require(
+            shape == (1, 1),
+            "loop.comparison.own_pi",
+            shape,
+            "inputs and outputs of the plant",
+            "leave it out",
+        )
         rest = float(plant.equilibrium().u[0])
         return cls(gain=gain, integral_s=integral_s, input_equilibrium=rest, step_s=plant.step_s)
 
@@ -49,20 +59,32 @@ class PI(Controller):
 
 
 class Ultimate(NamedTuple):
-    """The proportional gain at which the linearised loop just oscillates, and the period: physical units, seconds."""
+    """The proportional gain at which the linearised loop just oscillates, and the period: physical
+    units, seconds."""
 
     gain: float
     period_s: float
 
 
 def ultimate(model: SSM) -> Ultimate:
-    """`u = -gain y` puts the first pole of the model (S_u by its mean slope) on the unit circle, at `2 pi / period`.
+    """`u = -gain y` puts the first pole of the model (S_u by its mean slope) on the unit circle, at
+    `2 pi / period`.
 
-    Raises `BadRequest` for more than one input or output, or a loop that no gain up to 10^6 makes oscillate.
+    Raises `BadRequest` for more than one input or output, or a loop that no gain up to 10^6 makes
+    oscillate.
     """
     shape, outward = (model.scale.inputs, model.scale.outputs), model.scaffold_out
-    require(shape == (1, 1), "model inputs, outputs", shape, "this rule tunes one loop", "compare other controllers")
-    b, c = model.linear.b @ mean_slope(model), outward.jacobian(np.zeros(outward.inputs)) @ model.linear.c
+    require(
+        shape == (1, 1),
+        "model inputs, outputs",
+        shape,
+        "this rule tunes one loop",
+        "compare other controllers",
+    )
+    b, c = (
+        model.linear.b @ mean_slope(model),
+        outward.jacobian(np.zeros(outward.inputs)) @ model.linear.c,
+    )
     sign = float(np.sign((c @ np.linalg.solve(np.eye(model.order) - model.linear.a, b))[0, 0]))
 
     def poles(gain: float) -> Complex[np.ndarray, "n"]:
@@ -73,7 +95,9 @@ def ultimate(model: SSM) -> Ultimate:
 
     grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection
     unstable = next((i for i, gain in enumerate(grid) if excess(gain) >= 0), 0)
-    require(unstable > 0, "model", sign, "no gain brings the loop to oscillate", "leave the PI peer out")
+    require(
+        unstable > 0, "model", sign, "no gain brings the loop to oscillate", "leave the PI peer out"
+    )
     limit = float(scipy.optimize.bisect(excess, grid[unstable - 1], grid[unstable], xtol=1e-12))
     found = poles(limit)
     angle = float(np.abs(np.angle(found[np.argmax(np.abs(found))])))
@@ -82,17 +106,22 @@ def ultimate(model: SSM) -> Ultimate:
 
 
 def tyreus_luyben(model: SSM) -> PI:
-    """`gain = ultimate / 3.2,  integral = 2.2 periods`: Ziegler and Nichols' experiment with a calmer rule.
+    """`gain = ultimate / 3.2,  integral = 2.2 periods`: Ziegler and Nichols' experiment with a
+    calmer rule.
 
-    Source: Tyreus & Luyben, Ind. Eng. Chem. Res. 31 (1992) 2625-2628. (Rules from a first-order fit, SIMC among them,
+    Source: Tyreus & Luyben, Ind. Eng. Chem. Res. 31 (1992) 2625-2628. (Rules from a first-order
+    fit, SIMC among them,
     do not see an elastic shaft: on the motor they excite its resonance.)
     """
     (gain, period_s), rest = ultimate(model), float(model.scale.input_equilibrium[0])
-    return PI(gain=gain / 3.2, integral_s=2.2 * period_s, input_equilibrium=rest, step_s=model.step_s)
+    return PI(
+        gain=gain / 3.2, integral_s=2.2 * period_s, input_equilibrium=rest, step_s=model.step_s
+    )
 
 
 def mean_slope(model: SSM) -> Float[np.ndarray, "k m"]:
-    """`(S_u(e_i) - S_u(-e_i)) / 2` for each scaled input i: what a linear design takes the nonlinearity for."""
+    """`(S_u(e_i) - S_u(-e_i)) / 2` for each scaled input i: what a linear design takes the
+    nonlinearity for."""
     ends = np.eye(model.scale.inputs)
     return ((model.scaffold_in(ends) - model.scaffold_in(-ends)) / 2).T
 

@@ -1,4 +1,5 @@
-"""A deep SSM: blocks of ours, one after the other. For identification only; no theorem here covers it."""
+"""A deep SSM: blocks of ours, one after the other. For identification only; no theorem here covers
+it."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -65,7 +66,8 @@ class TorchDeepSSM(TorchModel):
 
 @dataclass(frozen=True, kw_only=True)
 class DeepSSMSpec(ModelSpec):
-    """`layers` blocks of order `order`, `channels` signals between them, `scaffold` in front of each."""
+    """`layers` blocks of order `order`, `channels` signals between them, `scaffold` in front of
+    each."""
 
     sizes: ClassVar = ("layers", "order", "channels", "hidden_width")
 
@@ -84,7 +86,11 @@ class DeepSSMSpec(ModelSpec):
         for enter, leave in pairwise(wires):
             seen = samples if not blocks else rng.normal(size=(500, enter))
             frame = Frame(width=self.hidden_width, slopes=SLOPES, samples=seen)
-            start = on_ring(self.order, self.order % 2, (0.3, 0.99), (0.01, 1.0), (enter, leave), rng)
+            start = on_ring(
+                self.order, self.order % 2, (0.3, 0.99), (0.01, 1.0), (enter, leave), rng
+            )
             through = Linear().build(replace(frame, samples=np.zeros((1, leave))), rng)
-            blocks.append(TorchSSM(self.scaffold.build(frame, rng), LRU(start, feedthrough=True), through))
+            blocks.append(
+                TorchSSM(self.scaffold.build(frame, rng), LRU(start, feedthrough=True), through)
+            )
         return TorchDeepSSM(blocks)

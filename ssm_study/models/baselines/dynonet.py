@@ -1,4 +1,5 @@
-"""dynoNet baseline: two blocks of transfer functions around a static network, by its authors' package (MIT)."""
+"""dynoNet baseline: two blocks of transfer functions around a static network, by its authors'
+package (MIT)."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,9 +21,11 @@ Filter = Float[np.ndarray, "_ _ _"]  # (outputs, inputs, terms)
 
 @dataclass(frozen=True, kw_only=True)
 class DynoNet(Simulator, names=("dynonet",)):
-    """`y = G2 (W2 tanh(W1 G1 u + b1) + b2)`; each entry of G1 and G2 is `B(q) / A(q)` of its own, `A` monic.
+    """`y = G2 (W2 tanh(W1 G1 u + b1) + b2)`; each entry of G1 and G2 is `B(q) / A(q)` of its own,
+    `A` monic.
 
-    Shapes: `*_b (outputs, inputs, terms)` and `*_a` in powers of the backward shift, delays included.
+    Shapes: `*_b (outputs, inputs, terms)` and `*_a` in powers of the backward shift, delays
+    included.
     Source: Forgione & Piga (2021), dynoNet, figure 3.
     """
 
@@ -45,12 +48,16 @@ class DynoNet(Simulator, names=("dynonet",)):
 def filtered(b: Filter, a: Filter, u: Inputs) -> Outputs:
     """`y_o = sum_i B_oi(q) / A_oi(q) u_i`, from rest."""
     outputs, inputs = b.shape[:2]
-    rows = [sum(lfilter(b[o, i], a[o, i], u[..., i], axis=-1) for i in range(inputs)) for o in range(outputs)]
+    rows = [
+        sum(lfilter(b[o, i], a[o, i], u[..., i], axis=-1) for i in range(inputs))
+        for o in range(outputs)
+    ]
     return np.stack(rows, axis=-1)
 
 
 class TorchDynoNet(TorchModel):
-    """Starts at rest always: the package's filter takes no initial state. It differentiates backward only."""
+    """Starts at rest always: the package's filter takes no initial state. It differentiates
+    backward only."""
 
     states = 0
     differentiates_forward = False
@@ -60,8 +67,12 @@ class TorchDynoNet(TorchModel):
         self.integral_s = data.step_s if spec.integrated else None
         lti, static = library("dynonet.lti"), library("dynonet.static")
         wires, terms = spec.wires, {"n_b": spec.numerator, "n_a": spec.denominator}
-        self.first = lti.MimoLinearDynamicalOperator(data.scale.inputs, wires, **terms, n_k=1).double()
-        self.bend = static.MimoStaticNonLinearity(wires, wires, n_hidden=spec.hidden, activation="tanh").double()
+        self.first = lti.MimoLinearDynamicalOperator(
+            data.scale.inputs, wires, **terms, n_k=1
+        ).double()
+        self.bend = static.MimoStaticNonLinearity(
+            wires, wires, n_hidden=spec.hidden, activation="tanh"
+        ).double()
         self.second = lti.MimoLinearDynamicalOperator(wires, data.scale.outputs, **terms).double()
 
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
@@ -73,16 +84,25 @@ class TorchDynoNet(TorchModel):
         if self.integral_s is not None:  # the running sum is one more pole of every last filter
             b2, a2 = self.integral_s * b2, np.apply_along_axis(np.convolve, -1, a2, [1.0, -1.0])
         enter, _, leave = self.bend.net
-        layers = {"hidden": enter.weight, "bias": enter.bias, "read": leave.weight, "offset": leave.bias}
+        layers = {
+            "hidden": enter.weight,
+            "bias": enter.bias,
+            "read": leave.weight,
+            "offset": leave.bias,
+        }
         weights = {name: numbers(values) for name, values in layers.items()}
-        return DynoNet(first_b=b1, first_a=a1, second_b=b2, second_a=a2, **weights, scale=data.scale)
+        return DynoNet(
+            first_b=b1, first_a=a1, second_b=b2, second_a=a2, **weights, scale=data.scale
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class DynoNetSpec(ModelSpec):
-    """`wires` signals between the blocks, each filter with `numerator` and `denominator` coefficients.
+    """`wires` signals between the blocks, each filter with `numerator` and `denominator`
+    coefficients.
 
-    `integrated`: the last block gives a rate, whose running sum is the output, as its authors model a position.
+    `integrated`: the last block gives a rate, whose running sum is the output, as its authors model
+    a position.
     """
 
     sizes: ClassVar = ("wires", "numerator", "denominator", "hidden")

@@ -1,4 +1,5 @@
-"""GRU and LSTM baselines: torch's own cells for training, their published equations for the stored model."""
+"""GRU and LSTM baselines: torch's own cells for training, their published equations for the stored
+model."""
 
 from dataclasses import dataclass
 
@@ -37,7 +38,10 @@ class Recurrent(Simulator, names=("gru", "lstm")):
             gates = scaled[..., k, :] @ self.weight_ih.T + self.bias_ih
             fed_back = h @ self.weight_hh.T + self.bias_hh
             if self.kind == "gru":
-                (r, z, n), (hr, hz, hn) = np.split(gates, 3, axis=-1), np.split(fed_back, 3, axis=-1)
+                (r, z, n), (hr, hz, hn) = (
+                    np.split(gates, 3, axis=-1),
+                    np.split(fed_back, 3, axis=-1),
+                )
                 update = expit(z + hz)  # share of the old state that stays
                 h = (1 - update) * np.tanh(n + expit(r + hr) * hn) + update * h
             else:

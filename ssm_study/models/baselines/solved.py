@@ -1,4 +1,5 @@
-"""Baselines that libraries solve without gradient steps: N4SID (nfoursid) and polynomial NARX (SysIdentPy)."""
+"""Baselines that libraries solve without gradient steps: N4SID (nfoursid) and polynomial NARX
+(SysIdentPy)."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -36,10 +37,13 @@ class SolvedSpec(ModelSpec, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
-    """Linear state space by subspace identification with `block_rows` block rows; an SSM without nonlinearity.
+    """Linear state space by subspace identification with `block_rows` block rows; an SSM without
+    nonlinearity.
 
-    A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts, and B is fitted
-    again without it. N4SID takes one record: several are joined end to end, and each joint is an error in A and C.
+    A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts,
+    and B is fitted
+    again without it. N4SID takes one record: several are joined end to end, and each joint is an
+    error in A and C.
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -50,7 +54,13 @@ class N4SID(SolvedSpec):
     def __post_init__(self) -> None:
         at_least(1, "model.order", self.order, "use 8 or so")
         fits = self.block_rows > self.order
-        require(fits, "model.block_rows", self.block_rows, "must exceed the order", "use twice the order")
+        require(
+            fits,
+            "model.block_rows",
+            self.block_rows,
+            "must exceed the order",
+            "use twice the order",
+        )
 
     def solve(self, data: DataSet) -> SSM:
         nfoursid, pandas = library("nfoursid.nfoursid"), library("pandas")
@@ -64,16 +74,23 @@ class N4SID(SolvedSpec):
         found, _ = method.system_identification(rank=self.order)
         a = found.a * min(1.0, SLOWEST / float(np.abs(np.linalg.eigvals(found.a)).max()))
         b = input_matrix(a, found.c, scaled(data))
-        return SSM.of(StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d)), data.step_s, data.scale)
+        return SSM.of(
+            StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d)), data.step_s, data.scale
+        )
 
 
-def input_matrix(a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs) -> Float[np.ndarray, "n m"]:
-    """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so solved at once."""
+def input_matrix(
+    a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs
+) -> Float[np.ndarray, "n m"]:
+    """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so
+    solved at once."""
     n, m, count = len(a), records[0][0].shape[1], len(records)
     each = StateSpace(a=a, b=np.eye(n), c=c, d=np.zeros((len(c), n)))
     rows, targets = [], []
     for i, (u, y) in enumerate(records):
-        pushes = np.eye(n)[:, None, None, :] * u.T[None, :, :, None]  # (n, m, T, n): input j drives state i alone
+        pushes = (
+            np.eye(n)[:, None, None, :] * u.T[None, :, :, None]
+        )  # (n, m, T, n): input j drives state i alone
         driven = each.simulate(pushes.reshape(n * m, len(u), n))[0].reshape(n * m, -1)
         free = each.simulate(np.zeros((n, len(u), n)), np.eye(n))[0].reshape(n, -1)
         starts = np.zeros((count, n, free.shape[1]))
@@ -86,7 +103,8 @@ def input_matrix(a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], recor
 
 @dataclass(frozen=True, kw_only=True)
 class Polynomial(Simulator, names=("narx",)):
-    """`y[k] = sum_i theta_i prod_j factor_ij`; codes as in SysIdentPy: 1000 + l is `y[k-l]`, 2000 + l is `u[k-l]`."""
+    """`y[k] = sum_i theta_i prod_j factor_ij`; codes as in SysIdentPy: 1000 + l is `y[k-l]`, 2000 +
+    l is `u[k-l]`."""
 
     codes: Int[np.ndarray, "terms degree"]
     theta: Float[np.ndarray, "terms"]
@@ -107,7 +125,8 @@ class Polynomial(Simulator, names=("narx",)):
 
 @dataclass(frozen=True, kw_only=True)
 class NARX(SolvedSpec):
-    """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward regression (FROLS)."""
+    """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward
+    regression (FROLS)."""
 
     sizes: ClassVar = ("lags", "degree", "terms")
 
@@ -117,25 +136,47 @@ class NARX(SolvedSpec):
 
     def solve(self, data: DataSet) -> Polynomial:
         channels = (data.scale.inputs, data.scale.outputs)
-        require(channels == (1, 1), "model", "NARX", "takes one input and one output", "choose another model")
-        frols, basis = library("sysidentpy.model_structure_selection"), library("sysidentpy.basis_function")
+        require(
+            channels == (1, 1),
+            "model",
+            "NARX",
+            "takes one input and one output",
+            "choose another model",
+        )
+        frols, basis = (
+            library("sysidentpy.model_structure_selection"),
+            library("sysidentpy.basis_function"),
+        )
         u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
-        polynomial, lags = basis.Polynomial(degree=self.degree), {"ylag": self.lags, "xlag": self.lags}
-        method = frols.FROLS(order_selection=False, n_terms=self.terms, basis_function=polynomial, **lags)
+        polynomial, lags = (
+            basis.Polynomial(degree=self.degree),
+            {"ylag": self.lags, "xlag": self.lags},
+        )
+        method = frols.FROLS(
+            order_selection=False, n_terms=self.terms, basis_function=polynomial, **lags
+        )
         own, first = own_rows([len(record) for record in data.training], self.lags), y[: self.lags]
 
-        def of_records(psi: Any, y: Any, count: int) -> tuple[Any, ...]:  # what FROLS calls with all rows
+        def of_records(
+            psi: Any, y: Any, count: int
+        ) -> tuple[Any, ...]:  # what FROLS calls with all rows
             target = y[self.lags :][own]
-            return *method.error_reduction_ratio(psi[own], np.concatenate([first, target]), count), target
+            return *method.error_reduction_ratio(
+                psi[own], np.concatenate([first, target]), count
+            ), target
 
         method.run_mss_algorithm = of_records
         method.fit(X=u, y=y)
-        codes, theta = np.asarray(method.final_model, dtype=np.int64), np.asarray(method.theta, dtype=float).ravel()
+        codes, theta = (
+            np.asarray(method.final_model, dtype=np.int64),
+            np.asarray(method.theta, dtype=float).ravel(),
+        )
         return Polynomial(codes=codes, theta=theta, scale=data.scale)
 
 
 def own_rows(lengths: Sequence[int], lags: int) -> Bool[np.ndarray, "rows"]:
-    """Which samples from number `lags` on, of all records in a row, have their `lags` past samples in one record."""
+    """Which samples from number `lags` on, of all records in a row, have their `lags` past samples
+    in one record."""
     within = np.concatenate([np.arange(length) for length in lengths])
     return within[lags:] >= lags
 

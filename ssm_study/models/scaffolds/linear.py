@@ -7,7 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import PortableMap
-from ssm_study.bounds.slopes import SlopeBound, ball_around_identity, bound_from_ball, bound_from_interval
+from ssm_study.bounds.slopes import (
+    SlopeBound,
+    ball_around_identity,
+    bound_from_ball,
+    bound_from_interval,
+)
 from ssm_study.models.lazy_torch import Tensor
 from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable
 

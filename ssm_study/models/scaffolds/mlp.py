@@ -10,14 +10,22 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
-from ssm_study.models.scaffolds.scaffold import Frame, Free, Pieces, Scaffold, Square, Trainable, numbers
+from ssm_study.models.scaffolds.scaffold import (
+    Frame,
+    Free,
+    Pieces,
+    Scaffold,
+    Square,
+    Trainable,
+    numbers,
+)
 from ssm_study.refusal import at_least
 
 JUMP_UNIT = 0.3  # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
 # `(W (h, m), b (h,), negative slopes (h,), positive slopes (h,), what comes after (k, h) or None)`.
 Layer = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 Sector = tuple[float, float]
-Start = dict[str, Float[np.ndarray, "..."]]
+Initialisation = dict[str, Float[np.ndarray, "..."]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,19 +61,25 @@ class MlpScaffold(Scaffold, names=("mlp",)):
         return MlpScaffold(network=replace(self.network, weights=(first @ m, *inner)))
 
     def portable(self) -> PortableMap:
-        return PortableMap(linear=np.zeros((self.network.outputs, self.network.inputs)), network=self.network)
+        return PortableMap(
+            linear=np.zeros((self.network.outputs, self.network.inputs)), network=self.network
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mlp(Trainable):
-    """The paper's perceptron: `depth` hidden layers of leaky ReLU, slopes fixed at the sector's ends or trained in it.
+    """The paper's perceptron: `depth` hidden layers of leaky ReLU, slopes fixed at the sector's
+    ends or trained in it.
 
-    `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the whole map are
+    `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the
+    whole map are
     trained, whatever `train_slopes` says (`OneChannel`); of several
 
-        S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l, upper_l]
+        S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l,
+        upper_l]
 
-    Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`; `layer_sector` splits the
+    Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`;
+    `layer_sector` splits the
     sector so that the composition of all layers stays inside.
     """
 
@@ -81,8 +95,12 @@ class Mlp(Trainable):
             return OneChannel(depth=self.depth).build(frame, rng)
         return super().build(frame, rng)
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> Start:
-        h, channels, ends = frame.width, frame.samples.shape[1], (("negative", -2.0), ("positive", 2.0))
+    def start(self, frame: Frame, rng: np.random.Generator) -> Initialisation:
+        h, channels, ends = (
+            frame.width,
+            frame.samples.shape[1],
+            (("negative", -2.0), ("positive", 2.0)),
+        )
         if self.certified:
             layers = [start_layer(frame.samples, h, rng) for _ in range(self.depth)]
             free = {f"direction_{i}": w for i, (w, _) in enumerate(layers)}
@@ -92,7 +110,9 @@ class Mlp(Trainable):
             shapes = [(h, h)] * (self.depth - 1) + [(channels, h)]
             weights = [first, *(rng.normal(size=shape) / np.sqrt(shape[1]) for shape in shapes)]
             biases = [-kinks, *(0.1 * rng.normal(size=h) for _ in range(self.depth - 1))]
-            free = {f"weight_{i}": w for i, w in enumerate(weights)} | {f"bias_{i}": b for i, b in enumerate(biases)}
+            free = {f"weight_{i}": w for i, w in enumerate(weights)} | {
+                f"bias_{i}": b for i, b in enumerate(biases)
+            }
         trained = range(self.depth if self.train_slopes else 0)  # near the two ends of the sector
         return free | {f"slope_{side}_{i}": np.full(h, at) for i in trained for side, at in ends}
 
@@ -101,9 +121,13 @@ class Mlp(Trainable):
         for i in range(self.depth):
             if self.certified:
                 v = free[f"direction_{i}"]
-                root = torch.linalg.cholesky(v.T @ v)  # W = V R^{-T} has W^T W = I, and is cheap to differentiate
+                root = torch.linalg.cholesky(
+                    v.T @ v
+                )  # W = V R^{-T} has W^T W = I, and is cheap to differentiate
                 w = torch.linalg.solve_triangular(root, v.T, upper=False).T
-                b = -free[f"kink_{i}"] * w.norm(dim=1)  # a neuron bends where its unit direction meets the kink
+                b = -free[f"kink_{i}"] * w.norm(
+                    dim=1
+                )  # a neuron bends where its unit direction meets the kink
                 sector, after = layer_sector(*slopes, self.depth, 2), w.T
             else:
                 w, b, sector = free[f"weight_{i}"], free[f"bias_{i}"], slopes
@@ -112,8 +136,11 @@ class Mlp(Trainable):
             layers.append((w, b, *self._inside(free, i, sector, b), None if between else after))
         return layers
 
-    def _inside(self, free: Free, layer: int, sector: Sector, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Negative and positive slopes held in the sector: at its two ends, or trained inside by a logistic map."""
+    def _inside(
+        self, free: Free, layer: int, sector: Sector, like: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Negative and positive slopes held in the sector: at its two ends, or trained inside by a
+        logistic map."""
         lower, upper = sector
         if not self.train_slopes:
             return torch.full_like(like, lower), torch.full_like(like, upper)
@@ -121,7 +148,9 @@ class Mlp(Trainable):
         low, high = (lower + (upper - lower) * torch.sigmoid(side) for side in sides)
         return low, high
 
-    def evaluate(self, explicit: list[Layer], v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
+    def evaluate(
+        self, explicit: list[Layer], v: Float[Tensor, "*batch m"]
+    ) -> Float[Tensor, "*batch m"]:
         for w, b, low, high, after in explicit:
             z = v @ w.T + b
             v = torch.where(z >= 0, high, low) * z - torch.where(b >= 0, high, low) * b
@@ -129,7 +158,8 @@ class Mlp(Trainable):
         return v
 
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
-        """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between sorted kinks."""
+        """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between
+        sorted kinks."""
         w, b, low, high, after = explicit[0]
         if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
             return None
@@ -144,24 +174,33 @@ class Mlp(Trainable):
 
     def frozen(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
         ws, *rest, afters = zip(*explicit, strict=True)
-        joined = zip(ws, (None, *afters[:-1]), strict=True)  # with what comes after the layer before
-        weights = [numbers(w) if before is None else numbers(w) @ numbers(before) for w, before in joined]
+        joined = zip(
+            ws, (None, *afters[:-1]), strict=True
+        )  # with what comes after the layer before
+        weights = [
+            numbers(w) if before is None else numbers(w) @ numbers(before) for w, before in joined
+        ]
         biases, negative, positive = (tuple(numbers(part) for part in parts) for parts in rest)
         ends = {"negative_slopes": negative, "positive_slopes": positive}
-        return MlpScaffold(network=Network(weights=(*weights, numbers(afters[-1])), biases=biases, **ends))
+        return MlpScaffold(
+            network=Network(weights=(*weights, numbers(afters[-1])), biases=biases, **ends)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class OneChannel(Trainable):
-    """`S = S_L o ... o S_1`, any piecewise-linear maps of one channel whose sectors multiply to the one asked for.
+    """`S = S_L o ... o S_1`, any piecewise-linear maps of one channel whose sectors multiply to the
+    one asked for.
 
-    `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`: `width - 1` leaky
-    ReLUs with slopes `lower, upper` and one linear neuron write every such map, without weights that must be positive.
+    `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`:
+    `width - 1` leaky
+    ReLUs with slopes `lower, upper` and one linear neuron write every such map, without weights
+    that must be positive.
     """
 
     depth: int
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> Start:  # noqa: ARG002
+    def start(self, frame: Frame, rng: np.random.Generator) -> Initialisation:  # noqa: ARG002
         kinks = max(frame.width - 1, 1)
         points = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
         layer = {"points": points, "jumps": np.zeros(kinks), "base": np.zeros(1)}
@@ -171,12 +210,16 @@ class OneChannel(Trainable):
         (lower, upper), layers = layer_sector(*slopes, self.depth, channels=1), []
         for i in range(self.depth):
             points, order = free[f"points_{i}"].sort(-1)
-            passed = torch.nn.functional.pad(free[f"jumps_{i}"].gather(-1, order).cumsum(-1), (1, 0))
+            passed = torch.nn.functional.pad(
+                free[f"jumps_{i}"].gather(-1, order).cumsum(-1), (1, 0)
+            )
             inside = lower + (upper - lower) * torch.sigmoid(free[f"base_{i}"] + JUMP_UNIT * passed)
             layers.append((points, inside, scaffold.home_offsets(points, inside)))
         return layers
 
-    def evaluate(self, explicit: list[Pieces], v: Float[Tensor, "*batch 1"]) -> Float[Tensor, "*batch 1"]:
+    def evaluate(
+        self, explicit: list[Pieces], v: Float[Tensor, "*batch 1"]
+    ) -> Float[Tensor, "*batch 1"]:
         for points, slopes, offsets in explicit:
             v = scaffold.evaluate((points[None], slopes[None], offsets[None]), v)
         return v
@@ -197,7 +240,11 @@ class OneChannel(Trainable):
             biases.append(np.append(-points, 0.0))
         ones = [np.ones((len(b), 1)) for b in biases]
         network = Network(
-            weights=(ones[0], *(after @ last for last, after in zip(lasts[:-1], ones[1:], strict=True)), lasts[-1]),
+            weights=(
+                ones[0],
+                *(after @ last for last, after in zip(lasts[:-1], ones[1:], strict=True)),
+                lasts[-1],
+            ),
             biases=tuple(biases),
             negative_slopes=tuple(np.append(np.full(len(b) - 1, lower), upper) for b in biases),
             positive_slopes=tuple(np.full(len(b), upper) for b in biases),
@@ -208,8 +255,10 @@ class OneChannel(Trainable):
 def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple[float, float]:
     """The slopes one layer may have so that `depth` of them in a row keep `[lower, upper]`.
 
-    One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`, the product lies in
-    the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d = (upper/alpha)^(1/L) - 1`, `alpha` the middle.
+    One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
+    the product lies in
+    the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d = (upper/alpha)^(1/L) - 1`,
+    `alpha` the middle.
     """
     if channels == 1 or depth == 1:
         return lower ** (1 / depth), upper ** (1 / depth)
@@ -221,15 +270,24 @@ def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple
 def start_layer(
     inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
-    """Random directions, kinks through evenly ranked samples of the training input, so that each can be learned.
+    """Random directions, kinks through evenly ranked samples of the training input, so that each
+    can be learned.
 
-    With one input, neighbouring kinks bend in opposite directions: any region can then be made steeper or flatter.
+    With one input, neighbouring kinks bend in opposite directions: any region can then be made
+    steeper or flatter.
     """
-    strata = (np.arange(width) + rng.uniform(0.2, 0.8, size=width)) / width  # one rank of the samples for each neuron
+    strata = (
+        np.arange(width) + rng.uniform(0.2, 0.8, size=width)
+    ) / width  # one rank of the samples for each neuron
     if inputs.shape[1] == 1:
         signs = np.where((np.arange(width) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
         return signs[:, None], signs * np.quantile(inputs[:, 0], strata)
     w = rng.normal(size=(width, inputs.shape[1]))
     w /= np.linalg.norm(w, axis=1, keepdims=True)  # directions of unit length
-    kinks = np.array([np.quantile(inputs @ row, rank) for row, rank in zip(w, rng.permutation(strata), strict=True)])
+    kinks = np.array(
+        [
+            np.quantile(inputs @ row, rank)
+            for row, rank in zip(w, rng.permutation(strata), strict=True)
+        ]
+    )
     return w, kinks

@@ -1,4 +1,5 @@
-"""A scaffolding written by its slopes: piecewise linear in each channel, so the slope interval can be read off."""
+"""A scaffolding written by its slopes: piecewise linear in each channel, so the slope interval can
+be read off."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -10,17 +11,28 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, bound_from_interval
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
-from ssm_study.models.scaffolds.scaffold import Frame, Free, Pieces, Scaffold, Square, Trainable, numbers
+from ssm_study.models.scaffolds.scaffold import (
+    Frame,
+    Free,
+    Pieces,
+    Scaffold,
+    Square,
+    Trainable,
+    numbers,
+)
 from ssm_study.refusal import require
 
 
 @dataclass(frozen=True, kw_only=True)
 class MonotoneScaffold(Scaffold, names=("monotone",)):
-    """`S_c(v) = int_0^v s_c(t) dt` in each channel c, `s_c = slopes[c, j]` between `breakpoints[c, j-1]` and `[c, j]`.
+    """`S_c(v) = int_0^v s_c(t) dt` in each channel c, `s_c = slopes[c, j]` between `breakpoints[c,
+    j-1]` and `[c, j]`.
 
-    Shapes: `breakpoints (m, h)` not decreasing along h, `slopes (m, h + 1)`. The exact slope interval is the smallest
+    Shapes: `breakpoints (m, h)` not decreasing along h, `slopes (m, h + 1)`. The exact slope
+    interval is the smallest
     and the largest of `slopes`; the Jacobian is diagonal, so the interval is also the ball.
-    Source: docs/theory.md ("construction"); any piecewise-linear monotone map with h break points has this form.
+    Source: docs/theory.md ("construction"); any piecewise-linear monotone map with h break points
+    has this form.
     """
 
     breakpoints: Float[np.ndarray, "m h"]
@@ -29,14 +41,23 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
     def __post_init__(self) -> None:
         shapes = (self.breakpoints.shape, self.slopes.shape)
         fits = self.slopes.shape == (self.breakpoints.shape[0], self.breakpoints.shape[1] + 1)
-        require(fits, "breakpoints, slopes", shapes, "need one slope more than break points", "write model.json again")
+        require(
+            fits,
+            "breakpoints, slopes",
+            shapes,
+            "need one slope more than break points",
+            "write model.json again",
+        )
         ordered = bool((np.diff(self.breakpoints, axis=1) >= 0).all())
-        require(ordered, "breakpoints", shapes[0], "the break points must not decrease", "sort them")
+        require(
+            ordered, "breakpoints", shapes[0], "the break points must not decrease", "sort them"
+        )
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
         out = np.empty_like(v)
         for c, (t, s) in enumerate(zip(self.breakpoints, self.slopes, strict=True)):
-            # pieces s_j v + o_j: o_j is zero for the piece that holds v = 0, and continuous from there
+            # pieces s_j v + o_j: o_j is zero for the piece that holds v = 0, and continuous from
+            # there
             home, jumps = int(np.searchsorted(t, 0.0, side="right")), (s[:-1] - s[1:]) * t
             left, right = -np.cumsum(jumps[:home][::-1])[::-1], np.cumsum(jumps[home:])
             piece = np.searchsorted(t, v[..., c], side="right")
@@ -67,7 +88,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         )
 
     def portable(self) -> PortableMap:
-        """`S_c(v) = s_0 v + sum_j (s_{j+1} - s_j) (relu(v - t_j) - relu(-t_j))`: one neuron per break point."""
+        """`S_c(v) = s_0 v + sum_j (s_{j+1} - s_j) (relu(v - t_j) - relu(-t_j))`: one neuron per
+        break point."""
         channels, breaks = self.breakpoints.shape
         if not breaks:
             return PortableMap(linear=np.diag(self.slopes[:, 0]), network=None)
@@ -83,9 +105,11 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Monotone(Trainable):
-    """Slopes `lower + (upper - lower) sigmoid(free)` between sorted break points, `hidden_width` of them per channel.
+    """Slopes `lower + (upper - lower) sigmoid(free)` between sorted break points, `hidden_width` of
+    them per channel.
 
-    The Jacobian is diagonal, so the sector is the ball. The break points move with training: when two cross, the piece
+    The Jacobian is diagonal, so the sector is the ball. The break points move with training: when
+    two cross, the piece
     between them has zero width and the map stays continuous in its parameters.
     """
 

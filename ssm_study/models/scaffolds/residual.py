@@ -17,10 +17,13 @@ from ssm_study.systems import JacobianBall
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualScaffold(Scaffold, names=("residual",)):
-    """`S(v) = alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball `alpha I + beta Delta`.
+    """`S(v) = alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball
+    `alpha I + beta Delta`.
 
-    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G: with the network's
-    weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at Lipschitz constant one, so the
+    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G: with
+    the network's
+    weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at Lipschitz
+    constant one, so the
     claim can be checked from these numbers alone. Source: Wang & Manchester (2023).
     """
 
@@ -31,11 +34,23 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
     def __post_init__(self) -> None:
         fits = self.network.inputs == self.network.outputs
-        require(fits, "weights", self.network.outputs, "as many outputs as inputs are needed", "use kind mlp")
+        require(
+            fits,
+            "weights",
+            self.network.outputs,
+            "as many outputs as inputs are needed",
+            "use kind mlp",
+        )
         at_least(0, "beta", self.beta, "write model.json again")
         fits = [t.shape for t in self.multipliers] == [b.shape for b in self.network.biases]
         fits = fits and all(bool((t > 0).all()) for t in self.multipliers)
-        require(fits, "multipliers", len(self.multipliers), "need one per neuron, positive", "write model.json again")
+        require(
+            fits,
+            "multipliers",
+            len(self.multipliers),
+            "need one per neuron, positive",
+            "write model.json again",
+        )
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
         return self.alpha * v + self.beta * self.network(v)
@@ -58,10 +73,13 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Residual(Trainable):
-    """G is a stack of `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)` closed by a linear one.
+    """G is a stack of `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)`
+    closed by a linear one.
 
-    With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz; written out, G is a
-    perceptron with Lipschitz multipliers `Psi^2`. It couples the channels. Source: Wang & Manchester (2023), eqs.
+    With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz;
+    written out, G is a
+    perceptron with Lipschitz multipliers `Psi^2`. It couples the channels. Source: Wang &
+    Manchester (2023), eqs.
     (8)-(11).
     """
 
@@ -75,7 +93,9 @@ class Residual(Trainable):
         free = {f"skew_{i}": rng.normal(size=(h, h)) / np.sqrt(h) for i in layers}
         free |= {f"tail_{i}": rng.normal(size=(h if i else m, h)) / np.sqrt(h) for i in layers}
         last = rng.normal(size=(m, h)) / np.sqrt(h)
-        free |= {f"scale_{i}": np.zeros(h) for i in layers} | {f"bias_{i}": rng.normal(size=h) for i in layers}
+        free |= {f"scale_{i}": np.zeros(h) for i in layers} | {
+            f"bias_{i}": rng.normal(size=h) for i in layers
+        }
         return free | {"last_skew": rng.normal(size=(m, m)) * 0.1, "last_tail": last.T}
 
     def explicit(self, free: Free, slopes: tuple[float, float]) -> "Sandwich":
@@ -91,7 +111,9 @@ class Residual(Trainable):
         ball = (slopes[1] + slopes[0]) / 2, (slopes[1] - slopes[0]) / 2
         return ball, [*weights, b @ left], [free[f"bias_{i}"] for i in range(self.depth)], psis
 
-    def evaluate(self, explicit: "Sandwich", v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
+    def evaluate(
+        self, explicit: "Sandwich", v: Float[Tensor, "*batch m"]
+    ) -> Float[Tensor, "*batch m"]:
         (alpha, beta), weights, biases, _ = explicit
         d = v
         for w, b in zip(weights[:-1], biases, strict=True):
@@ -114,7 +136,9 @@ class Residual(Trainable):
 Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 
 
-def cayley(skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
+def cayley(
+    skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]
+) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
     """`(A, B)` with `A A^T + B B^T = I` for any real `skew, tail`.
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.

@@ -1,6 +1,8 @@
-"""The two questions a kind of scaffolding answers, in one file: what its explicit numbers give, how it is trained.
+"""The two questions a kind of scaffolding answers, in one file: what its explicit numbers give, how
+it is trained.
 
-`Scaffold` is what is stored, replayed, certified and deployed; `Trainable` is what a yaml of the group `scaffold` says.
+`Scaffold` is what is stored, replayed, certified and deployed; `Trainable` is what a yaml of the
+group `scaffold` says.
 Members are found by `names`, the kind that JSON says.
 """
 
@@ -25,7 +27,8 @@ FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what 
 
 
 class Explicit:
-    """A mixin of dataclasses whose fields are arrays, numbers, words, `FLAT` nouns, others of its kind, or tuples."""
+    """A mixin of dataclasses whose fields are arrays, numbers, words, `FLAT` nouns, others of its
+    kind, or tuples."""
 
     kind: ClassVar[str | None] = None
 
@@ -40,7 +43,8 @@ class Explicit:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """The inverse of `to_json`; raises `BadRequest` naming the entry that is missing or malformed."""
+        """The inverse of `to_json`; raises `BadRequest` naming the entry that is missing or
+        malformed."""
         return _built(cls, data)
 
 
@@ -54,7 +58,9 @@ def _plain(value: Any) -> Any:
 
 def _built(kind: Any, data: Mapping[str, Any]) -> Any:
     hints = get_type_hints(kind)
-    return kind(**{field.name: _read(hints[field.name], field.name, data) for field in fields(kind)})
+    return kind(
+        **{field.name: _read(hints[field.name], field.name, data) for field in fields(kind)}
+    )
 
 
 def _read(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
@@ -67,23 +73,33 @@ def _read(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
         return float(array_from_json(data, key, 0))
     if kind is str or issubclass(kind, Explicit):
         needed = str if kind is str else Mapping
-        require(isinstance(data.get(key), needed), key, data.get(key), "missing or not what it should be", AGAIN)
+        require(
+            isinstance(data.get(key), needed),
+            key,
+            data.get(key),
+            "missing or not what it should be",
+            AGAIN,
+        )
         return data[key] if kind is str else kind.from_json(data[key])
     values = array_from_json(data, key, len(kind.dim_str.split()))
     return values.astype(np.int64) if kind.dtype is Int else values
 
 
 Free = dict[str, Tensor]
-# `(points (h,), slopes (h + 1,), offsets (h + 1,))`: `S(v) = slopes_j v + offsets_j` from point j - 1 to j.
+# `(points (h,), slopes (h + 1,), offsets (h + 1,))`: `S(v) = slopes_j v + offsets_j` from point j -
+# 1 to j.
 Pieces = tuple[Tensor, Tensor, Tensor]
 Square = Float[np.ndarray, "m m"]
-ROUNDING = 0.01  # of the largest slope: rounds the total variation off where a slope does not change
+ROUNDING = (
+    0.01  # of the largest slope: rounds the total variation off where a slope does not change
+)
 
 
 class Scaffold(Family, Explicit):
     """A static map `S: R^m -> R^k` with `S(0) = 0` exactly, held as explicit parameters only.
 
-    Scaled units on both sides. Every member is a frozen dataclass that is written to and read from JSON without loss.
+    Scaled units on both sides. Every member is a frozen dataclass that is written to and read from
+    JSON without loss.
     """
 
     @property
@@ -106,7 +122,8 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
-        """`dS/dv` at one point; at a break point, the slope to its right (of the pre-activation)."""
+        """`dS/dv` at one point; at a break point, the slope to its right (of the
+        pre-activation)."""
 
     @abstractmethod
     def bound(self) -> SlopeBound:
@@ -114,7 +131,8 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def centre(self) -> Square | None:
-        """A matrix that the Jacobians lie around, which may be moved into the linear part; None if there is none."""
+        """A matrix that the Jacobians lie around, which may be moved into the linear part; None if
+        there is none."""
 
     def after(self, m: Square) -> "Scaffold":
         """`v -> m S(v)`, m the inverse of `centre()`; asked of scaffoldings that have one."""
@@ -126,11 +144,13 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def portable(self) -> PortableMap:
-        """The same map as a matrix and a leaky-ReLU network: what is written to C, ONNX and Python."""
+        """The same map as a matrix and a leaky-ReLU network: what is written to C, ONNX and
+        Python."""
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """The member that `kind` names; raises `BadRequest` for an unknown one, and as `Explicit` does."""
+        """The member that `kind` names; raises `BadRequest` for an unknown one, and as `Explicit`
+        does."""
         if "portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
@@ -139,7 +159,8 @@ class Scaffold(Family, Explicit):
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """What the model gives its scaffoldings: width, sector, and samples of the signal each will see `(N, m)`."""
+    """What the model gives its scaffoldings: width, sector, and samples of the signal each will see
+    `(N, m)`."""
 
     width: int
     slopes: tuple[float, float]
@@ -147,13 +168,17 @@ class Frame:
 
 
 class Trainable(ABC):
-    """Free parameters -> explicit parameters -> `S(v)`: the constraint lives in the first map, and only there.
+    """Free parameters -> explicit parameters -> `S(v)`: the constraint lives in the first map, and
+    only there.
 
-    A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's sector. The paper's
+    A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's
+    sector. The paper's
     perceptron with free weights is the exception, and says so.
     """
 
-    fixed: ClassVar[tuple[str, ...]] = ()  # Names, or beginnings of names, of parameters that are not trained
+    fixed: ClassVar[
+        tuple[str, ...]
+    ] = ()  # Names, or beginnings of names, of parameters that are not trained
 
     @abstractmethod
     def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
@@ -161,7 +186,8 @@ class Trainable(ABC):
 
     @abstractmethod
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
-        """The explicit parameters, for whatever values of the free ones, with slopes in the sector."""
+        """The explicit parameters, for whatever values of the free ones, with slopes in the
+        sector."""
 
     @abstractmethod
     def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
@@ -176,7 +202,8 @@ class Trainable(ABC):
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """The total variation of the slopes (`roughness` below); zero where slopes are not explicit."""
+        """The total variation of the slopes (`roughness` below); zero where slopes are not
+        explicit."""
         return torch.zeros((), dtype=torch.float64)
 
     def build(self, frame: Frame, rng: np.random.Generator) -> Any:
@@ -190,9 +217,14 @@ def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
     return values.detach().cpu().double().numpy().copy()
 
 
-def home_offsets(points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c h1"]:
-    """Offsets of the pieces, exactly zero for the one that holds v = 0; continuity gives the others one by one."""
-    jumps = (slopes[..., :-1] - slopes[..., 1:]) * points  # what keeps the map continuous at each point
+def home_offsets(
+    points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]
+) -> Float[Tensor, "*c h1"]:
+    """Offsets of the pieces, exactly zero for the one that holds v = 0; continuity gives the others
+    one by one."""
+    jumps = (
+        slopes[..., :-1] - slopes[..., 1:]
+    ) * points  # what keeps the map continuous at each point
     beyond = torch.where(points > 0, jumps, 0.0).cumsum(-1)
     before = torch.where(points <= 0, jumps, 0.0).flip(-1).cumsum(-1).flip(-1)
     zero = torch.zeros_like(jumps[..., :1])
@@ -208,9 +240,11 @@ def evaluate(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*ba
 
 
 def roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
-    """Total variation of the slope along v, relative to the largest slope; rounded off at one percent of it.
+    """Total variation of the slope along v, relative to the largest slope; rounded off at one
+    percent of it.
 
-    A step from flat to steep costs the same however many pieces it takes; spikes between two levels of the data, which
+    A step from flat to steep costs the same however many pieces it takes; spikes between two levels
+    of the data, which
     fit noise and widen the slope interval that a certificate must cover, cost extra.
     """
     relative = slopes / slopes.detach().amax(-1, keepdim=True)

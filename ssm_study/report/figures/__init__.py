@@ -1,4 +1,5 @@
-"""One file per figure, named as printed. Each has `draw(study) -> Figure` and a docstring that is its caption.
+"""One file per figure, named as printed. Each has `draw(study) -> Figure` and a docstring that is
+its caption.
 
 A new figure is a new file here: `names()` finds it, and every command and test with it.
 """
@@ -49,15 +50,25 @@ def draw(
     tell: Callable[[str], object] = lambda _: None,
     run: str | None = None,
 ) -> list[Path]:
-    """Draw the named figures (None: all) of a study into `study_folder/figures`, each as PNG and PDF.
+    """Draw the named figures (None: all) of a study into `study_folder/figures`, each as PNG and
+    PDF.
 
-    Those of a single run show `run`, else the study's best. Pure functions of the gathered table and the run folders'
-    files: the same files give the same bytes. A figure of what the study does not have is not drawn, and `tell` hears
-    why. Raises `BadRequest` for a figure nobody wrote. `captions.md` beside them has the caption of each.
+    Those of a single run show `run`, else the study's best. Pure functions of the gathered table
+    and the run folders'
+    files: the same files give the same bytes. A figure of what the study does not have is not
+    drawn, and `tell` hears
+    why. Raises `BadRequest` for a figure nobody wrote. `captions.md` beside them has the caption of
+    each.
     """
     study, paths = StudyFolder(folder=study_folder, shown=run), []
     for name in wanted or ():
-        require(name in names(), "only", name, "there is no such figure", f"choose among {', '.join(names())}")
+        require(
+            name in names(),
+            "only",
+            name,
+            "there is no such figure",
+            f"choose among {', '.join(names())}",
+        )
     for name in wanted or names():
         with style.paper():  # what is saved asks for the settings once more
             try:
@@ -66,6 +77,8 @@ def draw(
                 tell(f"not drawn: {name}. {reason}")
     if paths:
         there = {path.stem for path in (study.folder / "figures").glob("*.png")} & set(names())
-        told = "".join(f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there))
+        told = "".join(
+            f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there)
+        )
         (study.folder / "figures" / "captions.md").write_text(told, encoding="utf-8")
     return paths

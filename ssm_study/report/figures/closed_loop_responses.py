@@ -1,5 +1,7 @@
-"""Closed loop from every initial condition (left), the same starts left alone (middle), and the input that the
-controller applied (right): on the true plant, or on the identified model where there is none. A response has settled
+"""Closed loop from every initial condition (left), the same starts left alone (middle), and the
+input that the
+controller applied (right): on the true plant, or on the identified model where there is none. A
+response has settled
 when it stays in the grey band."""
 
 import matplotlib as mpl
@@ -13,10 +15,15 @@ def draw(study: StudyFolder) -> Figure:
     (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")
     fig = style.canvas(style.PAGE_IN, 2.2)
     controlled, alone, given = fig.subplots(1, 3)
-    rank = loop["output"][:, 0, 0].argsort().argsort()  # from dark (lowest start) to light, the same in every panel
+    rank = (
+        loop["output"][:, 0, 0].argsort().argsort()
+    )  # from dark (lowest start) to light, the same in every panel
     colours = [mpl.colormaps[style.SEQUENCE](0.9 * value / max(len(rank) - 1, 1)) for value in rank]
     goal, band, time_s = loop["reference"][0, -1, 0], loop.settling_band, loop.time_s("output")
-    for axes, name, title in ((controlled, "output", "Controlled"), (alone, "uncontrolled", "Uncontrolled")):
+    for axes, name, title in (
+        (controlled, "output", "Controlled"),
+        (alone, "uncontrolled", "Uncontrolled"),
+    ):
         for response, colour in zip(loop[name][:, :, 0], colours, strict=True):
             axes.plot(time_s, response, color=colour, lw=0.9)
         axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)

@@ -1,5 +1,7 @@
-"""What the records can show: how often each input amplitude was visited (left; where none was visited, slopes come from
-the initial weights, not from data), at which frequencies the input has power, and of which order it is persistently
+"""What the records can show: how often each input amplitude was visited (left; where none was
+visited, slopes come from
+the initial weights, not from data), at which frequencies the input has power, and of which order it
+is persistently
 exciting (right)."""
 
 from collections.abc import Mapping
@@ -18,8 +20,11 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Of the first input channel; coverage, order and warning as they were found when the data set was made."""
-    kept, record = study.of_best("excitation", "record", otherwise="No run left an excitation to draw.")
+    """Of the first input channel; coverage, order and warning as they were found when the data set
+    was made."""
+    kept, record = study.of_best(
+        "excitation", "record", otherwise="No run left an excitation to draw."
+    )
     fig = style.canvas(style.PAGE_IN, 2.2)
     amplitude, spectrum = fig.subplots(1, 2)
     inputs, label = kept.signals("input"), kept.label("input")
@@ -27,15 +32,25 @@ def draw(study: StudyFolder) -> Figure:
     u = np.concatenate(records)
     counts, edges = np.histogram(u, bins=40)
     amplitude.stairs(100 * counts / len(u), edges, fill=True, color=style.BLUE)
-    amplitude.set(xlabel=label, ylabel="Share of samples (%)", title=f"Training records{_covered(record)}")
-    segment = min(LONGEST_SEGMENT, *map(len, records))  # equal for all, so that the densities can be averaged
-    powers = [welch(own - u.mean(), fs=1 / kept.step_s("input"), nperseg=segment) for own in records]
+    amplitude.set(
+        xlabel=label, ylabel="Share of samples (%)", title=f"Training records{_covered(record)}"
+    )
+    segment = min(
+        LONGEST_SEGMENT, *map(len, records)
+    )  # equal for all, so that the densities can be averaged
+    powers = [
+        welch(own - u.mean(), fs=1 / kept.step_s("input"), nperseg=segment) for own in records
+    ]
     frequency, power = powers[0][0], np.mean([density for _, density in powers], axis=0)
     spectrum.loglog(frequency[1:], power[1:], color=style.BLUE)  # the mean was taken out
     spectrum.yaxis.set_minor_formatter(NullFormatter())
     unit = inputs[0].channels[0].unit or "–"
     order = record.get("excitation_order")
-    exciting = f"Persistently exciting of order {order}{' or more' if order >= HIGHEST_ORDER else ''}" if order else ""
+    exciting = (
+        f"Persistently exciting of order {order}{' or more' if order >= HIGHEST_ORDER else ''}"
+        if order
+        else ""
+    )
     spectrum.set(xlabel="Frequency (Hz)", ylabel=f"Power density ({unit}²/Hz)", title=exciting)
     return fig
 

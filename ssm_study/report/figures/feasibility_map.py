@@ -1,4 +1,5 @@
-"""Where certificates exist: every run at its slope ratio and controller rate, with the exact frontier of each model.
+"""Where certificates exist: every run at its slope ratio and controller rate, with the exact
+frontier of each model.
 Below its model's bar a rate can be certified; above it none can, whatever the solver."""
 
 import pandas as pd
@@ -14,7 +15,10 @@ RATE, LIMIT = "rate_controller", "controller_rate_limit"
 
 def draw(study: StudyFolder) -> Figure:
     table = study.table
-    ratio, rate = column(table, "input_slope_lower") / column(table, "input_slope_upper"), column(table, RATE)
+    ratio, rate = (
+        column(table, "input_slope_lower") / column(table, "input_slope_upper"),
+        column(table, RATE),
+    )
     known = ratio.notna() & rate.notna()
     if known.sum() < 2:
         raise NothingToDraw(f"It takes two runs with slopes and a rate ({counts(table)}).")
@@ -27,12 +31,30 @@ def draw(study: StudyFolder) -> Figure:
         (~feasible & ~certified, "no certificate", style.VERMILLION, "x"),
     ):
         if (here & known).any():
-            axes.scatter(ratio[here], rate[here], c=colour, marker=marker, s=16, lw=0.9, label=label, zorder=3)
+            axes.scatter(
+                ratio[here],
+                rate[here],
+                c=colour,
+                marker=marker,
+                s=16,
+                lw=0.9,
+                label=label,
+                zorder=3,
+            )
     # One bar per model, its own exact rate limit: models differ in A, so there is no single curve.
-    models = pd.DataFrame({"ratio": ratio, "limit": column(table, LIMIT)}).dropna().drop_duplicates()
+    models = (
+        pd.DataFrame({"ratio": ratio, "limit": column(table, LIMIT)}).dropna().drop_duplicates()
+    )
     if len(models):
         axes.scatter(
-            models.ratio, models.limit, c=style.INK, marker="_", s=90, lw=0.8, label="exact frontier", zorder=4
+            models.ratio,
+            models.limit,
+            c=style.INK,
+            marker="_",
+            s=90,
+            lw=0.8,
+            label="exact frontier",
+            zorder=4,
         )
         axes.set_ylim(0, max(axes.get_ylim()[1], 1.05 * float(models.limit.max())))
     style.above(axes, columns=2)

@@ -1,4 +1,5 @@
-"""How many states the model really uses: Hankel singular values of the best run's model, relative to the largest. A
+"""How many states the model really uses: Hankel singular values of the best run's model, relative
+to the largest. A
 state far below the first carries almost nothing from input to output, and is costly to control."""
 
 import numpy as np
@@ -18,7 +19,9 @@ def draw(study: StudyFolder) -> Figure:
     relative, state = values / values[0], np.arange(1, len(values) + 1)
     fig = style.canvas(style.COLUMN_IN, 2.1)
     axes = fig.add_subplot(yscale="log")
-    axes.vlines(state, relative.min() / 3, relative, color=style.SKY, lw=2.5)  # from below the smallest
+    axes.vlines(
+        state, relative.min() / 3, relative, color=style.SKY, lw=2.5
+    )  # from below the smallest
     axes.plot(state, relative, "o", color=style.BLUE)
     axes.set(xlabel="Balanced state", ylabel="Hankel singular value\nrelative to the largest (–)")
     axes.set_title(f"The largest is {values[0]:.3g}.")

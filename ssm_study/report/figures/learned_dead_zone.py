@@ -1,5 +1,7 @@
-"""What the network learned of the motor: S_u scaled to volts over the true dead-zone (left), and its local slope inside
-the certified interval (right). Coulomb friction widens the dead-zone seen at rest; the dotted line includes it."""
+"""What the network learned of the motor: S_u scaled to volts over the true dead-zone (left), and
+its local slope inside
+the certified interval (right). Coulomb friction widens the dead-zone seen at rest; the dotted line
+includes it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,25 +15,36 @@ from ssm_study.models.identified import SSM
 from ssm_study.report import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
-REACH_IN_DEAD_ZONES = 8  # how far to draw: far enough for the straight part, near enough to see the dead-zone
+REACH_IN_DEAD_ZONES = (
+    8  # how far to draw: far enough for the straight part, near enough to see the dead-zone
+)
 REACH_IN_SCALES = 2.0  # how far training reached, in input scales: where the gain is compared, and drawn otherwise
 FRICTION = ("coulomb_torque_nm", "resistance_ohm", "torque_constant_nm_per_a")
 Range = Float[np.ndarray, "N"]
 
 
 def draw(study: StudyFolder) -> Figure:
-    model, record, config = study.of_best("model", "record", "config", otherwise="No run left a model without neurons.")
+    model, record, config = study.of_best(
+        "model", "record", "config", otherwise="No run left a model without neurons."
+    )
     if model.scaffold_in.inputs != 1:
         raise NothingToDraw("S$_u$ has several inputs: there is no curve to draw.")
     fig = style.canvas(style.PAGE_IN, 2.5)
     value, slope = fig.subplots(1, 2)
     (threshold, held), scale = known_dead_zone(config), float(model.scale.input_scale[0])
-    voltage = _around_rest(model, REACH_IN_SCALES * scale if threshold is None else REACH_IN_DEAD_ZONES * threshold)
+    voltage = _around_rest(
+        model, REACH_IN_SCALES * scale if threshold is None else REACH_IN_DEAD_ZONES * threshold
+    )
     gain = 1.0 if threshold is None else _gain_to_volts(model, threshold)
-    value.plot(voltage, gain * _lifted(model, voltage), color=style.BLUE, label="learned S$_u$", zorder=3)
+    value.plot(
+        voltage, gain * _lifted(model, voltage), color=style.BLUE, label="learned S$_u$", zorder=3
+    )
     _slopes(slope, model, voltage, record)
     if threshold is not None:
-        true, line = np.where(np.abs(voltage) < threshold, 0.0, scale / gain), {"color": style.INK, "lw": 0.9}
+        true, line = (
+            np.where(np.abs(voltage) < threshold, 0.0, scale / gain),
+            {"color": style.INK, "lw": 0.9},
+        )
         value.plot(voltage, _dead_zone(voltage, threshold), ls="--", label="true dead-zone", **line)
         slope.step(voltage, true, where="mid", ls="--", label="dead-zone", **line)
         fig.suptitle(_said(model, voltage, threshold), size=8, x=0.01, ha="left")
@@ -41,7 +54,9 @@ def draw(study: StudyFolder) -> Figure:
     for axes in (value, slope):
         style.above(axes)
         axes.set_xlabel("Input (physical unit)" if threshold is None else "Armature voltage (V)")
-    value.set_ylabel("S$_u$ (scaled units, –)" if threshold is None else "S$_u$ scaled to the true gain (V)")
+    value.set_ylabel(
+        "S$_u$ (scaled units, –)" if threshold is None else "S$_u$ scaled to the true gain (V)"
+    )
     slope.set_ylabel("Local slope of S$_u$ (scaled units, –)")
     return fig
 
@@ -66,16 +81,26 @@ def _lifted(model: SSM, voltage: Range) -> Range:
 
 
 def _said(model: SSM, voltage: Range, threshold: float) -> str:
-    """How much of a dead-zone was learned: the mean slope inside it over the mean slope outside; zero would be all."""
+    """How much of a dead-zone was learned: the mean slope inside it over the mean slope outside;
+    zero would be all."""
     rise = np.diff(_lifted(model, voltage)) / np.diff(voltage)  # per volt
     inside = np.abs(voltage[1:] + voltage[:-1]) / 2 < threshold
     share = float(rise[inside].mean() / rise[~inside].mean())
-    learned = "a dead-zone" if share < 0.1 else "no dead-zone, only a flatter middle" if share < 0.9 else "no dead-zone"
-    return f"Learned: {learned}. Inside the true one the slope is {100 * share:.0f} % of that outside."
+    learned = (
+        "a dead-zone"
+        if share < 0.1
+        else "no dead-zone, only a flatter middle"
+        if share < 0.9
+        else "no dead-zone"
+    )
+    return (
+        f"Learned: {learned}. Inside the true one the slope is {100 * share:.0f} % of that outside."
+    )
 
 
 def _gain_to_volts(model: SSM, threshold: float) -> float:
-    """S_u is free up to a factor that B takes up: the factor that brings it nearest to the dead-zone, least squares."""
+    """S_u is free up to a factor that B takes up: the factor that brings it nearest to the
+    dead-zone, least squares."""
     voltage = _around_rest(model, REACH_IN_SCALES * float(model.scale.input_scale[0]))
     learned = _lifted(model, voltage)
     return float(_dead_zone(voltage, threshold) @ learned / (learned @ learned))
@@ -91,5 +116,12 @@ def _slopes(axes: Axes, model: SSM, voltage: Range, record: Mapping[str, Any]) -
     local = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
     lower, upper = record.get("input_slope_lower"), record.get("input_slope_upper")
     if lower is not None and upper is not None:
-        axes.axhspan(lower, upper, color=style.SKY, alpha=0.2, lw=0, label=f"certified [{lower:.3g}, {upper:.3g}]")
+        axes.axhspan(
+            lower,
+            upper,
+            color=style.SKY,
+            alpha=0.2,
+            lw=0,
+            label=f"certified [{lower:.3g}, {upper:.3g}]",
+        )
     axes.step(voltage, local, where="post", color=style.BLUE, label="learned", zorder=3)

@@ -1,5 +1,7 @@
-"""What a faster certified rate buys and costs: mean settling time as a share of the uncontrolled one, and norm of the
-state feedback gain, against the controller rate. The grey line joins the medians of the runs at each requested rate."""
+"""What a faster certified rate buys and costs: mean settling time as a share of the uncontrolled
+one, and norm of the
+state feedback gain, against the controller rate. The grey line joins the medians of the runs at
+each requested rate."""
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -16,7 +18,9 @@ def draw(study: StudyFolder) -> Figure:
     table, names = study.table, ("rate_controller", "settling_time_mean_s", "controller_gain_norm")
     rate, time_s, norm = (column(table, name) for name in names)
     if rate[time_s.notna() | norm.notna()].nunique() < 2:
-        raise NothingToDraw(f"It takes runs at two rates, with a gain or a settling time ({counts(table)}).")
+        raise NothingToDraw(
+            f"It takes runs at two rates, with a gain or a settling time ({counts(table)})."
+        )
     fig = style.canvas(style.COLUMN_IN, 3.4)
     time, gain = fig.subplots(2, 1, sharex=True)
     relative = time_s / column(table, "settling_time_open_loop_s")
@@ -34,14 +38,17 @@ def draw(study: StudyFolder) -> Figure:
         if wide:  # a few slow runs would press the others to the axis
             axes.set(yscale="log")
             axes.yaxis.set(major_locator=LogLocator(subs=(1, 2, 5), numticks=12))
-            axes.yaxis.set(major_formatter=FormatStrFormatter("%g"), minor_formatter=NullFormatter())
+            axes.yaxis.set(
+                major_formatter=FormatStrFormatter("%g"), minor_formatter=NullFormatter()
+            )
     gain.set(xlabel=words(rate.name), ylabel=words(norm.name))
     fig.align_ylabels()
     return fig
 
 
 def _medians(axes: Axes, table: pd.DataFrame, rate: pd.Series, y: pd.Series) -> None:
-    """The median over the runs of one synthesis method and requested rate; one that `auto` chose is its run's alone."""
+    """The median over the runs of one synthesis method and requested rate; one that `auto` chose is
+    its run's alone."""
     frame = pd.DataFrame({"method": text(table, "synthesis_method"), "rate": rate, "y": y})
     for _, runs in frame[requested(table, str(rate.name)) != "auto"].dropna().groupby("method"):
         median = runs.groupby("rate").y.median()

@@ -1,4 +1,5 @@
-"""How training went: fit (or loss) on the training and validation records over the epochs, for the best run."""
+"""How training went: fit (or loss) on the training and validation records over the epochs, for the
+best run."""
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -16,7 +17,12 @@ def draw(study: StudyFolder) -> Figure:
     fits = [name for name in map(str, curve) if name.startswith("fit_")]
     for name in fits or [name for name in map(str, curve) if "loss" in name]:
         y = column(curve, name)
-        records = name.removesuffix("_percent").removeprefix("fit_").removeprefix("loss_").replace("_", " ")
+        records = (
+            name.removesuffix("_percent")
+            .removeprefix("fit_")
+            .removeprefix("loss_")
+            .replace("_", " ")
+        )
         axes.plot(column(curve, "epoch")[y.notna()], y.dropna(), label=f"{records} records")
     axes.set_yscale("linear" if fits else "log")
     axes.set(xlabel="Epoch", ylabel="Fit (%)" if fits else "Loss (scaled output units²)")

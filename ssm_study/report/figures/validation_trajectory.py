@@ -1,4 +1,5 @@
-"""Test and validation record: measured output, and the identified model's free-run simulation from the same input."""
+"""Test and validation record: measured output, and the identified model's free-run simulation from
+the same input."""
 
 from matplotlib.figure import Figure
 
@@ -9,7 +10,9 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 
 def draw(study: StudyFolder) -> Figure:
-    *parts, record = study.of_best("test", "validation", "record", otherwise="No run left a validation record.")
+    *parts, record = study.of_best(
+        "test", "validation", "record", otherwise="No run left a validation record."
+    )
     fig = style.canvas(style.COLUMN_IN, 4.4)
     panels = fig.subplots(3, 1, height_ratios=[1.6, 1.6, 1.2])
     for panel, name, part in zip(panels, ("test", "validation"), parts, strict=False):

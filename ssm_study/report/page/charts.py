@@ -1,4 +1,5 @@
-"""The page's plots as Vega-Lite specifications: one point per run, brushed together, coloured by verdict."""
+"""The page's plots as Vega-Lite specifications: one point per run, brushed together, coloured by
+verdict."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +17,8 @@ SAME_FIT = 0.1  # percent: below, what fits differ by is chance
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot: what it asks, the two columns, where a rule stands, and which axis is logarithmic if it can be."""
+    """One plot: what it asks, the two columns, where a rule stands, and which axis is logarithmic
+    if it can be."""
 
     question: str
     x: str
@@ -43,7 +45,8 @@ PANELS = (
     Panel("What does a faster rate cost?", "rate_controller", "controller_gain_norm", log="y"),
 )  # fmt: skip
 
-# The script fills these two fields with any columns. (Not x and y: Vega names a brush's own signals so.)
+# The script fills these two fields with any columns. (Not x and y: Vega names a brush's own signals
+# so.)
 EXPLORER = Panel("Any column against any other", "across", "up")
 
 
@@ -55,12 +58,15 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
     fits = column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
     drawn = [_telling(table, panel) for panel in PANELS if not (alike and panel.x == fits.name)]
-    usable = [panel for panel in drawn if (column(table, panel.x) * column(table, panel.y)).notna().any()]
+    usable = [
+        panel for panel in drawn if (column(table, panel.x) * column(table, panel.y)).notna().any()
+    ]
     return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Where every start of every run settles, a share says nothing: then the plot shows how fast they settle."""
+    """Where every start of every run settles, a share says nothing: then the plot shows how fast
+    they settle."""
     shares = column(table, panel.y).dropna()
     if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
         return panel
@@ -68,12 +74,15 @@ def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
 
 
 def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
-    """The script sets the parameters `mask` (runs shown) and `chosen` (run looked at), and hears `brush`.
+    """The script sets the parameters `mask` (runs shown) and `chosen` (run looked at), and hears
+    `brush`.
 
     It also fills the data sets `runs` and `ticks`.
     """
     upright = [] if panel.rule_x is None else [panel.rule_x]
-    level = [float(value) for value in [column(table, panel.rule_y).median()] if value == value]  # NaN: no rule
+    level = [
+        float(value) for value in [column(table, panel.rule_y).median()] if value == value
+    ]  # NaN: no rule
     ticks = column(table, panel.tick).dropna().tolist()
     across = _scale(panel.x, table, panel.log == "x", upright)
     up = _scale(panel.y, table, panel.log == "y", level + ticks)
@@ -86,15 +95,21 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
             orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8, aria=False,
             tooltip=alt.TooltipContent("data"),
         )  # fmt: skip
-        layers.append(bars.encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))  # else this layer's scale includes zero
+        layers.append(
+            bars.encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up))
+        )  # else this layer's scale includes zero
     best = alt.Chart().transform_filter("datum.i === 0")  # which the table has first
     ring = best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
-    layers.append(ring.encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up)))
+    layers.append(
+        ring.encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up))
+    )
     chart = alt.layer(*layers, points, data=alt.NamedData("runs")).properties(
         width="container", height=HEIGHT,
         description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, one point per run",
     )  # fmt: skip
-    chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(stroke=None)
+    chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
+        stroke=None
+    )
     spec: dict[str, Any] = chart.configure_axis(
         labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12, labelFontSize=11,
         labelFlush=False, labelSeparation=8,  # pixels: else neighbours read as one number ("1.82.0")
@@ -105,10 +120,16 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
 
 def _points() -> alt.Chart:
     mask, chosen = alt.param(name="mask", value=[]), alt.param(name="chosen", value=-1)
-    known, here, names = "!length(mask) || mask[datum.i]", "datum.i === chosen", [v.word for v in VERDICTS]
+    known, here, names = (
+        "!length(mask) || mask[datum.i]",
+        "datum.i === chosen",
+        [v.word for v in VERDICTS],
+    )
     colours = alt.Scale(domain=names, range=[v.colour for v in VERDICTS])
     shapes = alt.Scale(domain=names, range=[v.shape for v in VERDICTS])
-    points = alt.Chart().mark_point(filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data"))
+    points = alt.Chart().mark_point(
+        filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data")
+    )
     return points.encode(
         color=alt.Color("verdict:N", scale=colours, legend=None),
         shape=alt.Shape("verdict:N", scale=shapes, legend=None),
@@ -120,11 +141,14 @@ def _points() -> alt.Chart:
 
 def _rule() -> alt.Chart:
     """One line: on the data of the points it would be drawn once per run."""
-    return alt.Chart(alt.InlineData([{}])).mark_rule(strokeDash=[4, 3], color=style.GREY, aria=False)
+    return alt.Chart(alt.InlineData([{}])).mark_rule(
+        strokeDash=[4, 3], color=style.GREY, aria=False
+    )
 
 
 def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
-    """Logarithmic only if all values allow it and they spread over more than a decade; a share from 0 to 1.
+    """Logarithmic only if all values allow it and they spread over more than a decade; a share from
+    0 to 1.
 
     `beside`: what else is drawn on this axis, so has to lie on it.
     """

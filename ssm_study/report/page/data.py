@@ -1,4 +1,5 @@
-"""What the report page carries: the table by columns, trajectories of the best runs, reasons, provenance."""
+"""What the report page carries: the table by columns, trajectories of the best runs, reasons,
+provenance."""
 
 import base64
 from typing import Any
@@ -17,8 +18,16 @@ MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 k
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
 PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores", "version_python",
               "version_ssm_study", "version_torch", "version_cvxpy", "version_clarabel")  # fmt: skip
-TREE = {"False": "clean", "True": "with uncommitted changes"}  # git_dirty; what git does not track is left out
-ALSO_FIRST = ("controller_certified_rate", "controller_gain_norm", "input_peak_v", "evidence")  # in the table
+TREE = {
+    "False": "clean",
+    "True": "with uncommitted changes",
+}  # git_dirty; what git does not track is left out
+ALSO_FIRST = (
+    "controller_certified_rate",
+    "controller_gain_norm",
+    "input_peak_v",
+    "evidence",
+)  # in the table
 COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin", "stable_fraction",
             "stable_count", "initial_conditions", "settling_time_mean_s", "settling_time_worst_s",
             "input_peak_v", "reason")  # fmt: skip
@@ -27,10 +36,18 @@ COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin",
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Everything the page's script needs, as plain JSON values."""
     table, best = best_ordered(study.table), study.best
-    named = [(name, sorted({TREE.get(v, v) for v in text(table, name)} - {""})) for name in PROVENANCE if name in table]
+    named = [
+        (name, sorted({TREE.get(v, v) for v in text(table, name)} - {""}))
+        for name in PROVENANCE
+        if name in table
+    ]
     config = best.path / ".hydra" / "config.yaml" if best else None
     on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
-    subject = "".join(f"{word}: {', '.join(names)}. " for word, said in on.items() if (names := sorted({*said} - {""})))
+    subject = "".join(
+        f"{word}: {', '.join(names)}. "
+        for word, said in on.items()
+        if (names := sorted({*said} - {""}))
+    )
     return {
         "study": study.name,
         "folder": study.folder.resolve().name,
@@ -42,7 +59,14 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         "words": {str(name): words(name) for name in table},
         "menus": by_part(map(str, table)),
         "known_columns": [c.name for c in DECLARED if c.word],
-        "first": ["run", "verdict", *swept(table), "stable_count", *(c.name for c in RESULTS if c.shown), *ALSO_FIRST],
+        "first": [
+            "run",
+            "verdict",
+            *swept(table),
+            "stable_count",
+            *(c.name for c in RESULTS if c.shown),
+            *ALSO_FIRST,
+        ],
         "parameters": swept(table),
         "trajectories": trajectories(study, table),
         "comparisons": comparisons(study, table),
@@ -50,16 +74,24 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         "configuration": config.read_text() if config and config.is_file() else "",
         # Several values where the runs disagree, which a reader should know.
         "provenance": [
-            (name.replace("git_dirty", "working tree").replace("_", " "), " or ".join(v)) for name, v in named if v
+            (name.replace("git_dirty", "working tree").replace("_", " "), " or ".join(v))
+            for name, v in named
+            if v
         ],
     }
 
 
 def question(table: pd.DataFrame) -> str:
     """What the sweep asks: `What changes with the model order and the controller rate?`."""
-    said = ((name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table))
-    varied = [word if FURTHER.covers(name) else f"the {word}" for name, word in said]  # a setting's key is a name
-    varied = varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied  # what the mean is taken over
+    said = (
+        (name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table)
+    )
+    varied = [
+        word if FURTHER.covers(name) else f"the {word}" for name, word in said
+    ]  # a setting's key is a name
+    varied = (
+        varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied
+    )  # what the mean is taken over
     return f"What changes with {' and '.join([', '.join(varied[:-1])] * (len(varied) > 1) + varied[-1:])}?"
 
 
@@ -72,7 +104,8 @@ def best_ordered(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def coded(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
-    """The plain values, or where few differ each once and which of them stands where; nowhere, if all are the same."""
+    """The plain values, or where few differ each once and which of them stands where; nowhere, if
+    all are the same."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
     shown = [_plain(value) for value in distinct]
     if 4 * len(shown) >= len(values):  # an index takes about a quarter of what a number takes
@@ -97,11 +130,16 @@ def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """`{run: {column: [...]}}`: controllers and situations, or certified designs, that the best runs tried."""
+    """`{run: {column: [...]}}`: controllers and situations, or certified designs, that the best
+    runs tried."""
     best, compared = set(text(table, "run").head(MOST_TRAJECTORIES)), study.comparison
     kept = [name for name in COMPARED if name in compared]
     return {
-        str(run): {name: [_plain(value) for value in rows[name]] for name in kept if rows[name].notna().any()}
+        str(run): {
+            name: [_plain(value) for value in rows[name]]
+            for name in kept
+            if rows[name].notna().any()
+        }
         for run, rows in (compared.groupby("run") if len(compared) else ())
         if run in best
     }
@@ -121,12 +159,17 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
 def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
     """The first channel of these signals and what is printed of them."""
     y, u = names["y"], names["u"]
-    about = {"step_s": recording.step_s(y), "input": recording.label(u), "output": recording.label(y)}
+    about = {
+        "step_s": recording.step_s(y),
+        "input": recording.label(u),
+        "output": recording.label(y),
+    }
     return about | {short: packed(recording[name][:, :until, 0]) for short, name in names.items()}
 
 
 def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
-    """16-bit steps of the largest value, base64: invisible in a plot, a tenth of the size of text."""
+    """16-bit steps of the largest value, base64: invisible in a plot, a tenth of the size of
+    text."""
     step = float(np.abs(rows).max()) / 32767 or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it
     return {"step": step, "rows": len(rows), "steps": base64.b64encode(steps.tobytes()).decode()}

@@ -1,4 +1,5 @@
-"""`ssm-study watch`: the report page while its sweep runs, from a local port; it reloads itself when records change."""
+"""`ssm-study watch`: the report page while its sweep runs, from a local port; it reloads itself
+when records change."""
 
 import json
 from collections import Counter
@@ -13,7 +14,9 @@ from ssm_study.report.page.writing import write_page
 from ssm_study.table.gather import gather, marks_of
 
 LOCALHOST = "127.0.0.1"  # nobody else on the network sees the study
-POLICY = "default-src 'none'"  # what the page on disk says; the live one may ask its own server as well
+POLICY = (
+    "default-src 'none'"  # what the page on disk says; the live one may ask its own server as well
+)
 WAITING = "<!doctype html><title>waiting</title><h1>No run has left a record yet.</h1>"
 SCRIPT = """<script>
 (() => { let seen = null; const line = document.createElement("p");
@@ -25,10 +28,17 @@ setInterval(async () => { try { const now = await (await fetch("/state")).json()
 
 
 class LivePage:
-    """The page of one study, written again when a record has changed since; safe to ask from several threads."""
+    """The page of one study, written again when a record has changed since; safe to ask from
+    several threads."""
 
     def __init__(self, study: Path) -> None:
-        require(study.is_dir(), "study", study, "no such study folder", "start the sweep first, or correct the name")
+        require(
+            study.is_dir(),
+            "study",
+            study,
+            "no such study folder",
+            "start the sweep first, or correct the name",
+        )
         self.study, self.lock, self.mark, self.html = study, Lock(), "", WAITING
 
     def page(self) -> str:
@@ -43,20 +53,28 @@ class LivePage:
 
     def current_mark(self) -> str:
         """Changes whenever a record does."""
-        return str(hash(tuple(sorted((name, *mark) for name, mark in marks_of(self.study).items()))))
+        return str(
+            hash(tuple(sorted((name, *mark) for name, mark in marks_of(self.study).items())))
+        )
 
     def state(self) -> dict[str, str]:
         """The mark, and the progress in a line: `12 runs: 9 ok, 1 failed, 2 running`."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
         told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
-        return {"mark": self.current_mark(), "line": f"Live: {counts.total()} runs: {told or 'none yet'}"}
+        return {
+            "mark": self.current_mark(),
+            "line": f"Live: {counts.total()} runs: {told or 'none yet'}",
+        }
 
 
 def serve(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
-    """A server on the local port (0: any free one) that is ready to serve; raises `BadRequest` if the port is taken."""
+    """A server on the local port (0: any free one) that is ready to serve; raises `BadRequest` if
+    the port is taken."""
     try:
-        server = ThreadingHTTPServer((LOCALHOST, port), _handler(LivePage(study)))  # a page may take seconds to write
+        server = ThreadingHTTPServer(
+            (LOCALHOST, port), _handler(LivePage(study))
+        )  # a page may take seconds to write
     except OSError as error:
         remedy = "give another with --port, or 0 for any free one"
         raise BadRequest("port", port, error.strerror or "cannot be opened", remedy) from error
@@ -78,7 +96,11 @@ def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
             kind, answer = answers[self.path]
             body = answer().encode()
             self.send_response(200)
-            for name, value in {"Content-Type": kind, "Content-Length": len(body), "Cache-Control": "no-store"}.items():
+            for name, value in {
+                "Content-Type": kind,
+                "Content-Length": len(body),
+                "Cache-Control": "no-store",
+            }.items():
                 self.send_header(name, str(value))
             self.end_headers()
             self.wfile.write(body)

@@ -8,14 +8,27 @@ from ssm_study.report.page.data import best_ordered, page_data
 from ssm_study.report.study_folder import StudyFolder
 
 ASSETS = Path(__file__).parent / "assets"
-SCRIPTS = ("state", "shades", "plots", "table", "compared", "run", "lead", "groups", "main")  # in this order
+SCRIPTS = (
+    "state",
+    "shades",
+    "plots",
+    "table",
+    "compared",
+    "run",
+    "lead",
+    "groups",
+    "main",
+)  # in this order
 
 
 def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
-    """Write `study_folder/report.html`; returns its path. Raises `BadRequest` without the extra `report` (Altair).
+    """Write `study_folder/report.html`; returns its path. Raises `BadRequest` without the extra
+    `report` (Altair).
 
-    With `others`, one page shows all studies beside one another: `study_folder/report_with_OTHER.html`.
-    The file carries data, style, scripts and the plotting library; its content policy forbids any request.
+    With `others`, one page shows all studies beside one another:
+    `study_folder/report_with_OTHER.html`.
+    The file carries data, style, scripts and the plotting library; its content policy forbids any
+    request.
     """
     try:
         from ssm_study.report.page.charts import EXPLORER, panels, specification
@@ -34,10 +47,14 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
         "style": (ASSETS / "page.css").read_text(encoding="utf-8"),
         "data": text,
         "library": _library(),
-        "script": "\n".join((ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS),
+        "script": "\n".join(
+            (ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS
+        ),
     }.items():
         html = html.replace(f"<!--{name}-->", content, 1)
-    path = study_folder / ("_".join(["report", *(f"with_{other.resolve().name}" for other in others)]) + ".html")
+    path = study_folder / (
+        "_".join(["report", *(f"with_{other.resolve().name}" for other in others)]) + ".html"
+    )
     path.write_text(html, encoding="utf-8")
     return path
 

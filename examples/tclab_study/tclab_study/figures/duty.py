@@ -1,4 +1,5 @@
-"""How much of the heater the best run's controller used: the share of samples at each duty. A bar at an end means that
+"""How much of the heater the best run's controller used: the share of samples at each duty. A bar
+at an end means that
 the loop ran into a limit."""
 
 from matplotlib.figure import Figure
