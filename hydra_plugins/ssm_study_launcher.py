@@ -22,9 +22,8 @@ class ProcessesConf:
     _target_: str = "hydra_plugins.ssm_study_launcher.ProcessesLauncher"
     n_jobs: int | None = None  # null: as many as the cores allow
     threads: int = 1  # per job; n_jobs * threads may not exceed the cores
-    timeout_s: float | None = (
-        None  # a job that takes longer is stopped and recorded as failed; null: never
-    )
+    # A job that takes longer is stopped and recorded as failed; null: never.
+    timeout_s: float | None = None
     fail_fast: bool = False  # true: after the first failed run none is begun
 
 

@@ -39,7 +39,8 @@ static void operator-=(Real &a, Real b) { a.v -= b.v; }
 static Real fmin(Real a, Real b) { return fmin(a.v, b.v); }
 static Real fmax(Real a, Real b) { return fmax(a.v, b.v); }
 """
-LIMIT = 1.5  # scaled: within it most set points of a replay can be held, beyond it goes every hard braking
+# Scaled: within it most set points of a replay can be held, beyond it goes every hard braking.
+LIMIT = 1.5
 
 
 def device(

@@ -85,9 +85,8 @@ def refuse_dashes(overrides: list[str], folder: Path) -> None:
         key = word.removeprefix("--").split("=")[0]
         dashed = word.startswith("--") and ("." in key or key in settings)
         require(not dashed, "request", word, "a setting has no dashes", f"write {key}=VALUE")
-        rerun = word.startswith("--e") and "experimental-rerun".startswith(
-            key
-        )  # it would load a pickle: foreign code
+        # It would load a pickle: foreign code.
+        rerun = word.startswith("--e") and "experimental-rerun".startswith(key)
         require(
             not rerun,
             "request",
@@ -112,9 +111,8 @@ def meant(key: str, overrides: list[str], folder: Path) -> str:
             for word in overrides
             if (name := word.split("=")[0]) not in ("", key) and (folder / name).is_dir()
         ]
-        config = compose(
-            "study", [word.split(",")[0] for word in chosen]
-        )  # of a sweep the first choice
+        # Of a sweep the first choice.
+        config = compose("study", [word.split(",")[0] for word in chosen])
     groups = [path.name for path in folder.iterdir() if path.is_dir()]
     known = [*(path for path, _, _ in nodes(OmegaConf.to_container(config))), *groups]
     near = get_close_matches(key, known, n=1) or [

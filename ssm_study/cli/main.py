@@ -39,16 +39,13 @@ def main(arguments: list[str] | None = None) -> int:
         print(
             "ssm-study: interrupted; the same command again does what is missing", file=sys.stderr
         )
-        sys.excepthook = lambda *_: (
-            None
-        )  # without a traceback, yet ended by the signal: a script's loop ends with it
+        # Without a traceback, yet ended by the signal: a script's loop ends with it.
+        sys.excepthook = lambda *_: None
         raise
-    except (
-        Exception
-    ) as error:  # the one guard: whatever a file holds, no command ends in a traceback
-        if (
-            isinstance(error, BrokenPipeError) and _reader_is_gone()
-        ):  # `ssm-study show STUDY | head`
+    except Exception as error:
+        # The one guard: whatever a file holds, no command ends in a traceback.
+        # `ssm-study show STUDY | head`.
+        if isinstance(error, BrokenPipeError) and _reader_is_gone():
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return DONE
         if "SSM_STUDY_TRACEBACK" in os.environ and not isinstance(error, (BadRequest, OSError)):
@@ -255,9 +252,8 @@ def _export(options: argparse.Namespace) -> None:
     from ssm_study.export.targets import export
     from ssm_study.study.verify import verify
 
-    verify(options.run).demand(
-        "run", options.run
-    )  # what is exported claims to be certified: recompute it first
+    # What is exported claims to be certified: recompute it first.
+    verify(options.run).demand("run", options.run)
     for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
         print(path)
 

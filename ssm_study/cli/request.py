@@ -37,9 +37,8 @@ JUST_ASKING = (
 
 def translate(arguments: list[str]) -> list[str]:
     """Our own options of `ssm-study run` as Hydra's arguments; `-m` may stand anywhere."""
-    many = any(
-        word in ("-m", "--multirun", "--dry-run") for word in arguments
-    )  # only a launcher can plan
+    # Only a launcher can plan.
+    many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
     if "--dry-run" in rest:
         rest = [word for word in rest if not word.startswith(LAUNCHER)]
@@ -79,15 +78,13 @@ def checked(request: Command) -> Iterator[None]:
     if not request.many:
         settings = STUDY.settings(config)
         _ = STUDY.finished(settings) or STUDY.request(settings)  # built only if it is to run
-    if not request.many or launcher.endswith(
-        "ProcessesLauncher"
-    ):  # ours checks its jobs, and counts them
+    # Ours checks its jobs, and counts them.
+    if not request.many or launcher.endswith("ProcessesLauncher"):
         yield
         return
     jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), combinations(config))
-    for job in (
-        jobs if "ssm_study" not in launcher else ()
-    ):  # on Slurm our launcher checks them, too
+    # On Slurm our launcher checks them, too.
+    for job in jobs if "ssm_study" not in launcher else ():
         if STUDY.finished(job.settings) is None:
             job.check(STUDY)
     with Watch([job.folder for job in jobs]) if jobs else nullcontext():

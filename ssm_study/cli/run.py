@@ -71,9 +71,8 @@ def run(overrides: list[str]) -> int:
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     overrides = translate(overrides)
-    os.environ["HYDRA_FULL_ERROR"] = (
-        "1"  # Hydra then raises instead of printing, so that a sentence can be made of it
-    )
+    # Hydra then raises instead of printing, so that a sentence can be made of it.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = ["ssm-study run", *overrides]
     try:
         if any(word in ("--help", "-h") for word in overrides):
@@ -91,9 +90,8 @@ def run(overrides: list[str]) -> int:
         return DONE
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
-    except (
-        ValueError
-    ) as error:  # Hydra's own, for a number or null where the name of a choice belongs
+    except ValueError as error:
+        # Hydra's own, for a number or null where the name of a choice belongs.
         if "Config group override" not in str(error):
             raise
         raise advised(error, overrides, configuration_folder()) from error
@@ -111,7 +109,9 @@ def concluded(request: Command) -> bool:
 
 
 def _job() -> Callable[[DictConfig], Any]:
-    gc.disable()  # it would look at five thousand modules again and again, and once more when the program ends: 3 s
+    # It would look at five thousand modules again and again, and once more when the program ends: 3
+    # s.
+    gc.disable()
     from ssm_study.study import line as study
 
     gc.enable()

@@ -25,9 +25,8 @@ def conclude_run(config: DictConfig) -> bool:
     study, console = study_folder(config), Console()
     record = read_record(study / str(config.run)) or {}
     width = min(WIDTH, console.width) if console.is_terminal else WIDTH
-    drawn = (
-        RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]
-    )  # a baseline closes no loop
+    # A baseline closes no loop.
+    drawn = RUN_FIGURES if "stable_count" in record else RUN_FIGURES[:1]
     figures = [study / "figures" / f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")]
     # What was told of a study that has not changed is told again: reading it takes pandas, half a
     # second to import.
@@ -40,9 +39,8 @@ def conclude_run(config: DictConfig) -> bool:
         known = [*about, _outcome(study, record, drawn, figures, width)]
         with suppress(OSError):  # a study that may only be read
             told.parent.mkdir(exist_ok=True)
-            told.write_text(
-                json.dumps(known), encoding="utf-8"
-            )  # last: it vouches for tables and figures
+            # Last: it vouches for tables and figures.
+            told.write_text(json.dumps(known), encoding="utf-8")
     console.print(Text.from_ansi(known[-1]), soft_wrap=True)
     return record.get("status") not in (OK, INFEASIBLE) or (
         config.strict and record.get("evidence") == "cannot judge"

@@ -208,9 +208,8 @@ class Composer:
         assert isinstance(loader, ConfigLoaderImpl)
         self.loader, self.sweep, self.refuse = loader, sweep, refuse
         self.parser = OverridesParser.create(config_loader=loader)
-        self.parsed: dict[
-            str, tuple[Override, bool]
-        ] = {}  # every word, and whether it is a plain value
+        # Every word, and whether it is a plain value.
+        self.parsed: dict[str, tuple[Override, bool]] = {}
         self.composed: dict[tuple[str, ...], Chosen] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:

@@ -36,18 +36,16 @@ def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
             stream.write(content)
             stream.flush()
             if durable:
-                os.fsync(
-                    stream.fileno()
-                )  # before the rename: a new name never leads to missing content
+                # Before the rename: a new name never leads to missing content.
+                os.fsync(stream.fileno())
         temporary.replace(path)
     except BaseException:
         with suppress(OSError):
             temporary.unlink()
         raise
     if durable:
-        sync(
-            path.parent
-        )  # the rename itself: without it the old name may come back after a power loss
+        # The rename itself: without it the old name may come back after a power loss.
+        sync(path.parent)
 
 
 def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
@@ -167,9 +165,8 @@ def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
             _flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
         yield math.isinf(patience_s) or _try_lock(descriptor, time.monotonic() + patience_s)
     finally:
-        os.close(
-            descriptor
-        )  # lets go of it; the file stays: who removes it may remove a lock that another holds
+        # Lets go of it; the file stays: who removes it may remove a lock that another holds.
+        os.close(descriptor)
 
 
 def is_locked(path: Path) -> bool:
@@ -179,9 +176,8 @@ def is_locked(path: Path) -> bool:
     except FileNotFoundError:
         return False
     try:
-        _flock(
-            descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB
-        )  # shared: readers do not exclude each other
+        # Shared: readers do not exclude each other.
+        _flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     finally:

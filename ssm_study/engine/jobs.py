@@ -33,12 +33,8 @@ HINTS = {
     "SIGKILL": " (the system does this when memory runs out)",
     "SIGSEGV": " (a crash in native code)",
 }
-FROM_OUTSIDE = (
-    "SIGKILL",
-    "SIGTERM",
-    "SIGINT",
-    "SIGHUP",
-)  # only these are worth a second try of itself
+# Only these are worth a second try of itself.
+FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
 
 
 @dataclass(kw_only=True)
@@ -106,9 +102,8 @@ def run_in_this_process(
     configure_log(config.hydra.job_logging, config.hydra.verbose)
     os.environ.update(config.hydra.job.env_set)
     hydra_context.callbacks.on_job_start(config=config, task_function=task.job)
-    ended = JobReturn(
-        overrides=config.hydra.overrides.task, cfg=config
-    )  # a copy without Hydra's section takes 10 ms
+    # A copy without Hydra's section takes 10 ms.
+    ended = JobReturn(overrides=config.hydra.overrides.task, cfg=config)
     try:
         ended.return_value, ended.status = task.job(job.settings), JobStatus.COMPLETED
     except Exception as error:  # whatever the task raises
@@ -126,9 +121,8 @@ def _speak_into(folder: Path) -> None:
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     nothing = os.open(os.devnull, os.O_RDONLY)
     for source, target in ((nothing, 0), (log, 1), (log, 2)):
-        os.dup2(
-            source, target
-        )  # the descriptors themselves: native code and what the job starts write there, too
+        # The descriptors themselves: native code and what the job starts write there, too.
+        os.dup2(source, target)
     faulthandler.enable()  # a crash in native code leaves its Python traceback in the log
 
 
@@ -155,9 +149,8 @@ def note_death(
     and it is only lost.
     """
     with locked(folder / LOCK, PATIENCE_S) as mine:
-        record = read_record(
-            folder
-        )  # under the lock: another sweep may have finished the run in the meantime
+        # Under the lock: another sweep may have finished the run in the meantime.
+        record = read_record(folder)
         if record is not None and record["status"] in FINAL:
             said = str(record.get("error_message") or "")
             return Outcome(folder=folder, status=record["status"], did="ran", message=said)
@@ -213,6 +206,8 @@ def kill_group(job: Job) -> None:
         return
     if job.process.exitcode is None:
         kill_all_of(job.process.pid)
-    else:  # its own number may be another process's by now, that of its group not while a member lives
+    else:
+        # Its own number may be another process's by now, that of its group not while a member
+        # lives.
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(job.process.pid, signal.SIGKILL)

@@ -135,9 +135,8 @@ class Processes(Launcher):
         works = [
             partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do
         ]
-        server = Server(
-            works, warm=partial(warm, task, to_do), threads=self.threads
-        )  # starts with the first job
+        # Starts with the first job.
+        server = Server(works, warm=partial(warm, task, to_do), threads=self.threads)
         with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
@@ -200,9 +199,8 @@ def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
         yield
     finally:
         try:
-            for (
-                job
-            ) in running:  # the groups first: what a job has started is no child of the server
+            # The groups first: what a job has started is no child of the server.
+            for job in running:
                 kill_group(job)
             server.close()
         finally:

@@ -24,9 +24,8 @@ class PlannedStages(Stages):
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
         if key not in self.noted:  # many runs share a stage: its folder is looked for once
             folder = self.store.folder(name, key)
-            there = (
-                folder / MANIFEST
-            ).is_file()  # sums are compared when it is used: a plan reads no gigabytes
+            # Sums are compared when it is used: a plan reads no gigabytes.
+            there = (folder / MANIFEST).is_file()
             self.noted[key] = StageResult(
                 path=folder, key=key, seconds=0.0, reused=there, name=name
             )

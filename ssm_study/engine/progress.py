@@ -98,9 +98,8 @@ class Watch(Thread):
     def run(self) -> None:
         with Progress(total=len(self.folders)) as progress:
             progress.reused = self.there_before
-            while not self.over.wait(
-                self.every_s
-            ):  # sleeps, yet wakes at once when the sweep is over
+            # Sleeps, yet wakes at once when the sweep is over.
+            while not self.over.wait(self.every_s):
                 self._look(progress)
             self._look(progress)  # the last line is of how it ended
 

@@ -90,9 +90,8 @@ def execute(
                 did="elsewhere",
                 message="another process is at this run",
             )
-        before = standing(
-            folder, mine=True
-        )  # under the lock: another process may have done the run in the meantime
+        # Under the lock: another process may have done the run in the meantime.
+        before = standing(folder, mine=True)
         if not is_to_run(before, retry_failed):
             return outcome_of(folder, before)
         _set_aside(folder, before)
@@ -155,9 +154,8 @@ def _run(
     folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
     run, started = Run(path=folder), time.perf_counter()
-    records.write_record(
-        folder, opening, durable=False
-    )  # until the end only the lock says that the run is under way
+    # Until the end only the lock says that the run is under way.
+    records.write_record(folder, opening, durable=False)
     try:
         run.note(**(work(run) or {}))
         status = run.facts.get("status", OK)
@@ -169,9 +167,8 @@ def _run(
             "return ok or infeasible",
         )
         closing = {"status": status, "ended_utc": _now(), "seconds": time.perf_counter() - started}
-        seal_run(
-            folder
-        )  # before the record: that one makes the run count, so its files must already be durable
+        # Before the record: that one makes the run count, so its files must already be durable.
+        seal_run(folder)
         records.write_record(folder, opening | run.facts | closing)
     except (Exception, SystemExit) as error:
         if _stopped_by_scheduler(error):
@@ -206,9 +203,8 @@ def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
         if isinstance(error, SystemExit)
         else (str(error) or type(error).__name__)
     )
-    chain: list[BaseException] = [
-        error
-    ]  # an exception may have been raised from, or while handling, another
+    # An exception may have been raised from, or while handling, another.
+    chain: list[BaseException] = [error]
     while (cause := chain[-1].__cause__ or chain[-1].__context__) is not None:
         chain.append(cause)
     if isinstance(error, OSError) and error.filename is None:
@@ -273,9 +269,8 @@ def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
         (int(path.name) for path in attempts.iterdir() if path.name.isdigit()), default=0
     )
     (attempts / f"{number}").mkdir()
-    for path in sorted(
-        folder.iterdir(), key=lambda path: path.name == RECORD
-    ):  # the record last: a kill repeats this
+    # The record last: a kill repeats this.
+    for path in sorted(folder.iterdir(), key=lambda path: path.name == RECORD):
         if path.name not in KEPT_IN_PLACE and path.suffix != ".log":
             shutil.move(path, attempts / f"{number}" / path.name)
 

@@ -27,10 +27,8 @@ from ssm_study.refusal import BadRequest
 ALLOCATOR = ((-3, 2**31 - 1), (-1, 2**31 - 1), (-2, 64 << 20))
 PR_SET_PDEATHSIG, MADV_COLLAPSE = 1, 25
 LARGE_PAGE, MANY = 2 << 20, 40  # bytes; jobs from which on large pages pay
-SERVER_DIED, UNBORN = (
-    1000,
-    0,
-)  # no exit status of a process is 1000, and no process has the number 0
+# No exit status of a process is 1000, and no process has the number 0.
+SERVER_DIED, UNBORN = (1000, 0)
 
 
 @dataclass
@@ -126,9 +124,11 @@ class Server:
             self.line, theirs = Pipe()
             self.pid = os.fork()
             if self.pid == 0:
-                self.line.close()  # the server must not hold the sweep's end, or it would never see it close
+                # The server must not hold the sweep's end, or it would never see it close.
+                self.line.close()
                 _serve(theirs, self.tasks, self.threads)
-            theirs.close()  # nor the sweep the server's: its death is then seen as the end of the line
+            # Nor the sweep the server's: its death is then seen as the end of the line.
+            theirs.close()
 
 
 def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
@@ -146,9 +146,8 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
             for ready in wait([sweep, *living]):
                 if ready is sweep:
                     pid = _fork(sweep, tasks[sweep.recv()])
-                    living[os.pidfd_open(pid)] = (
-                        pid  # readable when the process ends: no polling, no SIGCHLD
-                    )
+                    # Readable when the process ends: no polling, no SIGCHLD.
+                    living[os.pidfd_open(pid)] = pid
                     sweep.send((pid, None))
                 elif isinstance(ready, int):
                     pid, status = os.waitpid(living.pop(ready), 0)
@@ -168,9 +167,8 @@ def _fork(sweep: Connection, task: Callable[[], object]) -> int:
     try:
         sweep.close()  # a job that lives on must not keep the line open
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if (
-            os.getppid() != server
-        ):  # it died before the line above: nobody would ever send the signal
+        # It died before the line above: nobody would ever send the signal.
+        if os.getppid() != server:
             os._exit(status)
         task()
         status = 0
@@ -187,10 +185,8 @@ def _fork(sweep: Connection, task: Callable[[], object]) -> int:
 
 def kill_all_of(pid: int) -> None:
     """A job's process and whatever it has started."""
-    for kill in (
-        os.killpg,
-        os.kill,
-    ):  # a group of its own is the first thing it makes, not the birth of it
+    # A group of its own is the first thing it makes, not the birth of it.
+    for kill in (os.killpg, os.kill):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             kill(pid, signal.SIGKILL)
 

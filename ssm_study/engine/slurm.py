@@ -20,10 +20,8 @@ from ssm_study.engine.runs import Outcome, error_facts
 AUTO = frozenset(
     {"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"}
 )
-FORGOTTEN, FORGOTTEN_S = (
-    "FORGOTTEN",
-    30.0,
-)  # seconds between two questions whether Slurm still knows of a job
+# Seconds between two questions whether Slurm still knows of a job.
+FORGOTTEN, FORGOTTEN_S = ("FORGOTTEN", 30.0)
 
 
 @dataclass(frozen=True)

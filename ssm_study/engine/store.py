@@ -23,7 +23,8 @@ from ssm_study.refusal import require
 
 MANIFEST = "manifest.json"
 ABANDONED_S = 7 * 24 * 3600.0  # without a change: what another node left is then nobody's
-CHECKPOINT = "last.ckpt"  # what a computation may save to go on from; checked by itself, of the same key by its place
+# What a computation may save to go on from; checked by itself, of the same key by its place.
+CHECKPOINT = "last.ckpt"
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,8 @@ class Store(Stages):
                 "facts": {name: storable(name, value) for name, value in measured.items()},
             }
             found["processor_seconds"] = time.process_time() - worked
-            durable.write_json_atomically(
-                path, sealed(found), durable=False
-            )  # a damaged one is measured again
+            # A damaged one is measured again.
+            durable.write_json_atomically(path, sealed(found), durable=False)
         facts: Facts = found["facts"]
         return facts
 
@@ -82,9 +82,8 @@ class Store(Stages):
         """The intact stage of this key, or None; a damaged one counts as absent."""
         folder = self.folder(name, key)
         manifest = intact_manifest(folder)
-        if (
-            manifest is None or manifest.get("key") != key
-        ):  # the name holds 32 of its 64 digits only
+        # The name holds 32 of its 64 digits only.
+        if manifest is None or manifest.get("key") != key:
             return None
         return StageResult(
             path=folder, key=key, seconds=manifest["seconds"], reused=True, name=name
@@ -98,9 +97,8 @@ class Store(Stages):
     def _compute(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{node()}-{secrets.token_hex(4)}")
-        temporary.mkdir(
-            parents=True
-        )  # beside its final name: a rename cannot leave the file system
+        # Beside its final name: a rename cannot leave the file system.
+        temporary.mkdir(parents=True)
         _take_over(temporary, final)
         try:
             started, worked = time.perf_counter(), time.process_time()
@@ -109,15 +107,13 @@ class Store(Stages):
             times = {"seconds": seconds, "processor_seconds": time.process_time() - worked}
             seal_folder(temporary, note | {"key": key} | times)
             try:
-                temporary.rename(
-                    final
-                )  # atomic: under its final name a stage is whole or not there
+                # Atomic: under its final name a stage is whole or not there.
+                temporary.rename(final)
             except OSError:
                 if intact_manifest(final) is None:
                     raise
-                shutil.rmtree(
-                    temporary
-                )  # someone placed the same result without our lock: theirs is as good
+                # Someone placed the same result without our lock: theirs is as good.
+                shutil.rmtree(temporary)
             sync(final.parent)  # only now does the stage survive a power loss
         except (Exception, SystemExit):
             shutil.rmtree(temporary, ignore_errors=True)
@@ -147,9 +143,8 @@ def _take_over(temporary: Path, final: Path) -> None:
             with suppress(FileNotFoundError):  # its owner has finished
                 shutil.copyfile(saved, heir) if foreign else saved.replace(heir)
         if not foreign or time.time() - leftover.stat().st_mtime > ABANDONED_S:
-            shutil.rmtree(
-                leftover, ignore_errors=True
-            )  # under the lock, so nobody is at work there
+            # Under the lock, so nobody is at work there.
+            shutil.rmtree(leftover, ignore_errors=True)
 
 
 def seal_folder(
@@ -177,9 +172,8 @@ def seal_folder(
     made = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
     (folder / MANIFEST).write_bytes(durable.json_bytes(sealed(note | made | {"files": files})))
     there = [path for path in paths if path.is_dir() or path.is_file()]
-    with ThreadPoolExecutor(
-        8
-    ) as pool:  # the file system commits them together; more than 8 gain nothing
+    # The file system commits them together; more than 8 gain nothing.
+    with ThreadPoolExecutor(8) as pool:
         list(pool.map(sync, [*there, folder / MANIFEST, folder]))
 
 

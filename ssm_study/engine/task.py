@@ -23,9 +23,8 @@ from ssm_study.refusal import require
 R = TypeVar("R")
 
 INPUTS = "inputs_sha256"
-_CHECKED: dict[
-    Path, Any
-] = {}  # requests by their folder; jobs that are forked off a sweep find theirs here
+# Requests by their folder; jobs that are forked off a sweep find theirs here.
+_CHECKED: dict[Path, Any] = {}
 
 
 class Task(ABC, Generic[R]):
@@ -102,9 +101,8 @@ class Task(ABC, Generic[R]):
     def job(self, config: DictConfig | Settings) -> Outcome:
         """Do the run of this configuration unless it is done, and leave its record."""
         settings = self.settings(config)
-        found = self.finished(
-            settings
-        )  # before anything is built: a finished run costs next to nothing
+        # Before anything is built: a finished run costs next to nothing.
+        found = self.finished(settings)
         if settings.get("dry_run"):
             walks = [] if found else [lambda stages: self.stages(self.request(settings), stages)]
             print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks))))

@@ -35,10 +35,8 @@ KEYWORDS = (
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
 )
 REPLAYED = 200  # samples of the replay: some hundred times the states of a usual controller
-AGREEMENT = {
-    "double": 1e-9,
-    "float": 1e-3,
-}  # of the largest input: what compilers that reorder or fuse may change
+# Of the largest input: what compilers that reorder or fuse may change.
+AGREEMENT = {"double": 1e-9, "float": 1e-3}
 REPLAY_SEED = 0
 
 
@@ -110,7 +108,8 @@ def _header(device: Device, told: dict[str, str], name: str) -> str:
 def harmless(text: str) -> str:
     """Text that can neither end a C comment nor go on beyond its line, whatever somebody named a
     study."""
-    alone = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"  # between letters, as in rad/s, a slash is no part of a comment's end
+    # Between letters, as in rad/s, a slash is no part of a comment's end.
+    alone = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"
     return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{alone}", "_", text)
 
 
@@ -185,9 +184,8 @@ def _replay(device: Device, name: str) -> str:
     )
 
 
-def _number(
-    value: float | np.floating[Any], real: str
-) -> str:  # The shortest text that reads back to the same float
+# The shortest text that reads back to the same float.
+def _number(value: float | np.floating[Any], real: str) -> str:
     return np.format_float_scientific(REALS[real](value), trim="0") + (
         "f" if real == "float" else ""
     )

@@ -146,9 +146,8 @@ class Device:
         )
         maps = sum(part.size for one in layers for part in one)  # a slope for each bias
         products = maps + sum(table.size for table in self.tables().values() if table.ndim == 2)
-        if (
-            inner := c.neurons
-        ) and inner.h.any():  # computed twice: for the output, then with its error
+        # Computed twice: for the output, then with its error.
+        if (inner := c.neurons) and inner.h.any():
             products += inner.f.size + inner.g.size + inner.l_z.size
         if points is None:  # the input is computed twice, and compared
             return products + c.k.size + 3 * m

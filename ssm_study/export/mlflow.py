@@ -62,9 +62,8 @@ def _write(client: Any, experiment: str, study: Path, row: dict[str, Any]) -> No
     from mlflow.entities import Metric, Param
 
     times = (row.get(name) for name in ("started_utc", "ended_utc"))
-    start, end = (
-        time and int(datetime.fromisoformat(time).timestamp() * 1000) for time in times
-    )  # milliseconds
+    # Milliseconds.
+    start, end = (time and int(datetime.fromisoformat(time).timestamp() * 1000) for time in times)
     run = client.create_run(experiment, start_time=start, run_name=row["run"])
     scored = [
         name
@@ -82,7 +81,6 @@ def _write(client: Any, experiment: str, study: Path, row: dict[str, Any]) -> No
     for name in ARTEFACTS:
         if (study / row["run"] / name).is_file():
             client.log_artifact(run.info.run_id, str(study / row["run"] / name))
-    client.set_tag(
-        run.info.run_id, RUN_TAG, row["run"]
-    )  # last: a run without it was not written to its end
+    # Last: a run without it was not written to its end.
+    client.set_tag(run.info.run_id, RUN_TAG, row["run"])
     client.set_terminated(run.info.run_id, "FAILED" if row["status"] == FAILED else "FINISHED", end)

@@ -77,9 +77,8 @@ class _Graph:
         cubed = self.apply(
             "Mul", self.apply("Mul", clipped, clipped), self.apply("Div", clipped, np.full(1, 3.0))
         )
-        return self.apply(
-            "Add", cubed, self.apply("Sub", z, clipped)
-        )  # clipped cubic: slope one beyond
+        # Clipped cubic: slope one beyond.
+        return self.apply("Add", cubed, self.apply("Sub", z, clipped))
 
 
 def onnx_model(controller: PortableController, about: str) -> Any:
@@ -107,9 +106,8 @@ def onnx_model(controller: PortableController, about: str) -> Any:
     return model
 
 
-def _cell(
-    c: PortableController,
-) -> _Graph:  # v = K xh is the scaled input; the rest as in PortableController
+# V = K xh is the scaled input; the rest as in PortableController.
+def _cell(c: PortableController) -> _Graph:
     g, scale = _Graph(), c.scale
     v = g.times("state", c.k)
     g.apply("Add", g.apply("Mul", v, scale.input_scale), scale.input_equilibrium, output="u")

@@ -17,7 +17,8 @@ from ssm_study.export.portable import PortableController, PortableNeurons, Vecto
 from ssm_study.models.structured import phi
 from ssm_study.systems import StructuredSystem
 
-PIECES = 32  # on each side of rest: where the input's range is ten times that of a bend, a thousandth is missed
+# On each side of rest: where the input's range is ten times that of a bend, a thousandth is missed.
+PIECES = 32
 FOUND = 1e-9  # scaled states: what is left of x+ - x
 Rows = Float[np.ndarray, "h r"]
 
@@ -69,9 +70,8 @@ def curve(controller: PortableController, low: float, high: float) -> Curve | No
         or (len(model.d), len(model.d.T)) != (1, 1)
     ):
         return None
-    sides = [
-        np.linspace(0.0, end, 2 * PIECES + 1) for end in (low, high) if end != 0.0
-    ]  # each begins at rest
+    # Each begins at rest.
+    sides = [np.linspace(0.0, end, 2 * PIECES + 1) for end in (low, high) if end != 0.0]
     found: dict[float, Vector] = {}
     for side in sides:
         near = np.zeros(model.order)

@@ -35,7 +35,8 @@ from ssm_study.synthesis.design import failed_checks
 from ssm_study.systems import Balls, JacobianBall
 
 UNLIMITED = 1e38  # either float's largest number stands for no limit
-LOOP_SAMPLES = 200  # as long as the replay of the C code: both loops have come to rest by then, or drift visibly
+# As long as the replay of the C code: both loops have come to rest by then, or drift visibly.
+LOOP_SAMPLES = 200
 HALVINGS = 12  # of the rate, where the stored one does not survive rounding: to a 4000th of it
 Range = Float[np.ndarray, "c"]
 _SCRIPT = Path(__file__).with_name("script.py.txt")
@@ -200,9 +201,8 @@ def describe(run: Path) -> str:
     model, design = _model(run), Design.load(run / "certificate.json")
     content, verdict = json.loads((run / "certificate.json").read_text()), "NOT certified"
     rates = f"rates {design.state_feedback.rate:g} (controller), {design.observer.rate:g} (observer) per sample"
-    with suppress(
-        BadRequest
-    ):  # an internal model behind an output map that is not linear: no theorem covers it
+    # An internal model behind an output map that is not linear: no theorem covers it.
+    with suppress(BadRequest):
         controlled = controlled_system(model, design.parts()[0])
         if design.certified and not failed_checks(
             content, model.system, certified_balls(model), controlled
@@ -258,10 +258,8 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
         system=system, controlled=controlled, balls=Balls(input=inner, output=outer), gains={}
     )
     found: dict[str, float | None] = {}
-    for (
-        side,
-        gain,
-    ) in gains.items():  # the certificate at the requested rate and that at the gain's largest rate
+    # The certificate at the requested rate and that at the gain's largest rate.
+    for side, gain in gains.items():
         parts = [design.content[side], design.beside.get(f"{side}_deployed")]
         rates = [_largest(part, known, gain) for part in parts if isinstance(part, Theorem)]
         found[side] = max(rates, default=0.0) or None

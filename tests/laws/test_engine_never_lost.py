@@ -48,9 +48,8 @@ def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_pat
     other.join()
     assert (read_record(folder) or {})["status"] == "ok"
     assert noted[0].status == "ok"
-    note_death(
-        tmp_path / "study" / "never", DEATH, "text"
-    )  # the negative control: nobody has finished that one
+    # The negative control: nobody has finished that one.
+    note_death(tmp_path / "study" / "never", DEATH, "text")
     assert (read_record(tmp_path / "study" / "never") or {})["status"] == "failed"
 
 
@@ -89,9 +88,8 @@ def test_a_server_that_is_killed_is_started_again() -> None:
     assert second.exitcode == 0
     os.kill(server.pid, signal.SIGKILL)
     os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
-    assert (
-        server.fork(1).exitcode == SERVER_DIED
-    )  # the broken pipe is a death, not an error of the sweep
+    # The broken pipe is a death, not an error of the sweep.
+    assert server.fork(1).exitcode == SERVER_DIED
     server.close()
 
 

@@ -54,21 +54,18 @@ def submitted(folder: Path, how: str) -> Any:
     """submitit's own local scheduler: real processes that return, die and are cancelled as Slurm's
     do."""
     local = submitit.AutoExecutor(cluster="local", folder=folder / "logs")
-    local.update_parameters(
-        timeout_min=10
-    )  # half a minute before its end submitit would ask the job to stop
+    # Half a minute before its end submitit would ask the job to stop.
+    local.update_parameters(timeout_min=10)
     return local.submit(begun, folder / "study" / how, how)
 
 
 def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(
-        "PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep
-    )  # where the jobs find `begun`
-    monkeypatch.setattr(
-        submitit.Job, "_results_timeout_s", 1
-    )  # of 15 s for a file that a dead job never leaves
+    # Where the jobs find `begun`.
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    # Of 15 s for a file that a dead job never leaves.
+    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)
     jobs = {how: submitted(tmp_path, how) for how in ("returns", "killed", "waits")}
     deadline = time.monotonic() + 60
     while read_record(tmp_path / "study" / "waits") is None:
@@ -81,9 +78,8 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
             time.sleep(0.0 if jobs["waits"].done() else 0.1)
     for how, running in jobs.items():
         job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / how)
-        outcome = settled(
-            job, running, patience_s=600.0
-        )  # submitit's local scheduler has no accounts to ask
+        # Submitit's local scheduler has no accounts to ask.
+        outcome = settled(job, running, patience_s=600.0)
         assert outcome.status == ("ok" if how == "returns" else "failed")
     rows = gather(tmp_path / "study").set_index("run")
     assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
@@ -150,9 +146,8 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
     local._executor.max_num_timeout = 1
     running = local.submit(Requeued(), tmp_path)
     begun, deadline = tmp_path / "begun", time.monotonic() + 60
-    while not (
-        begun.exists() and begun.read_text()
-    ):  # there before it is written: the signal must find it counted
+    # There before it is written: the signal must find it counted.
+    while not (begun.exists() and begun.read_text()):
         assert time.monotonic() < deadline, "the job never began"
         time.sleep(0.05)
     job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")

@@ -318,9 +318,8 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
     assert heads[2] == "model"
     assert heads[-5:] == ["settled", "fit", "%", "margin", "predicted"]
     assert "scaffold_out" not in heads
-    assert (
-        "scaffold_out" in plain_table(table_of(rows), width=160).splitlines()[0]
-    )  # where there is room
+    # Where there is room.
+    assert "scaffold_out" in plain_table(table_of(rows), width=160).splitlines()[0]
 
 
 def test_one_reason_is_told_once() -> None:
@@ -403,9 +402,8 @@ def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> 
     )
     table = gather(study)
     assert "'=HYPERLINK(1)" in (study / "runs.csv").read_text()
-    assert (
-        table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"
-    )  # the table itself says what it was
+    # The table itself says what it was.
+    assert table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"
     said = plain_table(table) + "\n".join(summary(table, 5))
     assert "\x1b" not in said
     assert "\\x1b[2J" in said

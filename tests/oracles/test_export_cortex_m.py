@@ -81,9 +81,8 @@ def test_the_emulated_chip(tmp_path: Path, kind: str, real: str, unit: str) -> N
     library = subprocess.run(
         [COMPILER, "-print-file-name=rdimon.specs"], capture_output=True, text=True, check=True
     )
-    if not Path(
-        library.stdout.strip()
-    ).is_absolute():  # a name that the compiler did not find comes back as it is
+    # A name that the compiler did not find comes back as it is.
+    if not Path(library.stdout.strip()).is_absolute():
         pytest.skip(
             f"{COMPILER} has no C library (libnewlib-arm-none-eabi); its log is {LOG.relative_to(ROOT)}"
         )

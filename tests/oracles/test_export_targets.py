@@ -98,11 +98,8 @@ def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     ).outputs.T
 
 
-REPLAYS: dict[Replay, float] = {
-    c_replay: 1e-9,
-    onnx_replay: 1e-6,
-    control_replay: 1e-9,
-}  # tolerances
+# Tolerances.
+REPLAYS: dict[Replay, float] = {c_replay: 1e-9, onnx_replay: 1e-6, control_replay: 1e-9}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -142,9 +139,8 @@ def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "certificate.json").read_bytes() == (
         run / "certificate.json"
     ).read_bytes()
-    assert (
-        "NOT certified" in (tmp_path / "out" / "controller.h").read_text()
-    )  # its numbers prove nothing
+    # Its numbers prove nothing.
+    assert "NOT certified" in (tmp_path / "out" / "controller.h").read_text()
 
 
 def structured_run(

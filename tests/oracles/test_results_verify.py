@@ -90,10 +90,8 @@ NUMBERS = {
         ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain"), ITERATED
     ),
 }
-EIGENVALUES = {
-    "controller_margin": 1e-12,
-    "observer_margin": 1e-12,
-}  # absolute, of matrices with unit diagonal
+# Absolute, of matrices with unit diagonal.
+EIGENVALUES = {"controller_margin": 1e-12, "observer_margin": 1e-12}
 COUNTS = (
     "excitation_order",
     "states",

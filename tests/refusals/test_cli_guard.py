@@ -148,9 +148,8 @@ def test_damaged_files(
 def test_the_report_names_the_damaged_file(
     what: str, study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        "matplotlib.figure.Figure.savefig", lambda *_, **__: None
-    )  # files are read before it
+    # Files are read before it.
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
     DAMAGES[what](study)
     names = {"closed loop": "closed_loop.mcap", "table": "runs.parquet", "yaml": "config.yaml"}
     said = one_sentence(["report", str(study)], capsys)

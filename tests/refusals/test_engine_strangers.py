@@ -88,9 +88,8 @@ def test_everything_we_ship_is_allowed() -> None:
             if word.startswith("_target_:"):
                 targets.append((path.parent, word.split(":", 1)[1].split("#")[0].strip()))
     assert len(targets) > 5
-    plugins = (
-        ROOT / "conf" / "hydra" / "launcher"
-    )  # Hydra's own section may name our plugins, nothing else may
+    # Hydra's own section may name our plugins, nothing else may.
+    plugins = ROOT / "conf" / "hydra" / "launcher"
     assert [
         name
         for folder, name in targets
