@@ -176,11 +176,11 @@ class OfProblem(Side, abstract=True):
         return Problem(**data, state_weight=one, input_weight=1.0), Solution(**found, sigma=sigma)
 
     def at_largest_rate(self) -> Side | None:
-        name = (
-            "structured_lmi" if hasattr(self, "lambda_") else "theorems.deployed_rate"
-        )  # CVXPY only with neurons
-        found: Side | None = import_module(f"ssm_study.synthesis.{name}").at_largest_rate(self)
-        return found
+        module = "ssm_study.certificates.theorems.deployed_rate"
+        if hasattr(self, "lambda_"):  # CVXPY only with neurons
+            module = "ssm_study.synthesis.structured_lmi"
+        at_rate: Side | None = import_module(module).at_largest_rate(self)
+        return at_rate
 
 
 @dataclass(frozen=True, kw_only=True)
