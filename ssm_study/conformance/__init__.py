@@ -30,6 +30,6 @@ def choices(group: str) -> list[str]:
 def part(group: str, choice: str) -> Any:
     """The object a study would get for `group=choice`."""
     from ssm_study import library
-    from ssm_study.study import specification
+    from ssm_study.construction import construct_part
 
-    return specification.part(group, plain(library.composed([f"{group}={choice}"]))[group])
+    return construct_part(group, plain(library.composed([f"{group}={choice}"]))[group])

@@ -3,23 +3,18 @@ before any work."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from inspect import signature
 from pathlib import Path
-from types import UnionType
-from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any
 
-import hydra
 import numpy as np
-from beartype import BeartypeConf
-from beartype.door import is_bearable
 from jaxtyping import Float
 from omegaconf import DictConfig
 
+from ssm_study.construction import LARGEST_NUMBER, construct_part
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.engine.durable import sha256_of_file
 from ssm_study.engine.settings import Settings, nodes, plain
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import require
 from ssm_study.study.allow_list import PARTS
 
 if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
@@ -31,14 +26,6 @@ if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
     from ssm_study.plants.plant import Plant
     from ssm_study.synthesis.design import Synthesis
     from ssm_study.training.training import Training
-
-MOST = 10_000_000  # samples of one kind, and any whole number of a part: more is said before memory runs out
-WIDEST = {"model.order": 512, "model": 4096}  # what matrices and networks are as wide as
-PART = "a part of the configuration"
-_PARTS: dict[
-    tuple[str, str], Any
-] = {}  # the runs of a sweep share the parts in which they do not differ
-NUMBERS = BeartypeConf(is_pep484_tower=True)  # a whole number is a number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,10 +57,10 @@ class Specification:
         for name in ("seed", "loop_seed"):
             whole = type(settings[name]) is int and 0 <= settings[name] < 2**32
             require(whole, name, settings[name], "not a whole number from 0 to 2^32 - 1", "use 0")
-        parts = {name: part(name, settings[name]) for name in PARTS if name != "plant"}
+        parts = {name: construct_part(name, settings[name]) for name in PARTS if name != "plant"}
         recorded = not isinstance(parts["data"], SimulatedData)
         found = cls(
-            plant=None if recorded else part("plant", settings["plant"]),
+            plant=None if recorded else construct_part("plant", settings["plant"]),
             **parts,
             seed=settings.seed,
             loop_seed=settings.loop_seed,
@@ -140,7 +127,13 @@ class Specification:
         for field, count in (
             counts | {"loop.initial_conditions * horizon_s / step_s": samples}
         ).items():
-            require(count <= MOST, field, count, f"more than {MOST} samples", "use fewer")
+            require(
+                count <= LARGEST_NUMBER,
+                field,
+                count,
+                f"more than {LARGEST_NUMBER} samples",
+                "use fewer",
+            )
 
     def refuse_limits(self, rest: Float[np.ndarray, "m"]) -> None:
         """Raise `BadRequest` for limits that do not fit the inputs, or that this rest of plant or
@@ -184,7 +177,7 @@ def files_of(settings: Mapping[str, Any]) -> list[Path]:
     """
     data = settings.get("data", {})
     recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
-    read = part("data", data).files() if recorded else ()
+    read = construct_part("data", data).files() if recorded else ()
     given = [
         value
         for _, key, value in nodes(settings)
@@ -218,85 +211,3 @@ def _refine(asked: Any, recorded: bool) -> int | list[str] | None:
     count = asked is None or (isinstance(asked, int) and not isinstance(asked, bool) and asked > 0)
     require(count, "refine", asked, "is no number of iterations", "use 1, or null for none")
     return asked
-
-
-def part(name: str, settings: Mapping[str, Any]) -> Any:
-    """One group of the configuration as the object it describes; refuses fields that its
-    constructor does not take."""
-    key = name, repr(settings)  # unlike `==`, it tells 1 from 1.0 and from True
-    if key not in _PARTS:
-        try:
-            _PARTS[key] = built(name, settings)
-        except BadRequest:
-            raise
-        except (
-            Exception
-        ) as error:  # whatever a constructor raises for values that have the right types
-            cause = " ".join(str(error).split()).rstrip(".")
-            raise BadRequest(
-                name, settings.get("_target_"), cause, f"see conf/{name}/ for its fields"
-            ) from error
-    return _PARTS[key]
-
-
-def built(path: str, node: Any) -> Any:
-    """The tree with every `_target_` called on its fields, inner ones first: the constructor is the
-    schema.
-
-    Raises `BadRequest` for unknown or mistyped fields. A whole number given where any number is
-    wanted is made a float.
-    """
-    if isinstance(node, list):
-        return [built(f"{path}[{i}]", item) for i, item in enumerate(node)]
-    if not isinstance(node, dict):
-        return node
-    if "_target_" not in node:
-        return {key: built(f"{path}.{key}", value) for key, value in node.items()}
-    kind = hydra.utils.get_object(node["_target_"])
-    hints, known = fields_of(kind)
-    given = {key: value for key, value in node.items() if key != "_target_"}
-    for key, value in given.items():  # its keys stay while their values are replaced
-        field, remedy = f"{path}.{key}", f"its fields are {', '.join(known)}"
-        require(key in known, field, value, f"{kind.__name__} has no such field", remedy)
-        if isinstance(value, dict | list):
-            given[key] = built(field, value)
-        elif key in hints:
-            fits = is_bearable(value, hints[key], conf=NUMBERS)
-            words = _words(hints[key])
-            remedy = (
-                "choose it by its group, as in training/optimiser=lbfgs"
-                if PART in words
-                else "correct the value"
-            )
-            require(fits, field, value, f"is not {words}", remedy)
-            given[key] = value if is_bearable(value, hints[key]) else float(value)
-            if type(given[key]) is int:
-                most = WIDEST.get(field) or WIDEST.get(path.split(".")[0], MOST)
-                require(
-                    key == "seed" or value <= most,
-                    field,
-                    value,
-                    f"more than {most}",
-                    "use a smaller number",
-                )
-    return kind(**given)
-
-
-@cache
-def fields_of(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The types of a constructor's parameters, and their names."""
-    return get_type_hints(kind.__init__), tuple(signature(kind).parameters)  # type: ignore[misc] # of a class
-
-
-def _words(hint: Any) -> str:
-    """A type as a reader would say it."""
-    said = {
-        float: "a number",
-        int: "a whole number",
-        bool: "true or false",
-        str: "a text",
-        type(None): "null",
-    }
-    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    other = (PART if isinstance(part, type) else str(part).replace("typing.", "") for part in parts)
-    return " or ".join(said.get(part, word) for part, word in zip(parts, other, strict=True))

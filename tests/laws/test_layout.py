@@ -12,6 +12,7 @@ FLOW = [
     "columns",
     "extensions",
     "family",
+    "construction",
     "engine",
     "signals",
     "systems",

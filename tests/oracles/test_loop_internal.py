@@ -15,6 +15,7 @@ from ssm_study.certificates.theorems.integral_action import (
 )
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.cli.request import quoted
+from ssm_study.construction import construct_part
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import certified
 from ssm_study.loop.reference import StepReference
@@ -23,7 +24,6 @@ from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
-from ssm_study.study.specification import part
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -204,7 +204,7 @@ def test_the_command_takes_a_sine_without_quotes():
         "seed=range(3)",
     ]
     assert quoted(words) == ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
-    found = part(
+    found = construct_part(
         "synthesis", {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
     )
     assert found.modes == ("ramp",)

@@ -1,0 +1,121 @@
+"""Objects from plain settings: `_target_` names a class, and its constructor is the schema.
+
+A setting is refused in one sentence where a constructor has no such field, where its value has
+another type, or where a number is so large that memory would run out before anything is said.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from inspect import signature
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from beartype import BeartypeConf
+from beartype.door import is_bearable
+
+from ssm_study.refusal import BadRequest, require
+
+LARGEST_NUMBER = 10_000_000  # samples of one kind, and any whole number of a part
+WIDEST = {"model.order": 512, "model": 4096}  # what matrices and networks are as wide as
+PART = "a part of the configuration"
+TYPE_WORDS = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a text",
+    type(None): "null",
+}
+# Runs of a sweep share the parts in which they do not differ.
+_PARTS: dict[tuple[str, str], Any] = {}
+INTEGERS_ARE_NUMBERS = BeartypeConf(is_pep484_tower=True)
+
+
+def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
+    """Construct one group of the configuration; equal settings give the same object.
+
+    Raises `BadRequest` for fields that its constructor does not take or refuses.
+    """
+    key = (name, repr(settings))  # unlike `==`, it tells 1 from 1.0 and from True
+    if key not in _PARTS:
+        try:
+            _PARTS[key] = construct(name, settings)
+        except BadRequest:
+            raise
+        except Exception as error:  # a constructor may raise anything for values of right types
+            cause = " ".join(str(error).split()).rstrip(".")
+            remedy = f"see conf/{name}/ for its fields"
+            raise BadRequest(name, settings.get("_target_"), cause, remedy) from error
+    return _PARTS[key]
+
+
+def construct(path: str, node: Any) -> Any:
+    """Construct a tree of settings: every `_target_` is called on its fields, inner ones first.
+
+    `path` names the tree in errors. Raises `BadRequest` for unknown or mistyped fields. A whole
+    number given where any number is wanted becomes a float.
+    """
+    if isinstance(node, list):
+        return [construct(f"{path}[{i}]", item) for i, item in enumerate(node)]
+    if not isinstance(node, dict):
+        return node
+    if "_target_" not in node:
+        return {key: construct(f"{path}.{key}", value) for key, value in node.items()}
+    kind = import_target(node["_target_"])
+    fields = {key: value for key, value in node.items() if key != "_target_"}
+    arguments = {key: _argument(path, kind, key, value) for key, value in fields.items()}
+    return kind(**arguments)
+
+
+def import_target(target: str) -> Any:
+    """Import what a dotted name means, `package.module.Class`. Raises `ImportError`."""
+    module, _, name = target.rpartition(".")
+    try:
+        return getattr(import_module(module), name)
+    except (AttributeError, ValueError) as error:
+        raise ImportError(f"there is no {target}") from error
+
+
+@cache
+def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Types of a constructor's parameters by name, and the names in order."""
+    hints = get_type_hints(kind.__init__)  # type: ignore[misc] # of a class
+    return hints, tuple(signature(kind).parameters)
+
+
+def _argument(path: str, kind: type, key: str, value: Any) -> Any:
+    """Check one field of a constructor and return its value, constructed where it is a tree."""
+    hints, names = constructor_fields(kind)
+    field = f"{path}.{key}"
+    remedy = f"its fields are {', '.join(names)}"
+    require(key in names, field, value, f"{kind.__name__} has no such field", remedy)
+    if isinstance(value, dict | list):
+        return construct(field, value)
+    if key not in hints:
+        return value
+    hint = hints[key]
+    words = _words_for_type(hint)
+    remedy = "correct the value"
+    if PART in words:
+        remedy = "choose it by its group, as in training/optimiser=lbfgs"
+    fits = is_bearable(value, hint, conf=INTEGERS_ARE_NUMBERS)
+    require(fits, field, value, f"is not {words}", remedy)
+    argument = value if is_bearable(value, hint) else float(value)
+    if type(argument) is int and key != "seed":
+        largest = WIDEST.get(field) or WIDEST.get(path.split(".")[0], LARGEST_NUMBER)
+        require(value <= largest, field, value, f"more than {largest}", "use a smaller number")
+    return argument
+
+
+def _words_for_type(hint: Any) -> str:
+    """Words that a reader would use for a type."""
+    is_union = get_origin(hint) in (Union, UnionType)
+    types = get_args(hint) if is_union else (hint,)
+    return " or ".join(_words_for_single_type(kind) for kind in types)
+
+
+def _words_for_single_type(kind: Any) -> str:
+    """Words for a type that is no union."""
+    if kind in TYPE_WORDS:
+        return TYPE_WORDS[kind]
+    return PART if isinstance(kind, type) else str(kind).replace("typing.", "")
