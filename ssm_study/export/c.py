@@ -1,5 +1,7 @@
-"""The controller as dependency-free C99: no allocation, no library, constants that read back
-exactly."""
+"""The controller as dependency-free C99: no allocation, no library, exact constants.
+
+Every constant is written so that it reads back to the same float.
+"""
 
 import re
 from collections.abc import Sequence
@@ -31,13 +33,16 @@ WITHIN = {
  *     #_input(&state, u), #_clamp(u), apply, #_advance(&state, y, u);      every sample""",
 }
 KEYWORDS = (
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while"
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while"
 )
 REPLAYED = 200  # samples of the replay: some hundred times the states of a usual controller
 # Of the largest input: what compilers that reorder or fuse may change.
 AGREEMENT = {"double": 1e-9, "float": 1e-3}
 REPLAY_SEED = 0
+# Between letters, as in rad/s, a slash is no part of a comment's end.
+LONELY_SLASH = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"
 
 
 def c_files(
@@ -49,146 +54,257 @@ def c_files(
     digest: str = "",
     rates: Sequence[str] = (),
 ) -> dict[str, str]:
-    """File name and text: header, source, and a replay with its own `main`.
+    """File name and text of the header, the source, and a replay with its own `main`.
 
     `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per
-    signal, the digest of
-    the certificate and the rates of the rounded numbers. Raises `BadRequest` for a name that C does
-    not allow.
+    signal, the digest of the certificate and the rates of the rounded numbers. Raises `BadRequest`
+    for a name that C does not allow.
     """
-    allowed = (
-        re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and name not in KEYWORDS.split()
-    )
+    is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
+    allowed = is_identifier and name not in KEYWORDS.split()
     require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
-    guard = name.upper()
-    source = (
-        f"#ifndef {guard}_EXTERN\n#define {guard}_EXTERN\n#endif\n#define {guard}_IMPLEMENTATION\n"
-    )
-    told = {"about": harmless(about), "digest": harmless(digest) or "none"}
-    for label, lines in (("signals", signals), ("rates", rates)):
-        told[label] = "\n".join(f" * {harmless(line)}" for line in lines) or " *"
-    files = {
-        f"{name}.h": _header(device, told, name),
-        f"{name}.c": f'{source}#include "{name}.h"\n',
+    comments = {
+        "about": harmless(about),
+        "digest": harmless(digest) or "none",
+        "signals": _comment_lines(signals),
+        "rates": _comment_lines(rates),
     }
-    return files | {f"{name}_replay.c": _replay(device, name)}
+    return {
+        f"{name}.h": _header(device, comments, name),
+        f"{name}.c": _source(name),
+        f"{name}_replay.c": _replay(device, name),
+    }
 
 
-def _header(device: Device, told: dict[str, str], name: str) -> str:
-    real, c, points = device.real, device.controller, device.set_points
+def _comment_lines(lines: Sequence[str]) -> str:
+    return "\n".join(f" * {harmless(line)}" for line in lines) or " *"
+
+
+def _source(name: str) -> str:
+    guard = name.upper()
+    return (
+        f"#ifndef {guard}_EXTERN\n"
+        f"#define {guard}_EXTERN\n"
+        "#endif\n"
+        f"#define {guard}_IMPLEMENTATION\n"
+        f'#include "{name}.h"\n'
+    )
+
+
+def _header(device: Device, comments: dict[str, str], name: str) -> str:
+    real = device.real
+    controller = device.controller
     tables = "".join(
         _array(f"{name}_{label}", values, real) for label, values in device.tables().items()
     )
-    maps = _map(f"{name}_s_in", c.s_in, name, real) + _map(f"{name}_s_out", c.s_out, name, real)
-    sizes, declared, defined = _sizes(device, name), "", ""
-    if points is not None:
-        maps += _inverse(f"{name}_s_in_inverse", points.inward, name, real)
-        maps += _inverse(f"{name}_s_out_inverse", points.outward, name, real)
-        maps += "".join(
-            _reached(f"{name}_{label}", part, name, real) for label, part in points.maps.items()
-        )
+    maps = _map(f"{name}_s_in", controller.s_in, name, real)
+    maps += _map(f"{name}_s_out", controller.s_out, name, real)
+    sizes = _sizes(device, name)
+    declared = ""
+    defined = ""
+    has_set_points = device.set_points is not None
+    if has_set_points:
+        maps += _set_point_maps(device, name)
         defined = _SET_POINTS.substitute(sizes)
-        declared = "".join(
-            f"{line.removesuffix(' {')};\n" for line in defined.splitlines() if "_API void" in line
-        )
-    # A ramp's model rests while a limit acts; integrators do so by themselves, oscillators go on.
-    rests = f"    else for (int i = {c.resting.start}; i < {c.resting.stop}; ++i) next[i] = state->x[i];\n"
-    constants = sum(
-        int(count) for count in re.findall(r"static const \w+ \w+\[(\d+)\]", tables + maps)
-    )
-    return _HEADER.substitute(
-        sizes | told | _inner(device, name), tables=tables, maps=maps, declared=declared, defined=defined,
-        within=WITHIN[points is not None].replace("#", name), resting=rests if c.resting.stop > c.resting.start else "",
-        step_s=repr(c.step_s), has_set_points=int(points is not None),
-        bytes=constants * np.dtype(REALS[real]).itemsize, multiplications=device.multiplications,
-        tiny=_number(1e-12, real), relative=_number(1e-9 if real == "double" else 1e-6, real),
-    )  # fmt: skip
+        declared = _declarations(defined)
+    texts = sizes | comments | _neuron_texts(device, name)
+    texts |= {
+        "tables": tables,
+        "maps": maps,
+        "declared": declared,
+        "defined": defined,
+        "within": WITHIN[has_set_points].replace("#", name),
+        "resting": _resting_line(device),
+        "step_s": repr(controller.step_s),
+        "has_set_points": int(has_set_points),
+        "bytes": _constants(tables + maps) * np.dtype(REALS[real]).itemsize,
+        "multiplications": device.multiplications,
+        "tiny": _number(1e-12, real),
+        "relative": _number(1e-9 if real == "double" else 1e-6, real),
+    }
+    return _HEADER.substitute(texts)
+
+
+def _set_point_maps(device: Device, name: str) -> str:
+    points = device.set_points
+    assert points is not None
+    maps = _inverse(f"{name}_s_in_inverse", points.inward, name, device.real)
+    maps += _inverse(f"{name}_s_out_inverse", points.outward, name, device.real)
+    for label, part in points.maps.items():
+        maps += _reached(f"{name}_{label}", part, name, device.real)
+    return maps
+
+
+def _declarations(defined: str) -> str:
+    """Prototypes of the public functions in C code that defines them."""
+    opened = [line for line in defined.splitlines() if "_API void" in line]
+    return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
+
+
+def _resting_line(device: Device) -> str:
+    """The C line that lets a ramp's model rest while a limit acts; empty where none has to.
+
+    Integrators do so by themselves, and oscillators go on.
+    """
+    rows = device.controller.resting
+    if rows.stop <= rows.start:
+        return ""
+    return f"    else for (int i = {rows.start}; i < {rows.stop}; ++i) next[i] = state->x[i];\n"
+
+
+def _constants(code: str) -> int:
+    """Count of floats in all constant arrays of C code."""
+    counts = re.findall(r"static const \w+ \w+\[(\d+)\]", code)
+    return sum(int(count) for count in counts)
 
 
 def harmless(text: str) -> str:
-    """Text that can neither end a C comment nor go on beyond its line, whatever somebody named a
-    study."""
-    # Between letters, as in rad/s, a slash is no part of a comment's end.
-    alone = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"
-    return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{alone}", "_", text)
+    """Text that can neither end a C comment nor continue beyond its line.
+
+    The text may come from whatever name somebody gave a study.
+    """
+    return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{LONELY_SLASH}", "_", text)
 
 
 def _sizes(device: Device, name: str) -> dict[str, object]:
-    (n, k), (q, _), scale = (
-        device.controller.b.shape,
-        device.controller.c.shape,
-        device.controller.scale,
-    )
-    sizes = {"n": n, "k": k, "q": q, "m": scale.inputs, "p": scale.outputs}
-    return {"name": name, "guard": name.upper(), "real": device.real, **sizes}
-
-
-def _inner(device: Device, name: str) -> dict[str, str]:
-    """What neurons add to the header: math.h, their function, and its calls where the error is and
-    is not known."""
-    if (neurons := device.controller.neurons) is None:
-        return dict.fromkeys(("include", "neurons", "read", "driven"), "")
-    (n, r), real, (q, _) = neurons.into.shape, device.real, neurons.h.shape
-    arguments = {
-        "f": ("x", n),
-        "g": ("lifted", neurons.g.shape[1]),
-        "l_z": ("error", neurons.l_z.shape[1]),
+    controller = device.controller
+    states, lifted = controller.b.shape
+    return {
+        "name": name,
+        "guard": name.upper(),
+        "real": device.real,
+        "n": states,
+        "k": lifted,
+        "q": len(controller.c),
+        "m": controller.scale.inputs,
+        "p": controller.scale.outputs,
     }
-    given = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
-    lines = [f"static inline void {name}_neurons({given}, {real} *w) {{", f"    {real} z;"]
-    lines += [f"    for (int i = 0; i < {r}; ++i) w[i] = {name}_bias[i];"]
-    lines += [
-        f"    {name}_matvec({r}, {size}, {name}_{m}, {vector}, w);"
-        for m, (vector, size) in arguments.items()
-    ]
-    for i, kind in enumerate(neurons.kinds):
-        c = NEURONS[kind].c
-        if real == "float":  # tanhf and 1.0f
-            c = re.sub(r"(\d\.\d)", r"\1f", re.sub(r"([a-z]\w+)\(", r"\1f(", c))
-        lines += [f"    z = w[{i}];", f"    w[{i}] = {c} - {name}_phi_bias[{i}];"]
-    read = [f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};", f"    {real} seen[{r}];"]
-    read += [f"    {name}_neurons(state->x, lifted, none, seen);"]
-    read += [f"    {name}_matvec({q}, {r}, {name}_h, seen, ybar);"]
-    driven = [f"    {real} w[{r}];", f"    {name}_neurons(state->x, lifted, error, w);"]
-    driven += [f"    {name}_matvec({n}, {r}, {name}_into, w, next);"]
-    parts = {"neurons": [*lines, "}"], "read": read if neurons.h.any() else [], "driven": driven}
-    text = {label: "".join(f"{line}\n" for line in part) for label, part in parts.items()}
-    return text | {
-        "neurons": f"\n{text['neurons']}",
+
+
+def _neuron_texts(device: Device, name: str) -> dict[str, str]:
+    """C code that neurons add to the header; empty texts for a model without neurons.
+
+    `include` is math.h, `neurons` their function, `read` its call where the observer's error is
+    not known yet, `driven` the call where it is.
+    """
+    if device.controller.neurons is None:
+        return dict.fromkeys(("include", "neurons", "read", "driven"), "")
+    return {
+        "read": _joined_lines(_neurons_read(device, name)),
+        "driven": _joined_lines(_neurons_driven(device, name)),
+        "neurons": "\n" + _joined_lines(_neurons_function(device, name)),
         "include": "#include <math.h> /* link with -lm */\n\n",
     }
 
 
+def _joined_lines(lines: Sequence[str]) -> str:
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _neurons_function(device: Device, name: str) -> list[str]:
+    real = device.real
+    neurons = device.controller.neurons
+    assert neurons is not None
+    states = len(neurons.into)
+    count = len(neurons.kinds)
+    arguments = {
+        "f": ("x", states),
+        "g": ("lifted", neurons.g.shape[1]),
+        "l_z": ("error", neurons.l_z.shape[1]),
+    }
+    taken = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
+    lines = [f"static inline void {name}_neurons({taken}, {real} *w) {{"]
+    lines.append(f"    {real} z;")
+    lines.append(f"    for (int i = 0; i < {count}; ++i) w[i] = {name}_bias[i];")
+    for matrix, (vector, size) in arguments.items():
+        lines.append(f"    {name}_matvec({count}, {size}, {name}_{matrix}, {vector}, w);")
+    for i, kind in enumerate(neurons.kinds):
+        lines.append(f"    z = w[{i}];")
+        lines.append(f"    w[{i}] = {_activation(kind, real)} - {name}_phi_bias[{i}];")
+    return [*lines, "}"]
+
+
+def _activation(kind: str, real: str) -> str:
+    code = NEURONS[kind].c
+    if real == "float":  # tanhf and 1.0f
+        code = re.sub(r"([a-z]\w+)\(", r"\1f(", code)
+        code = re.sub(r"(\d\.\d)", r"\1f", code)
+    return code
+
+
+def _neurons_read(device: Device, name: str) -> list[str]:
+    real = device.real
+    neurons = device.controller.neurons
+    assert neurons is not None
+    if not neurons.h.any():
+        return []
+    outputs, count = neurons.h.shape
+    return [
+        f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};",
+        f"    {real} seen[{count}];",
+        f"    {name}_neurons(state->x, lifted, none, seen);",
+        f"    {name}_matvec({outputs}, {count}, {name}_h, seen, ybar);",
+    ]
+
+
+def _neurons_driven(device: Device, name: str) -> list[str]:
+    neurons = device.controller.neurons
+    assert neurons is not None
+    states, count = neurons.into.shape
+    return [
+        f"    {device.real} w[{count}];",
+        f"    {name}_neurons(state->x, lifted, error, w);",
+        f"    {name}_matvec({states}, {count}, {name}_into, w, next);",
+    ]
+
+
 def _replay(device: Device, name: str) -> str:
-    """Levels within two scales of rest, also beyond the limits, noise on top; set points change in
-    between."""
-    scale, rng = device.controller.scale, np.random.default_rng(REPLAY_SEED)
+    """C program that replays measurements and compares the inputs with the expected ones.
+
+    The measurements are levels within two scales of rest, also beyond the limits, with noise on
+    top; set points change in between.
+    """
+    scale = device.controller.scale
+    rng = np.random.default_rng(REPLAY_SEED)
     levels = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs)).repeat(20, axis=1)
     noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
-    y, r = (scale.physical_output(values) for values in (noisy, np.roll(levels[1], 7, axis=0)))
-    u = device.replay(y, r)
-    points = device.set_points is not None
-    begin = f"{name}_init(&state, measured[0]);" if points else f"{name}_reset(&state);"
-    act = f"{name}_track(&state, measured[k], wanted[k], u);"
-    if not points:
-        act = f"{name}_input(&state, u);\n        {name}_clamp(u);\n        {name}_advance(&state, measured[k], u);"
-    tables, wanted = {"begin": begin, "act": act}, {"wanted": r} if points else {}
-    for label, values in ({"measured": y, "expected": u} | wanted).items():
-        rows = (", ".join(_number(value, device.real) for value in row) for row in values)
-        listed = ", ".join(f"{{{row}}}" for row in rows)
-        width = values.shape[1]
-        tables[label] = f"static const {device.real} {label}[{REPLAYED}][{width}] = {{{listed}}};"
-    tolerance = repr(AGREEMENT[device.real] * max(1.0, float(np.abs(u).max())))
-    return _REPLAY.substitute(
-        {"wanted": ""} | _sizes(device, name) | tables, samples=REPLAYED, tolerance=tolerance
+    measured = scale.physical_output(noisy)
+    wanted = scale.physical_output(np.roll(levels[1], 7, axis=0))
+    applied = device.replay(measured, wanted)
+
+    signals = {"measured": measured, "expected": applied}
+    begin = f"{name}_reset(&state);"
+    act = (
+        f"{name}_input(&state, u);\n"
+        f"        {name}_clamp(u);\n"
+        f"        {name}_advance(&state, measured[k], u);"
     )
+    if device.set_points is not None:
+        signals["wanted"] = wanted
+        begin = f"{name}_init(&state, measured[0]);"
+        act = f"{name}_track(&state, measured[k], wanted[k], u);"
+
+    texts = {"wanted": ""} | _sizes(device, name) | {"begin": begin, "act": act}
+    for label, values in signals.items():
+        texts[label] = _recorded(label, values, device.real)
+    tolerance = AGREEMENT[device.real] * max(1.0, float(np.abs(applied).max()))
+    return _REPLAY.substitute(texts, samples=REPLAYED, tolerance=repr(tolerance))
 
 
-# The shortest text that reads back to the same float.
+def _recorded(label: str, values: Float[np.ndarray, "T w"], real: str) -> str:
+    """C table with a row per sample."""
+    rows = []
+    for row in values:
+        numbers = ", ".join(_number(value, real) for value in row)
+        rows.append(f"{{{numbers}}}")
+    width = values.shape[1]
+    return f"static const {real} {label}[{REPLAYED}][{width}] = {{{', '.join(rows)}}};"
+
+
 def _number(value: float | np.floating[Any], real: str) -> str:
-    return np.format_float_scientific(REALS[real](value), trim="0") + (
-        "f" if real == "float" else ""
-    )
+    """Shortest text that reads back to the same float."""
+    digits = np.format_float_scientific(REALS[real](value), trim="0")
+    return f"{digits}f" if real == "float" else digits
 
 
 def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
@@ -199,11 +315,14 @@ def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
 def _function(
     name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str
 ) -> str:
-    """`void name(argument, out)` behind its constants, called `name_<label>` there and `#label` in
-    `body`."""
+    """C function `void name(argument, out)` behind its constants.
+
+    A constant is called `name_<label>` in C and `#label` in `body`.
+    """
     constants = "".join(_array(f"{name}_{label}", values, real) for label, values in tables.items())
     code = body.replace("#", f"{name}_")
-    return f"\n{constants}static inline void {name}(const {real} *{argument}, {real} *out) {{\n{code}}}\n"
+    head = f"static inline void {name}(const {real} *{argument}, {real} *out) {{"
+    return f"\n{constants}{head}\n{code}}}\n"
 
 
 def _product(
@@ -214,18 +333,24 @@ def _product(
 
 
 def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
-    """`out += linear v + N(v)`, layer by layer: `d = phi(W d + b) - phi(b)`."""
-    tables, source = {"linear": portable.linear}, "v"
+    """C function `out += linear v + N(v)`, layer by layer: `d = phi(W d + b) - phi(b)`."""
+    tables = {"linear": portable.linear}
     body = _product(prefix, "linear", portable.linear, "v", "out")
+    source = "v"
     for i, (w, b, low, high) in enumerate(portable.network.hidden() if portable.network else ()):
-        at_zero = np.where(b >= 0, high, low) * b
-        tables |= {f"w{i}": w, f"b{i}": b, f"low{i}": low, f"high{i}": high, f"at_zero{i}": at_zero}
-        body += f"    {real} d{i}[{len(b)}];\n    for (int i = 0; i < {len(b)}; ++i) d{i}[i] = #b{i}[i];\n"
-        body += (
-            _product(prefix, f"w{i}", w, source, f"d{i}")
-            + f"    for (int i = 0; i < {len(b)}; ++i)\n"
-        )
-        body += f"        d{i}[i] = {prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i]) - #at_zero{i}[i];\n"
+        width = len(b)
+        tables[f"w{i}"] = w
+        tables[f"b{i}"] = b
+        tables[f"low{i}"] = low
+        tables[f"high{i}"] = high
+        tables[f"at_zero{i}"] = np.where(b >= 0, high, low) * b
+        over_layer = f"    for (int i = 0; i < {width}; ++i)"
+        bent = f"{prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i])"
+        body += f"    {real} d{i}[{width}];\n"
+        body += f"{over_layer} d{i}[i] = #b{i}[i];\n"
+        body += _product(prefix, f"w{i}", w, source, f"d{i}")
+        body += f"{over_layer}\n"
+        body += f"        d{i}[i] = {bent} - #at_zero{i}[i];\n"
         source = f"d{i}"  # what the next layer takes
     if portable.network:
         tables["w_out"] = portable.network.weights[-1]
@@ -234,33 +359,34 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
 
 
 def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, real: str) -> str:
-    """`out += part w`, or `out` between stored points."""
+    """C function `out += part w`, or `out` between stored points."""
     if not isinstance(part, Joined):
-        return _function(
-            name, "w", {"linear": part}, _product(prefix, "linear", part, "w", "out"), real
-        )
-    h, r = len(part.points), part.slopes.shape[1]
-    body = f"    int j;\n    for (j = 0; j < {h} && #at[j] <= w[0]; ++j) {{}}\n"
-    body += f"    for (int i = 0; i < {r}; ++i) out[i] = #slope[j * {r} + i] * w[0] + #offset[j * {r} + i];\n"
-    return _function(
-        name, "w", {"at": part.points, "slope": part.slopes, "offset": part.offsets}, body, real
-    )
+        product = _product(prefix, "linear", part, "w", "out")
+        return _function(name, "w", {"linear": part}, product, real)
+    count = len(part.points)
+    width = part.slopes.shape[1]
+    at = f"j * {width} + i"
+    body = "    int j;\n"
+    body += f"    for (j = 0; j < {count} && #at[j] <= w[0]; ++j) {{}}\n"
+    body += f"    for (int i = 0; i < {width}; ++i)"
+    body += f" out[i] = #slope[{at}] * w[0] + #offset[{at}];\n"
+    tables = {"at": part.points, "slope": part.slopes, "offset": part.offsets}
+    return _function(name, "w", tables, body, real)
 
 
 def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
-    """`out = S^{-1}(w)`: a product, or the piece of each channel."""
+    """C function `out = S^{-1}(w)`: a product, or the piece of each channel."""
     if inverse.matrix is not None:
         body = _product(prefix, "linear", inverse.matrix, "w", "out")
         return _function(name, "w", {"linear": inverse.matrix}, body, real)
     tables: dict[str, Float[np.ndarray, ...]] = {}
     body = "    int j;\n"
     for c, (points, slopes, offsets) in enumerate(inverse.channels):
-        tables |= {f"at{c}": points} if len(points) else {}  # C has no array of size zero
-        tables |= {f"slope{c}": slopes, f"offset{c}": offsets}
-        search = (
-            f"for (j = 0; j < {len(points)} && #at{c}[j] <= w[{c}]; ++j) {{}}"
-            if len(points)
-            else "j = 0;"
-        )
+        search = "j = 0;"
+        if len(points):  # C has no array of size zero
+            tables[f"at{c}"] = points
+            search = f"for (j = 0; j < {len(points)} && #at{c}[j] <= w[{c}]; ++j) {{}}"
+        tables[f"slope{c}"] = slopes
+        tables[f"offset{c}"] = offsets
         body += f"    {search}\n    out[{c}] = #slope{c}[j] * w[{c}] + #offset{c}[j];\n"
     return _function(name, "w", tables, body, real)

@@ -1,15 +1,11 @@
-"""The controller as the device computes it: rounded to its floats, within its limits, in the order
-of its C code.
+"""The controller as the device computes it: rounded, limited, in the order of its C code.
 
-For a set point r the law aims at the rest point of the model nearest to it: `v* = S_u^{-1}(G^+
-S_y^{-1}(w_r))`, clamped
-to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`, and applies
-`u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons rest points are read from a curve
-(`rest_points`). The observer
-is told the input that was applied, so a limit does not disturb the estimate, and no error enters an
-internal model
-while it acts: nothing winds up. `Device` is also its own oracle: `replay` runs the law in NumPy,
-one rounding for one
+For a set point r the law aims at the equilibrium of the model nearest to it:
+`v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`,
+`G = C (I - A)^{-1} B + D`, and applies `u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons
+equilibria are read from a curve (`rest_points`). The observer uses the input that was applied, so a
+limit does not disturb the estimate, and no error enters an internal model while it acts: nothing
+winds up. `Device` is also its own oracle: `replay` runs the law in NumPy, one rounding for one
 rounding of the C code compiled with `-ffp-contract=off`.
 """
 
@@ -22,21 +18,21 @@ from jaxtyping import Float
 
 from ssm_study.bounds.network import Inverse, PortableMap, inverse_of
 from ssm_study.export.portable import PortableController, Vector, as_floats, times
-from ssm_study.export.rest_points import Curve, Joined, curve, reached
+from ssm_study.export.rest_points import Curve, Joined, equilibrium_curve, reached
 from ssm_study.refusal import one_of
 from ssm_study.systems import StateSpace
 
 REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
-WIDEST = 5.0  # scaled inputs: as far as a curve of rest points goes where there is no limit
+WIDEST = 5.0  # scaled inputs: as far as a curve of equilibria goes where there is no limit
 IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
-    """`to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)`
-    is G.
+    """Maps between set points and equilibria of the model.
 
-    With neurons each is a line through stored points, which misses what S_y reads by at most
+    `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)`
+    is G. With neurons each is a line through stored points, which misses what S_y reads by at most
     `missed`.
     """
 
@@ -49,20 +45,18 @@ class SetPoints:
 
     @property
     def maps(self) -> dict[str, Any]:
-        """The first three by name."""
+        """The maps `to_lifted`, `at_rest` and `seen` by name."""
         return {name: getattr(self, name) for name in ("to_lifted", "at_rest", "seen")}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A controller rounded to `real`, with input limits `lower, upper (m,)`, physical; infinite
-    where there is none.
+    """A controller rounded to `real`, with physical input limits `lower, upper (m,)`.
 
-    `set_points` is None where they cannot be computed on a device: S_u or S_y couples its channels,
-    the model
-    integrates, no constant input reaches every output, or neurons stand between several inputs or
-    outputs. Raises
-    `BadRequest` for another `real`.
+    Limits are infinite where there is none. `set_points` is None where they cannot be computed on
+    a device: S_u or S_y couples its channels, the model integrates, no constant input reaches every
+    output, or neurons stand between several inputs or outputs. Raises `BadRequest` for another
+    `real`.
     """
 
     controller: PortableController
@@ -74,32 +68,54 @@ class Device:
     def of(
         cls, controller: PortableController, real: str, lower: Vector, upper: Vector
     ) -> "Device":
-        """Every number rounded once, to the nearest `real`; missing limits become the largest
-        `real`."""
+        """The device whose numbers are rounded once, to the nearest `real`.
+
+        Missing limits become the largest `real`.
+        """
         one_of(REALS, "real", real)
-        kind, most = REALS[real], float(np.finfo(REALS[real]).max)
-        limits = (np.broadcast_to(limit, controller.scale.inputs) for limit in (lower, upper))
-        low, high = (np.clip(limit, -most, most).astype(kind) for limit in limits)
-        return cls(controller=as_floats(controller, kind), real=real, lower=low, upper=high)
+        kind = REALS[real]
+        largest = float(np.finfo(kind).max)
+
+        def rounded(limit: Vector) -> Vector:
+            each = np.broadcast_to(limit, controller.scale.inputs)
+            return np.clip(each, -largest, largest).astype(kind)
+
+        return cls(
+            controller=as_floats(controller, kind),
+            real=real,
+            lower=rounded(lower),
+            upper=rounded(upper),
+        )
 
     @cached_property
     def set_points(self) -> SetPoints | None:
-        """From the rounded numbers, computed in float64 and rounded once more."""
-        c = as_floats(self.controller, np.float64)
-        model, inward, outward = c.recurrence(), inverse_of(c.s_in), inverse_of(c.s_out)
+        """Maps to equilibria from the rounded numbers, computed in float64 and rounded once more.
+
+        None where a device cannot compute them.
+        """
+        controller = as_floats(self.controller, np.float64)
+        inward = inverse_of(controller.s_in)
+        outward = inverse_of(controller.s_out)
         if inward is None or outward is None:
             return None
-        if not isinstance(model, StateSpace):
-            return self._along_curve(c, inward, outward)
-        rest, _, gain = model.held()
-        if model.integrates or np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain)) < len(
-            gain
-        ):
+        model = controller.recurrence()
+        if isinstance(model, StateSpace):
+            return self._by_matrices(model, inward, outward)
+        return self._along_curve(controller, inward, outward)
+
+    def _by_matrices(
+        self, model: StateSpace, inward: Inverse, outward: Inverse
+    ) -> SetPoints | None:
+        states, _, gain = model.held()
+        if model.integrates:
             return None
-        at_rest = np.pad(rest, ((0, len(c.a) - model.order), (0, 0)))
+        reached_outputs = np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain))
+        if reached_outputs < len(gain):
+            return None
+        below = len(self.controller.a) - model.order
         exact = SetPoints(
             to_lifted=np.linalg.pinv(gain),
-            at_rest=at_rest,
+            at_rest=np.pad(states, ((0, below), (0, 0))),
             seen=gain,
             inward=inward,
             outward=outward,
@@ -107,135 +123,176 @@ class Device:
         return as_floats(exact, REALS[self.real])
 
     def _along_curve(
-        self, c: PortableController, inward: Inverse, outward: Inverse
+        self, controller: PortableController, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Every other point is stored; those between tell what is missed."""
+        """Maps through every other point of the curve; the points between show what is missed."""
         if len(self.lower) > 1:
             return None
-        ends = [c.scale.scaled_input(end.astype(float)) for end in (self.lower, self.upper)]
-        low, high = (float(_mapped(c.s_in, np.clip(end, -WIDEST, WIDEST))[0]) for end in ends)
-        full = curve(c, low, high)
+        full = equilibrium_curve(
+            controller,
+            self._lifted_limit(controller, self.lower),
+            self._lifted_limit(controller, self.upper),
+        )
         if full is None:
             return None
-        kept = Curve(lifted=full.lifted[::2], x=full.x[::2], read=full.read[::2])
-        seen = Joined.through(kept.lifted, kept.read[:, None])
-        at_rest = Joined.through(
-            kept.lifted, np.pad(kept.x, ((0, 0), (0, len(c.a) - kept.x.shape[1])))
-        )
-        missed = max(
+        stored = Curve(lifted=full.lifted[::2], x=full.x[::2], read=full.read[::2])
+        below = len(controller.a) - stored.x.shape[1]
+        states = np.pad(stored.x, ((0, 0), (0, below)))
+        seen = Joined.through(stored.lifted, stored.read[:, None])
+        errors = [
             abs(float(seen(v[None])[0]) - y) for v, y in zip(full.lifted, full.read, strict=True)
+        ]
+        joined = SetPoints(
+            to_lifted=Joined.through(stored.read, stored.lifted[:, None]),
+            at_rest=Joined.through(stored.lifted, states),
+            seen=seen,
+            inward=inward,
+            outward=outward,
+            missed=max(errors),
         )
-        told: Any = {"inward": inward, "outward": outward, "missed": missed}
-        to_lifted = Joined.through(kept.read, kept.lifted[:, None])
-        return as_floats(
-            SetPoints(to_lifted=to_lifted, at_rest=at_rest, seen=seen, **told), REALS[self.real]
-        )
+        return as_floats(joined, REALS[self.real])
+
+    @staticmethod
+    def _lifted_limit(controller: PortableController, limit: Vector) -> float:
+        """What S_u makes of a limit, at most of `WIDEST` scaled inputs."""
+        scaled = controller.scale.scaled_input(limit.astype(float))
+        return float(_mapped(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
     def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Every constant of the C code by name, in its order, but those of its maps."""
+        """Constants of the C code by name, in its order, without those of its maps."""
         return self.controller.arrays() | {"lower": self.lower, "upper": self.upper}
 
     @property
     def multiplications(self) -> int:
-        """Of two floats in one `track` (in one `step` where there are no set points), at most;
-        without those of phi."""
-        c, points, m = self.controller, self.set_points, len(self.controller.k)
-        layers = (
-            (s.linear, *(s.network.weights + s.network.biases if s.network else ()))
-            for s in (c.s_in, c.s_out)
-        )
-        maps = sum(part.size for one in layers for part in one)  # a slope for each bias
-        products = maps + sum(table.size for table in self.tables().values() if table.ndim == 2)
+        """Largest count of products of two floats in one `track`, those of phi left out.
+
+        In one `step` where there are no set points.
+        """
+        controller = self.controller
+        points = self.set_points
+        inputs = len(controller.k)
+        maps = _map_products(controller.s_in) + _map_products(controller.s_out)
+        matrices = sum(table.size for table in self.tables().values() if table.ndim == 2)
+        products = maps + matrices
+        neurons = controller.neurons
         # Computed twice: for the output, then with its error.
-        if (inner := c.neurons) and inner.h.any():
-            products += inner.f.size + inner.g.size + inner.l_z.size
+        if neurons and neurons.h.any():
+            products += neurons.f.size + neurons.g.size + neurons.l_z.size
         if points is None:  # the input is computed twice, and compared
-            return products + c.k.size + 3 * m
-        undone = sum(
-            len(s.channels) if s.matrix is None else s.matrix.size
-            for s in (points.inward, points.outward)
-        )
-        reach = (
-            p.slopes.shape[1] if isinstance(p, Joined) else p.size for p in points.maps.values()
-        )
-        return products + sum(reach) + undone + maps + 2 * m
+            return products + controller.k.size + 3 * inputs
+        inverses = _inverse_products(points.inward) + _inverse_products(points.outward)
+        reaching = sum(_reaching_products(part) for part in points.maps.values())
+        return products + reaching + inverses + maps + 2 * inputs
 
     def start(self, y0: Vector) -> Vector:
-        """The state in which the model rests at `y0`; the equilibrium where there are no set
-        points."""
-        c, points = self.controller, self.set_points
+        """State in which the model rests at `y0`; the equilibrium where there are no set points."""
+        points = self.set_points
         if points is None:
-            return np.zeros(len(c.a), dtype=REALS[self.real])
-        return reached(
-            points.at_rest,
-            reached(points.to_lifted, _undone(points.outward, c.scale.scaled_output(y0))),
-        )
+            return np.zeros(len(self.controller.a), dtype=REALS[self.real])
+        read = _undone(points.outward, self.controller.scale.scaled_output(y0))
+        return reached(points.at_rest, reached(points.to_lifted, read))
 
     def track(self, x: Vector, y: Vector, r: Vector) -> tuple[Vector, Vector]:
-        """The input for this sample, clamped, and the next state; without set points towards the
-        equilibrium."""
-        c, rest = self.controller, self.aim(r)
-        asked = c.scale.physical_input(times(c.k, x - rest["x"], rest["v"]))
-        u = np.clip(asked, self.lower, self.upper)
-        lifted = _mapped(c.s_in, c.scale.scaled_input(u))  # the observer is told what was applied
-        measured = c.scale.scaled_output(y)
-        read = times(c.d, lifted, times(c.c, x))
-        if c.neurons and c.neurons.h.any():
-            read = times(c.neurons.h, c.neurons(x, lifted), read)
-        error = _mapped(c.s_out, read) - measured
-        following = times(c.l, error, times(c.b, lifted, times(c.a, x)))
-        if c.neurons:
-            following = times(c.neurons.into, c.neurons(x, lifted, error), following)
-        if np.array_equal(u, asked):  # no error enters the internal model while a limit acts
-            following = times(c.e, measured - rest["w"], following)
+        """The input for this sample, clamped, and the next state.
+
+        Without set points the law steers towards the equilibrium.
+        """
+        controller = self.controller
+        neurons = controller.neurons
+        rest = self.aim(r)
+        requested = controller.scale.physical_input(times(controller.k, x - rest["x"], rest["v"]))
+        u = np.clip(requested, self.lower, self.upper)
+        # The observer uses the input that was applied.
+        lifted = _mapped(controller.s_in, controller.scale.scaled_input(u))
+        measured = controller.scale.scaled_output(y)
+        read = times(controller.d, lifted, times(controller.c, x))
+        if neurons and neurons.h.any():
+            read = times(neurons.h, neurons(x, lifted), read)
+        error = _mapped(controller.s_out, read) - measured
+        following = times(controller.b, lifted, times(controller.a, x))
+        following = times(controller.l, error, following)
+        if neurons:
+            following = times(neurons.into, neurons(x, lifted, error), following)
+        # No error enters the internal model while a limit acts.
+        if np.array_equal(u, requested):
+            following = times(controller.e, measured - rest["w"], following)
         else:
-            following[c.resting] = x[c.resting]
+            following[controller.resting] = x[controller.resting]
         return u, following
 
     def aim(self, r: Vector) -> dict[str, Vector]:
-        """The rest point nearest to `r` within the limits: state `x`, scaled input `v` and output
-        `w`."""
-        c, points, real = self.controller, self.set_points, REALS[self.real]
+        """The equilibrium nearest to `r` within the limits.
+
+        State `x`, scaled input `v` and output `w`.
+        """
+        controller = self.controller
+        scale = controller.scale
+        points = self.set_points
+        real = REALS[self.real]
         if points is None:
             return {
-                "x": np.zeros(len(c.a), real),
-                "v": np.zeros(len(c.k), real),
-                "w": np.zeros(c.l.shape[1], real),
+                "x": np.zeros(len(controller.a), real),
+                "v": np.zeros(len(controller.k), real),
+                "w": np.zeros(controller.l.shape[1], real),
             }
-        wanted = reached(points.to_lifted, _undone(points.outward, c.scale.scaled_output(r)))
-        u = np.clip(c.scale.physical_input(_undone(points.inward, wanted)), self.lower, self.upper)
-        v = c.scale.scaled_input(u)
-        lifted = _mapped(c.s_in, v)
+        wanted = reached(points.to_lifted, _undone(points.outward, scale.scaled_output(r)))
+        requested = scale.physical_input(_undone(points.inward, wanted))
+        u = np.clip(requested, self.lower, self.upper)
+        v = scale.scaled_input(u)
+        lifted = _mapped(controller.s_in, v)
         return {
             "x": reached(points.at_rest, lifted),
             "v": v,
-            "w": _mapped(c.s_out, reached(points.seen, lifted)),
+            "w": _mapped(controller.s_out, reached(points.seen, lifted)),
         }
 
     def replay(
         self, y: Float[np.ndarray, "T p"], r: Float[np.ndarray, "T p"]
     ) -> Float[np.ndarray, "T m"]:
-        """What the device applies to these measurements and set points, started at the first
-        measurement."""
-        y, r = (values.astype(REALS[self.real]) for values in (y, r))
-        x, applied = self.start(y[0]), []
-        for seen, wanted in zip(y, r, strict=True):
-            u, x = self.track(x, seen, wanted)
+        """Inputs that the device applies to these measurements and set points.
+
+        It starts at rest at the first measurement.
+        """
+        measurements = y.astype(REALS[self.real])
+        set_points = r.astype(REALS[self.real])
+        x = self.start(measurements[0])
+        applied = []
+        for measured, wanted in zip(measurements, set_points, strict=True):
+            u, x = self.track(x, measured, wanted)
             applied.append(u)
         return np.stack(applied)
 
 
+def _map_products(portable: PortableMap) -> int:
+    """Products in one evaluation of S; a slope for each bias."""
+    network = portable.network
+    layers = () if network is None else (*network.weights, *network.biases)
+    return portable.linear.size + sum(part.size for part in layers)
+
+
+def _inverse_products(inverse: Inverse) -> int:
+    return len(inverse.channels) if inverse.matrix is None else inverse.matrix.size
+
+
+def _reaching_products(part: Any) -> int:
+    return part.slopes.shape[1] if isinstance(part, Joined) else part.size
+
+
 def _mapped(portable: PortableMap, v: Vector) -> Vector:
-    out, d = times(portable.linear, v), v
+    out = times(portable.linear, v)
     if portable.network is None:
         return out
+    d = v
     for w, b, low, high in portable.network.hidden():
         z = times(w, d, b)
-        d = np.where(z >= 0, high * z, low * z) - np.where(b >= 0, high, low) * b
+        at_zero = np.where(b >= 0, high, low) * b
+        d = np.where(z >= 0, high * z, low * z) - at_zero
     return times(portable.network.weights[-1], d, out)
 
 
 def _undone(inverse: Inverse, w: Vector) -> Vector:
-    """Channel by channel the order is that of the C code already; of a product `@` promises
-    none."""
+    """`S^{-1}(w)` in the order of the C code.
+
+    Channel by channel the order is that already; for a product `@` promises none.
+    """
     return inverse(w) if inverse.matrix is None else times(inverse.matrix, w)

@@ -1,5 +1,7 @@
-"""A finished study in MLflow: files first, the tracker afterwards, as often as one likes (extra
-`mlflow`)."""
+"""A finished study in MLflow (extra `mlflow`).
+
+Files come first, the tracker afterwards, as often as one likes.
+"""
 
 from datetime import datetime
 from pathlib import Path
@@ -34,53 +36,55 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
     table = gather(study)  # the files are the truth, the tracker a copy
     with locked(study / ".mlflow.lock"):  # two processes on a new database crash in its migration
         client = MlflowClient(tracking_uri=store or f"sqlite:///{study.absolute() / 'mlflow.db'}")
-        found, artefacts = (
-            client.get_experiment_by_name(study.resolve().name),
-            (study.absolute() / ".mlflow").as_uri(),
-        )
-        experiment = (
-            found.experiment_id
-            if found
-            else client.create_experiment(study.resolve().name, artefacts)
-        )
+        experiment = _experiment_id(client, study)
         runs = client.search_runs([experiment], max_results=MOST)
-        there = {run.data.tags.get(RUN_TAG) for run in runs if run.info.status != "RUNNING"}
-        rows = [
-            row for _, row in table.iterrows() if row["status"] in FINAL and row["run"] not in there
-        ]
-        for row in rows:
-            _write(
-                client,
-                experiment,
-                study,
-                {str(name): value for name, value in row.dropna().items()},
-            )
-    return len(rows)
+        written = {run.data.tags.get(RUN_TAG) for run in runs if run.info.status != "RUNNING"}
+        finished = [row for _, row in table.iterrows() if row["status"] in FINAL]
+        missing = [row for row in finished if row["run"] not in written]
+        for row in missing:
+            values = {str(name): value for name, value in row.dropna().items()}
+            _write_run(client, experiment, study, values)
+    return len(missing)
 
 
-def _write(client: Any, experiment: str, study: Path, row: dict[str, Any]) -> None:
+def _experiment_id(client: Any, study: Path) -> str:
+    """The experiment of the study, made if it is not there."""
+    name = study.resolve().name
+    experiment = client.get_experiment_by_name(name)
+    if experiment:
+        return str(experiment.experiment_id)
+    return str(client.create_experiment(name, (study.absolute() / ".mlflow").as_uri()))
+
+
+def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -> None:
     from mlflow.entities import Metric, Param
 
-    times = (row.get(name) for name in ("started_utc", "ended_utc"))
-    # Milliseconds.
-    start, end = (time and int(datetime.fromisoformat(time).timestamp() * 1000) for time in times)
+    start = _milliseconds(row.get("started_utc"))
+    end = _milliseconds(row.get("ended_utc"))
     run = client.create_run(experiment, start_time=start, run_name=row["run"])
-    scored = [
-        name
-        for name in row
-        if name in BY_NAME and BY_NAME[name].better and BY_NAME[name].kind != "string"
-    ]
-    client.log_batch(
-        run.info.run_id, metrics=[Metric(name, float(row[name]), end or 0, 0) for name in scored]
-    )
-    parameters = [
-        Param(name, str(value)[:500]) for name, value in row.items() if name not in scored
-    ]
+    number = run.info.run_id
+    scored = [name for name in row if _is_metric(name)]
+    metrics = [Metric(name, float(row[name]), end or 0, 0) for name in scored]
+    client.log_batch(number, metrics=metrics)
+    others = [name for name in row if name not in scored]
+    parameters = [Param(name, str(row[name])[:500]) for name in others]
     for first in range(0, len(parameters), AT_ONCE):
-        client.log_batch(run.info.run_id, params=parameters[first : first + AT_ONCE])
+        client.log_batch(number, params=parameters[first : first + AT_ONCE])
     for name in ARTEFACTS:
-        if (study / row["run"] / name).is_file():
-            client.log_artifact(run.info.run_id, str(study / row["run"] / name))
+        artefact = study / row["run"] / name
+        if artefact.is_file():
+            client.log_artifact(number, str(artefact))
     # Last: a run without it was not written to its end.
-    client.set_tag(run.info.run_id, RUN_TAG, row["run"])
-    client.set_terminated(run.info.run_id, "FAILED" if row["status"] == FAILED else "FINISHED", end)
+    client.set_tag(number, RUN_TAG, row["run"])
+    status = "FAILED" if row["status"] == FAILED else "FINISHED"
+    client.set_terminated(number, status, end)
+
+
+def _is_metric(name: str) -> bool:
+    """Whether a column holds numbers that have a better direction."""
+    column = BY_NAME.get(name)
+    return column is not None and bool(column.better) and column.kind != "string"
+
+
+def _milliseconds(time: str | None) -> int | None:
+    return int(datetime.fromisoformat(time).timestamp() * 1000) if time else None

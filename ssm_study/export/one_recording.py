@@ -1,5 +1,7 @@
-"""All closed loops of a study in one MCAP file, for players that open one file at a time, as
-Foxglove does."""
+"""All closed loops of a study in one MCAP file.
+
+For players that open one file at a time, as Foxglove does.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,35 +15,30 @@ MOST = 200  # runs: a player lists every topic, and each run has ten cases
 
 
 def export_mcap(study: Path) -> Path:
-    """Write `closed_loops.mcap` into the study: each run's recording, its topics below `/run_` and
-    the run's digits.
+    """Write `closed_loops.mcap` into the study: the recordings of all its runs.
 
-    A run's own digits are those after the last dash of its name, or the whole name where two runs
-    share them; the
-    metadata says which name they stand for. Raises `BadRequest` for a study without a closed loop,
-    with more than
-    `MOST`, or with a damaged recording.
+    The topics of a run lie below `/run_` and the run's digits: those after the last dash of its
+    name, or the whole name where two runs share them; the metadata says which name they stand for.
+    Raises `BadRequest` for a study without a closed loop, with more than `MOST`, or with a damaged
+    recording.
     """
-    found = [path for path in sorted(study.glob(f"*/{LOOP}")) if (path.parent / RECORD).is_file()]
-    kept = {f"run_{path.parent.name.rpartition('-')[2]}": path for path in found}
-    if len(kept) < len(found):
-        kept = {f"run_{path.parent.name}": path for path in found}
-    require(len(kept) > 0, "study", study, "no run closed a loop", "name a study whose runs did")
-    require(
-        len(kept) <= MOST,
-        "study",
-        study,
-        f"{len(kept)} runs are more than {MOST}",
-        "open their own recordings",
-    )
-    groups = [
-        replace(group, topic=f"/{digits}{group.topic}")
-        for digits, path in kept.items()
-        for group in read_mcap(path)[0]
-    ]
-    write_mcap(
-        study / "closed_loops.mcap",
-        tuple(groups),
-        {digits: path.parent.name for digits, path in kept.items()},
-    )
-    return study / "closed_loops.mcap"
+    recordings = [path for path in sorted(study.glob(f"*/{LOOP}")) if _belongs_to_run(path)]
+    by_name = {f"run_{path.parent.name.rpartition('-')[2]}": path for path in recordings}
+    if len(by_name) < len(recordings):
+        by_name = {f"run_{path.parent.name}": path for path in recordings}
+    count = len(by_name)
+    require(count > 0, "study", study, "no run closed a loop", "name a study whose runs did")
+    problem = f"{count} runs are more than {MOST}"
+    require(count <= MOST, "study", study, problem, "open their own recordings")
+    groups = []
+    for name, path in by_name.items():
+        for group in read_mcap(path)[0]:
+            groups.append(replace(group, topic=f"/{name}{group.topic}"))
+    names = {name: path.parent.name for name, path in by_name.items()}
+    file = study / "closed_loops.mcap"
+    write_mcap(file, tuple(groups), names)
+    return file
+
+
+def _belongs_to_run(recording: Path) -> bool:
+    return (recording.parent / RECORD).is_file()

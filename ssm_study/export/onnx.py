@@ -1,5 +1,7 @@
-"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`, in doubles, any
-batch size."""
+"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`.
+
+In doubles, for any batch size.
+"""
 
 from typing import Any
 
@@ -13,8 +15,10 @@ OPSET, IR_VERSION = 17, 8  # old enough for runtimes in the field
 
 
 class _Graph:
-    """Nodes in order; an array among the inputs of one becomes a constant. Rows of a signal are
-    samples."""
+    """Nodes of an ONNX graph in their order; rows of a signal are samples.
+
+    An array among the inputs of a node becomes a constant.
+    """
 
     def __init__(self) -> None:
         self.nodes: list[Any] = []
@@ -23,62 +27,77 @@ class _Graph:
     def apply(
         self, operator: str, *inputs: str | Float[np.ndarray, "..."], output: str = ""
     ) -> str:
-        from onnx import helper, numpy_helper
+        from onnx import helper
 
-        names = []
-        for value in inputs:
-            names.append(value if isinstance(value, str) else f"c{len(self.constants)}")
-            if not isinstance(value, str):
-                values = np.ascontiguousarray(value, dtype=np.float64)
-                self.constants.append(numpy_helper.from_array(values, names[-1]))
+        names = [value if isinstance(value, str) else self.constant(value) for value in inputs]
         output = output or f"t{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, names, [output]))
         return output
+
+    def constant(self, value: Float[np.ndarray, "..."]) -> str:
+        from onnx import numpy_helper
+
+        name = f"c{len(self.constants)}"
+        values = np.ascontiguousarray(value, dtype=np.float64)
+        self.constants.append(numpy_helper.from_array(values, name))
+        return name
 
     def times(self, x: str, matrix: Float[np.ndarray, "r c"]) -> str:
         return self.apply("MatMul", x, matrix.T)
 
     def map(self, s: PortableMap, v: str) -> str:
-        terms, d = [self.times(v, s.linear)], v
-        for w, b, low, high in s.network.hidden() if s.network else ():
+        """Output of S, layer by layer: `phi(z) - phi(b)`."""
+        terms = [self.times(v, s.linear)]
+        if s.network is None:
+            return self.apply("Sum", *terms)
+        d = v
+        for w, b, low, high in s.network.hidden():
             z = self.apply("Add", self.times(d, w), b)
-            above, below = (self.apply(half, z, np.zeros(1)) for half in ("Max", "Min"))
-            bent = self.apply("Mul", above, high), self.apply("Mul", below, low)
-            d = self.apply("Sum", *bent, -np.where(b >= 0, high, low) * b)  # phi(z) - phi(b)
-        terms += [self.times(d, s.network.weights[-1])] if s.network else []
+            above = self.apply("Max", z, np.zeros(1))
+            below = self.apply("Min", z, np.zeros(1))
+            steep = self.apply("Mul", above, high)
+            flat = self.apply("Mul", below, low)
+            d = self.apply("Sum", steep, flat, -np.where(b >= 0, high, low) * b)
+        terms.append(self.times(d, s.network.weights[-1]))
         return self.apply("Sum", *terms)
 
-    def neurons(self, inner: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
-        """`phi(F x + G v + L_z e + b) - phi(b)`, the kinds side by side, each masked to its own
-        neurons."""
-        seen = [self.times(x, inner.f), self.times(lifted, inner.g)]
-        seen += [self.times(error, inner.l_z)] if error else []
-        z, parts = self.apply("Sum", *seen, inner.bias), []
-        for kind in sorted(set(inner.kinds)):
-            own = np.array([each == kind for each in inner.kinds], dtype=float)
+    def neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
+        """Outputs of the neurons, `phi(F x + G v + L_z e + b) - phi(b)`.
+
+        The kinds stand side by side, each masked to its own neurons.
+        """
+        terms = [self.times(x, neurons.f), self.times(lifted, neurons.g)]
+        if error:
+            terms.append(self.times(error, neurons.l_z))
+        z = self.apply("Sum", *terms, neurons.bias)
+        parts = []
+        for kind in sorted(set(neurons.kinds)):
+            own = np.array([each == kind for each in neurons.kinds], dtype=float)
             parts.append(self.apply("Mul", self.phi(kind, z), own))
-        return self.apply("Sum", *parts, -inner.phi_bias)
+        return self.apply("Sum", *parts, -neurons.phi_bias)
 
     def phi(self, kind: str, z: str) -> str:
-        """One kind, in operators that runtimes have for doubles."""
+        """One kind of neuron, in operators that runtimes have for doubles."""
         if kind == "tanh":
             return self.apply("Tanh", z)
         above = self.apply("Max", z, np.zeros(1))
         if kind == "relu":
             return above
         if kind == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
-            fading = self.apply("Exp", self.apply("Neg", self.apply("Abs", z)))
-            return self.apply(
-                "Add", above, self.apply("Log", self.apply("Add", fading, np.ones(1)))
-            )
+            negative = self.apply("Neg", self.apply("Abs", z))
+            fading = self.apply("Exp", negative)
+            return self.apply("Add", above, self.apply("Log", self._plus_one(fading)))
         clipped = self.apply("Min", self.apply("Max", z, -np.ones(1)), np.ones(1))
         if kind == "saturation":
             return clipped
-        cubed = self.apply(
-            "Mul", self.apply("Mul", clipped, clipped), self.apply("Div", clipped, np.full(1, 3.0))
-        )
+        square = self.apply("Mul", clipped, clipped)
+        third = self.apply("Div", clipped, np.full(1, 3.0))
+        cubed = self.apply("Mul", square, third)
         # Clipped cubic: slope one beyond.
         return self.apply("Add", cubed, self.apply("Sub", z, clipped))
+
+    def _plus_one(self, x: str) -> str:
+        return self.apply("Add", x, np.ones(1))
 
 
 def onnx_model(controller: PortableController, about: str) -> Any:
@@ -86,41 +105,53 @@ def onnx_model(controller: PortableController, about: str) -> Any:
     import onnx
     from onnx import TensorProto, checker, helper
 
-    graph, scale = _cell(controller), controller.scale
-    widths = {
-        "y": scale.outputs,
-        "state": len(controller.a),
-        "u": scale.inputs,
-        "next_state": len(controller.a),
-    }
-    signals = [
-        helper.make_tensor_value_info(n, TensorProto.DOUBLE, ["batch", width])
-        for n, width in widths.items()
-    ]
+    graph = _cell(controller)
+    states = len(controller.a)
+
+    def signal(name: str, width: int) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
+
     made = helper.make_graph(
-        graph.nodes, "controller", signals[:2], signals[2:], graph.constants, about
+        graph.nodes,
+        "controller",
+        [signal("y", controller.scale.outputs), signal("state", states)],
+        [signal("u", controller.scale.inputs), signal("next_state", states)],
+        graph.constants,
+        about,
     )
     model: onnx.ModelProto = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)])
-    model.ir_version, model.producer_name = IR_VERSION, "ssm-study"
+    model.ir_version = IR_VERSION
+    model.producer_name = "ssm-study"
     checker.check_model(model, full_check=True)
     return model
 
 
-# V = K xh is the scaled input; the rest as in PortableController.
-def _cell(c: PortableController) -> _Graph:
-    g, scale = _Graph(), c.scale
-    v = g.times("state", c.k)
-    g.apply("Add", g.apply("Mul", v, scale.input_scale), scale.input_equilibrium, output="u")
-    lifted = g.map(c.s_in, v)
-    read, inner = g.apply("Add", g.times("state", c.c), g.times(lifted, c.d)), c.neurons
-    if inner and inner.h.any():
-        read = g.apply("Add", read, g.times(g.neurons(inner, "state", lifted), inner.h))
-    predicted = g.map(c.s_out, read)
-    measured = g.apply("Div", g.apply("Sub", "y", scale.output_equilibrium), scale.output_scale)
-    error = g.apply("Sub", predicted, measured)
-    factors = {"state": c.a, lifted: c.b, error: c.l, measured: c.e}
-    factors |= {g.neurons(inner, "state", lifted, error): inner.into} if inner else {}
-    g.apply(
-        "Sum", *(g.times(signal, matrix) for signal, matrix in factors.items()), output="next_state"
-    )
-    return g
+def _cell(controller: PortableController) -> _Graph:
+    """Graph of one sample; `V = K xh` is the scaled input, the rest as in PortableController."""
+    graph = _Graph()
+    scale = controller.scale
+    neurons = controller.neurons
+    v = graph.times("state", controller.k)
+    physical = graph.apply("Mul", v, scale.input_scale)
+    graph.apply("Add", physical, scale.input_equilibrium, output="u")
+    lifted = graph.map(controller.s_in, v)
+    from_state = graph.times("state", controller.c)
+    read = graph.apply("Add", from_state, graph.times(lifted, controller.d))
+    if neurons and neurons.h.any():
+        within = graph.neurons(neurons, "state", lifted)
+        read = graph.apply("Add", read, graph.times(within, neurons.h))
+    predicted = graph.map(controller.s_out, read)
+    shifted = graph.apply("Sub", "y", scale.output_equilibrium)
+    measured = graph.apply("Div", shifted, scale.output_scale)
+    error = graph.apply("Sub", predicted, measured)
+    factors = {
+        "state": controller.a,
+        lifted: controller.b,
+        error: controller.l,
+        measured: controller.e,
+    }
+    if neurons:
+        factors[graph.neurons(neurons, "state", lifted, error)] = neurons.into
+    terms = [graph.times(signal, matrix) for signal, matrix in factors.items()]
+    graph.apply("Sum", *terms, output="next_state")
+    return graph

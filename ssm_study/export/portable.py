@@ -1,5 +1,7 @@
-"""Model and controller as plain arrays and maps of leaky-relu layers: what every target of the
-export starts from."""
+"""Model and controller as plain arrays and maps of leaky-relu layers.
+
+Every target of the export starts from these.
+"""
 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
@@ -20,11 +22,10 @@ Vector = Float[np.ndarray, "_"]
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """`phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output: `into` x+,
-    and `h` the output.
+    """Neurons `phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output.
 
-    `into` is the model's E, `phi_bias` `phi(b)`; zero rows of `into` and columns of `f` stand for
-    the internal model.
+    `into (n, r)` is the model's E, which drives x+; `h (q, r)` reads them into the output;
+    `phi_bias` is `phi(b)`. Zero rows of `into` and columns of `f` stand for the internal model.
     """
 
     into: Float[np.ndarray, "n r"]
@@ -37,21 +38,22 @@ class PortableNeurons:
     kinds: tuple[str, ...]
 
     def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
-        """In the order of the C code; without `error`, nothing is injected."""
+        """Outputs of the neurons in the order of the C code; without `error`, none is injected."""
         z = times(self.g, lifted, times(self.f, x, self.bias))
-        return phi(self.kinds, z if error is None else times(self.l_z, error, z)) - self.phi_bias
+        if error is not None:
+            z = times(self.l_z, error, z)
+        return phi(self.kinds, z) - self.phi_bias
 
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """`u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w,  v = (u -
-    u_eq)/s_u`.
+    """Controller and observer of a run as plain numbers.
 
-    `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)` starts at zero, the
-    equilibrium: the estimate
-    of the model's scaled state and, below it, that of an internal model, `z+ = A_z z + E_z w` (`E`
-    is zero without).
-    `neurons` are those of a structured model, added to `x+` and to what `S_y` reads.
+    `u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w`, with
+    `v = (u - u_eq)/s_u`, `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)`
+    starts at zero, the equilibrium: the estimate of the model's scaled state and, below it, the
+    state of an internal model, `z+ = A_z z + E_z w` (`E` is zero without). `neurons` are those of a
+    structured model, added to `x+` and to what `S_y` reads.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -68,80 +70,84 @@ class PortableController:
     neurons: PortableNeurons | None = None
 
     def to_json(self) -> dict[str, Any]:
-        maps: dict[str, Any] = {"s_in": self.s_in.to_json(), "s_out": self.s_out.to_json()}
-        maps |= {"kinds": self.neurons.kinds} if self.neurons else {}
-        return (
-            {name: values.tolist() for name, values in self.arrays().items()}
-            | maps
-            | {"step_s": self.step_s}
-        )
+        """Numbers as plain lists by name, for `controller.json`."""
+        numbers: dict[str, Any] = {name: each.tolist() for name, each in self.arrays().items()}
+        numbers["s_in"] = self.s_in.to_json()
+        numbers["s_out"] = self.s_out.to_json()
+        if self.neurons:
+            numbers["kinds"] = self.neurons.kinds
+        numbers["step_s"] = self.step_s
+        return numbers
 
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Every constant but the maps' own, by name."""
-        inner = (
-            {name: part for name, part in vars(self.neurons).items() if name != "kinds"}
-            if self.neurons
-            else {}
-        )
-        return (
-            {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")}
-            | vars(self.scale)
-            | inner
-        )
+        """Constants by name, without those of the maps."""
+        matrices = {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")}
+        neurons = dict(vars(self.neurons)) if self.neurons else {}
+        neurons.pop("kinds", None)
+        return matrices | vars(self.scale) | neurons
 
     @property
     def resting(self) -> slice:
-        """States that rest while a limit acts and would not by themselves: a ramp's; they come
-        first in its model."""
+        """States that rest while a limit acts and would not by themselves: those of a ramp.
+
+        They come first in its model.
+        """
         rows = np.flatnonzero(self.e.any(axis=1))
         modes = self.a[rows][:, rows]
-        kept = 0 if np.array_equal(held(modes), modes) else int((np.diagonal(modes) == 1).sum())
-        return slice(len(self.a) - len(rows), len(self.a) - len(rows) + kept)
+        rest_by_themselves = np.array_equal(held(modes), modes)
+        count = 0 if rest_by_themselves else int((np.diagonal(modes) == 1).sum())
+        first = len(self.a) - len(rows)
+        return slice(first, first + count)
 
     def recurrence(self) -> System:
-        """`A, B, C, D` of the model alone, without the internal model, in float64."""
+        """System of the model alone, without the internal model, in float64."""
         n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
         parts = {"a": self.a[:n, :n], "b": self.b[:n], "c": self.c[:, :n], "d": self.d}
         linear = {name: np.asarray(part, dtype=float) for name, part in parts.items()}
         if not self.neurons:
             return StateSpace(**linear)
-        inner = as_floats(self.neurons, np.float64)
-        return StructuredSystem(**linear, e=inner.into[:n], f=inner.f[:, :n], g=inner.g, h=inner.h)
+        neurons = as_floats(self.neurons, np.float64)
+        return StructuredSystem(
+            **linear, e=neurons.into[:n], f=neurons.f[:, :n], g=neurons.g, h=neurons.h
+        )
 
 
 def portable(model: Model, design: Design) -> PortableController:
-    """Raises `BadRequest` when the design has no controller or observer, or was made for another
-    model."""
+    """The controller of a model and its design as plain numbers.
+
+    Raises `BadRequest` when the design has no controller or observer, or was made for another
+    model.
+    """
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
             raise BadRequest(
                 f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run"
             )
-    problem, remedy = (
-        "the law undoes the input map, which no target computes",
-        "export a run without it",
-    )
-    require(not design.inverts, "synthesis.invert_input", True, problem, remedy)
-    pair = design.pair
-    k, l, modes = pair.k, pair.l, pair.modes  # noqa: E741 - the paper's letter
-    linear, n, p = model.linear, model.order, model.scale.outputs
+    problem = "the law undoes the input map, which no target computes"
+    require(not design.inverts, "synthesis.invert_input", True, problem, "export a run without it")
+    gains = design.pair
+    modes = gains.modes
+    linear = model.linear
+    n = model.order
+    p = model.scale.outputs
     added = len(modes)
-    fits = k.shape[1] == n + added and len(l) == n and added % p == 0
-    require(fits, "certificate", k.shape, f"the model has order {n}", "export the run as stored")
+    fits = gains.k.shape[1] == n + added and len(gains.l) == n and added % p == 0
+    problem = f"the model has order {n}"
+    require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
     below = ((0, added), (0, 0))
     return PortableController(
         a=scipy.linalg.block_diag(linear.a, modes),
         b=np.pad(linear.b, below),
         c=np.pad(linear.c, ((0, 0), (0, added))),
         d=linear.d,
-        k=k,
-        l=np.pad(l, below),
+        k=gains.k,
+        l=np.pad(gains.l, below),
         e=np.vstack([np.zeros((n, p)), error_input_matrix(modes, p)]),
         s_in=model.scaffold_in.portable(),
         s_out=model.scaffold_out.portable(),
         scale=model.scale,
         step_s=model.step_s,
-        neurons=_neurons(model, pair.l_z, added),
+        neurons=_neurons(model, gains.l_z, added),
     )
 
 
@@ -152,14 +158,22 @@ def _neurons(
         return None
     none = np.zeros((len(model.neurons), model.scale.outputs))
     return PortableNeurons(
-        into=np.pad(model.e, ((0, added), (0, 0))), f=np.pad(model.f, ((0, 0), (0, added))), g=model.g, h=model.h,
-        l_z=none if l_z is None else l_z, bias=model.bias, phi_bias=phi(model.neurons, model.bias), kinds=model.neurons,
-    )  # fmt: skip
+        into=np.pad(model.e, ((0, added), (0, 0))),
+        f=np.pad(model.f, ((0, 0), (0, added))),
+        g=model.g,
+        h=model.h,
+        l_z=none if l_z is None else l_z,
+        bias=model.bias,
+        phi_bias=phi(model.neurons, model.bias),
+        kinds=model.neurons,
+    )
 
 
 def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -> Vector:
-    """`start + a x`, summed from the first column on: the order of the C code, which `@` does not
-    promise."""
+    """`start + a x`, summed from the first column on: the order of the C code.
+
+    `@` does not promise it.
+    """
     y = np.zeros(len(a), dtype=a.dtype) if start is None else start
     for j, value in enumerate(x):
         y = y + a[:, j] * value  # two roundings, as in C without contraction
@@ -167,14 +181,12 @@ def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -
 
 
 def as_floats(value: Any, kind: Any) -> Any:
-    """The same with every array in it, at any depth, rounded to `kind`, or widened to it."""
+    """`value` with each array in it, at any depth, rounded or widened to `kind`."""
     if isinstance(value, np.ndarray):
         return value.astype(kind)
     if isinstance(value, tuple):
         return tuple(as_floats(part, kind) for part in value)
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(
-            value,
-            **{part.name: as_floats(getattr(value, part.name), kind) for part in fields(value)},
-        )
+        parts = {part.name: as_floats(getattr(value, part.name), kind) for part in fields(value)}
+        return replace(value, **parts)
     return value

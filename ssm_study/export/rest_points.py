@@ -1,10 +1,8 @@
-"""Where the controller's model rests, as the device finds it: by matrices, and with neurons between
-stored points.
+"""Equilibria of the controller's model: by matrices, and with neurons between stored points.
 
 With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
-the model contracts;
-of one input and one output they are a curve, of which the device holds some points, joined by
-straight lines.
+the model contracts; of one input and one output they are a curve, of which the device stores some
+points, joined by straight lines.
 """
 
 from dataclasses import dataclass
@@ -19,14 +17,16 @@ from ssm_study.systems import StructuredSystem
 
 # On each side of rest: where the input's range is ten times that of a bend, a thousandth is missed.
 PIECES = 32
-FOUND = 1e-9  # scaled states: what is left of x+ - x
+LARGEST_RESIDUAL = 1e-9  # scaled states: what is left of x+ - x
 Rows = Float[np.ndarray, "h r"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Joined:
-    """`out = slopes[j] w + offsets[j]`, j the count of `points <= w`; beyond the ends the last line
-    goes on."""
+    """Piecewise linear map `out = slopes[j] w + offsets[j]`, j the count of `points <= w`.
+
+    Beyond the ends the last line continues.
+    """
 
     points: Vector
     slopes: Rows
@@ -34,11 +34,13 @@ class Joined:
 
     @classmethod
     def through(cls, w: Vector, out: Rows) -> "Joined":
-        """The points `w`, in any order, with `out` a row each."""
+        """The map through the points `w`, in any order, with a row of `out` each."""
         order = np.argsort(w)
-        w, out = w[order], out[order]
-        rising = np.diff(out, axis=0) / np.diff(w)[:, None]
-        return cls(points=w[1:-1].copy(), slopes=rising, offsets=out[:-1] - rising * w[:-1, None])
+        w = w[order]
+        out = out[order]
+        slopes = np.diff(out, axis=0) / np.diff(w)[:, None]
+        offsets = out[:-1] - slopes * w[:-1, None]
+        return cls(points=w[1:-1].copy(), slopes=slopes, offsets=offsets)
 
     def __call__(self, w: Vector) -> Vector:
         j = int((self.points <= w[0]).sum())
@@ -46,56 +48,67 @@ class Joined:
 
 
 def reached(by: "Joined | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
-    """A product, in the order of the C code, or between stored points."""
+    """`by w`: a product, in the order of the C code, or the map between stored points."""
     return by(w) if isinstance(by, Joined) else times(by, w)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Rest points for `lifted (h,)`, rising: states `x (h, n)` and what S_y reads, `read (h,)`,
-    rising or falling."""
+    """Equilibria for `lifted (h,)`, rising: states `x (h, n)` and what S_y reads, `read (h,)`.
+
+    `read` rises or falls throughout.
+    """
 
     lifted: Vector
     x: Rows
     read: Vector
 
 
-def curve(controller: PortableController, low: float, high: float) -> Curve | None:
-    """Those from `low` to `high`, and half way between; None where two of them share an output, or
-    none is found."""
-    model, inner = controller.recurrence(), controller.neurons
-    if (
-        not isinstance(model, StructuredSystem)
-        or inner is None
-        or (len(model.d), len(model.d.T)) != (1, 1)
-    ):
+def equilibrium_curve(controller: PortableController, low: float, high: float) -> Curve | None:
+    """Equilibria from `low` to `high`, and half way between.
+
+    None where two of them share an output, or one is not found.
+    """
+    model = controller.recurrence()
+    neurons = controller.neurons
+    if not isinstance(model, StructuredSystem) or neurons is None:
         return None
-    # Each begins at rest.
-    sides = [np.linspace(0.0, end, 2 * PIECES + 1) for end in (low, high) if end != 0.0]
-    found: dict[float, Vector] = {}
-    for side in sides:
-        near = np.zeros(model.order)
-        for v in side:
-            x = _rest(model, inner, v, near)
+    if model.d.shape != (1, 1):
+        return None
+    states: dict[float, Vector] = {}
+    for end in (low, high):
+        if end == 0.0:
+            continue
+        near = np.zeros(model.order)  # each side begins at rest
+        for v in np.linspace(0.0, end, 2 * PIECES + 1):
+            x = _equilibrium(model, neurons, v, near)
             if x is None:
                 return None
-            found[float(v)] = near = x
-    lifted = np.array(sorted(found))
-    x = np.array([found[v] for v in lifted])
-    w = phi(inner.kinds, x @ model.f.T + lifted[:, None] * model.g.T + inner.bias) - inner.phi_bias
+            states[float(v)] = x
+            near = x
+    lifted = np.array(sorted(states))
+    x = np.array([states[v] for v in lifted])
+    z = x @ model.f.T + lifted[:, None] * model.g.T + neurons.bias
+    w = phi(neurons.kinds, z) - neurons.phi_bias
     read = x @ model.c[0] + lifted * model.d[0, 0] + w @ model.h[0]
     apart = np.diff(read)
-    return Curve(lifted=lifted, x=x, read=read) if (apart > 0).all() or (apart < 0).all() else None
+    is_monotone = (apart > 0).all() or (apart < 0).all()
+    return Curve(lifted=lifted, x=x, read=read) if is_monotone else None
 
 
-def _rest(model: StructuredSystem, inner: PortableNeurons, v: float, near: Vector) -> Vector | None:
-    """The state that one lifted input holds, searched from a neighbour's."""
+def _equilibrium(
+    model: StructuredSystem, neurons: PortableNeurons, v: float, near: Vector
+) -> Vector | None:
+    """State at which the model rests under one lifted input, searched from a neighbour's."""
 
-    def missing(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
-        z = model.f @ x + model.g[:, 0] * v + inner.bias
-        w, at = phi(inner.kinds, z) - inner.phi_bias, model.at_slopes(phi(inner.kinds, z, "slope"))
-        return model.a @ x + model.b[:, 0] * v + model.e @ w - x, at.a - np.eye(len(x))
+    def residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
+        z = model.f @ x + model.g[:, 0] * v + neurons.bias
+        w = phi(neurons.kinds, z) - neurons.phi_bias
+        tangent = model.at_slopes(phi(neurons.kinds, z, "slope"))
+        following = model.a @ x + model.b[:, 0] * v + model.e @ w
+        return following - x, tangent.a - np.eye(len(x))
 
-    solved = scipy.optimize.root(missing, near, jac=True, tol=1e-12)
-    # at a kink it ends without success, and exactly there
-    return solved.x if np.abs(solved.fun).max(initial=0.0) <= FOUND else None
+    solved = scipy.optimize.root(residual, near, jac=True, tol=1e-12)
+    # At a kink it ends without success, and exactly there.
+    is_solved = np.abs(solved.fun).max(initial=0.0) <= LARGEST_RESIDUAL
+    return solved.x if is_solved else None
