@@ -52,8 +52,8 @@ class Badly(Task[Settings]):
         return config
 
     def stages(self, request: Settings, stages: Stages) -> None:
-        data = stages.take(DATA, {"seed": request.seed})
-        stages.take(MODEL, {"rate": request.rate, "seed": request.seed}, None, data)
+        data = stages.run_stage(DATA, {"seed": request.seed})
+        stages.run_stage(MODEL, {"rate": request.rate, "seed": request.seed}, None, data)
 
     def parameters(self, request: Settings) -> dict[str, Any]:
         return {"seed": request.seed, "rate_controller": request.rate}
@@ -68,7 +68,7 @@ class Badly(Task[Settings]):
             "threads_seen": _threads(request),
         }
 
-    def warm(self, again: Set[str]) -> None:  # noqa: ARG002
+    def preload(self, again: Set[str]) -> None:  # noqa: ARG002
         for module in filter(None, os.environ.get("WARM", "").split()):
             importlib.import_module(module)
 

@@ -136,7 +136,7 @@ class Processes(Launcher):
             partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do
         ]
         # Starts with the first job.
-        server = Server(works, warm=partial(warm, task, to_do), threads=self.threads)
+        server = Server(works, preload=partial(preload, task, to_do), threads=self.threads)
         with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
@@ -169,7 +169,7 @@ class Processes(Launcher):
         return ended
 
 
-def warm(task: Task[Any], jobs: list[Job]) -> None:
+def preload(task: Task[Any], jobs: list[Job]) -> None:
     """What every job would import and read for itself: also the code that their keys depend on (0.2
     s)."""
     planned = KeyedStages(store_of(jobs[0].settings))
@@ -177,7 +177,7 @@ def warm(task: Task[Any], jobs: list[Job]) -> None:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
             task.stages(task.request(job.settings), planned)
     missing = Counter(result.name for result in planned.noted.values() if not result.reused)
-    task.warm({name for name, number in missing.items() if number > 1})
+    task.preload({name for name, number in missing.items() if number > 1})
     task.provenance()
 
 

@@ -91,7 +91,7 @@ def execute(
                 message="another process is at this run",
             )
         # Under the lock: another process may have done the run in the meantime.
-        before = standing(folder, mine=True)
+        before = run_status(folder, mine=True)
         if not is_to_run(before, retry_failed):
             return outcome_of(folder, before)
         _set_aside(folder, before)
@@ -107,7 +107,7 @@ def execute(
         )
 
 
-def standing(folder: Path, mine: bool = False) -> dict[str, Any] | None:
+def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
     """The record, with `status = corrupt` also for a finished run one of whose artefacts is not as
     it was written.
 

@@ -48,18 +48,18 @@ class Child:
 
 @dataclass
 class Server:
-    """Forks processes at work on `tasks[number]()`; `warm` imports for all of them, `threads` is
+    """Forks processes at work on `tasks[number]()`; `preload` imports for all of them, `threads` is
     what each may use."""
 
     tasks: Sequence[Callable[[], object]]
-    warm: Callable[[], object]
+    preload: Callable[[], object]
     threads: int
     children: dict[int, Child] = field(default_factory=dict)
     line: Connection | None = None
     pid: int = 0
 
     def fork(self, number: int) -> Child:
-        """A fresh process at work on a task; raises `BadRequest` if `warm` fails."""
+        """A fresh process at work on a task; raises `BadRequest` if `preload` fails."""
         if self.line is None:
             self._start()
         assert self.line is not None
@@ -108,7 +108,7 @@ class Server:
     def _start(self) -> None:
         with _environment(thread_limits(self.threads)):
             try:
-                self.warm()
+                self.preload()
             except Exception as error:  # whatever a module raises
                 source = traceback.extract_tb(error.__traceback__)[-1]
                 where = f"{source.filename}:{source.lineno}"

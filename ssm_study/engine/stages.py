@@ -81,7 +81,7 @@ class Stages(ABC):
     """Takes stages: `Store` computes and keeps, `PlannedStages` only notes what would be
     computed."""
 
-    def take(
+    def run_stage(
         self,
         stage: Stage[T],
         settings: Mapping[str, Any],
@@ -124,7 +124,7 @@ class Stages(ABC):
         """Its columns; a plan has none."""
         return {}
 
-    def aside(self) -> "Stages":
+    def unrecorded(self) -> "Stages":
         """Takes the same stages, of which no run is told: what leads to its own."""
         return self
 

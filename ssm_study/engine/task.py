@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from ssm_study.engine.durable import sha256_of_file
 from ssm_study.engine.plan import plan
 from ssm_study.engine.provenance import provenance
-from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, standing
+from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, run_status
 from ssm_study.engine.settings import Settings, digest, plain, yaml_text
 from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.store import Store
@@ -71,7 +71,7 @@ class Task(ABC, Generic[R]):
         its result."""
         return []
 
-    def warm(self, again: Set[str]) -> None:
+    def preload(self, again: Set[str]) -> None:
         """Import what every job of a sweep would import for itself; asked once, before the first is
         forked.
 
@@ -139,7 +139,7 @@ class Task(ABC, Generic[R]):
         """
         settings = self.settings(config)
         folder = folder_of(settings)
-        before = standing(folder)
+        before = run_status(folder)
         if is_to_run(before, bool(settings.get("retry_failed"))):
             return None
         found = outcome_of(folder, before)
@@ -166,7 +166,7 @@ class RunStages(Store):
         self.run.settle(kept.result, kept.stage.files, facts)  # at once: a later stage may fail
         return facts
 
-    def aside(self) -> Store:
+    def unrecorded(self) -> Store:
         return Store(self.root)
 
 

@@ -119,12 +119,12 @@ class Study(Task["Specification"]):
         data, _, bounded = self.identified(request, stages)
         if not request.model.gives_ssm:
             return
-        known, tried, aside = data, list[StageOutput[Any]](), stages.aside()
+        known, tried, unrecorded = data, list[StageOutput[Any]](), stages.unrecorded()
         for left in reversed(range(request.refine if isinstance(request.refine, int) else 0)):
-            tried += self.designed(request, aside, known, bounded)
-            known = (aside if left else stages).take(TRIALS, {}, {}, data, *tried)
+            tried += self.designed(request, unrecorded, known, bounded)
+            known = (unrecorded if left else stages).run_stage(TRIALS, {}, {}, data, *tried)
         if isinstance(request.refine, list):
-            known = stages.take(LOGS, *request.select("refine", "data"), data)
+            known = stages.run_stage(LOGS, *request.select("refine", "data"), data)
         self.designed(request, stages, known, bounded)
 
     def designed(
@@ -138,8 +138,8 @@ class Study(Task["Specification"]):
         from ssm_study.study.stages import EVIDENCE, LOOP, MISMATCH, SYNTHESIS
 
         plant = ("plant",) if request.plant else ()
-        shown = stages.take(MISMATCH, {}, {}, data, bounded)
-        judged = stages.take(EVIDENCE, {}, {}, data, bounded, shown)
+        shown = stages.run_stage(MISMATCH, {}, {}, data, bounded)
+        judged = stages.run_stage(EVIDENCE, {}, {}, data, bounded, shown)
         settings, parts = request.select("synthesis")
         limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
         bounded_law = (
@@ -147,8 +147,8 @@ class Study(Task["Specification"]):
         )  # to what the records visited
         limits["applied"] = bounded_law or any(end is not None for end in limits.values())
         settings, parts = settings | {"limits": limits}, parts | {"limits": limits}
-        design = stages.take(SYNTHESIS, settings, parts, data, bounded, shown, judged)
-        return design, stages.take(
+        design = stages.run_stage(SYNTHESIS, settings, parts, data, bounded, shown, judged)
+        return design, stages.run_stage(
             LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design
         )
 
@@ -161,13 +161,13 @@ class Study(Task["Specification"]):
 
         plant = ("plant", "excitation") if request.plant else ()
         settings, parts = request.select("data", "seed", *plant)
-        data = stages.take(DATASET, settings, parts)
+        data = stages.run_stage(DATASET, settings, parts)
         settings, parts = request.select("model", "training", "seed")
         parts |= {"progress": request.progress}  # in no key: a bar on the screen changes no number
-        model = stages.take(MODEL, settings, parts, data)
+        model = stages.run_stage(MODEL, settings, parts, data)
         if not request.model.gives_ssm:
-            return data, model, stages.take(SCORE, {}, {}, data, model)
-        return data, model, stages.take(BOUNDS, *request.select("reduction"), data, model)
+            return data, model, stages.run_stage(SCORE, {}, {}, data, model)
+        return data, model, stages.run_stage(BOUNDS, *request.select("reduction"), data, model)
 
     def run(self, request: "Specification", run: Run) -> Facts:
         """Infeasible where controller or observer is missing."""
@@ -209,10 +209,10 @@ class Study(Task["Specification"]):
     def asked(self, request: "Specification", overrides: Sequence[str]) -> Facts:
         return further(request.configuration, {word.partition("=")[0] for word in overrides})
 
-    def warm(self, again: Set[str]) -> None:
-        from ssm_study.study.preload import warm
+    def preload(self, again: Set[str]) -> None:
+        from ssm_study.study.preload import preload
 
-        warm(again)
+        preload(again)
 
 
 STUDY = Study()

@@ -43,8 +43,8 @@ def modules_for(again: Set[str]) -> Iterator[str]:
                 yield module.name
 
 
-def warm(again: Set[str]) -> None:
-    """Import for all jobs, in the process that they are forked from; `again` as in `Task.warm`."""
+def preload(again: Set[str]) -> None:
+    """Import for all jobs, in the process that they are forked from; `again` as in `Task.preload`."""
     for name in modules_for(again):
         with suppress(
             Exception

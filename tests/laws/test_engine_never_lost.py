@@ -78,7 +78,7 @@ def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.Monk
 
 
 def test_a_server_that_is_killed_is_started_again() -> None:
-    server = Server([lambda: time.sleep(60), lambda: None], warm=lambda: None, threads=1)
+    server = Server([lambda: time.sleep(60), lambda: None], preload=lambda: None, threads=1)
     first = server.fork(0)
     os.kill(server.pid, signal.SIGKILL)
     first.join(10.0)

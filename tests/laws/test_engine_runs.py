@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from ssm_study.engine import settings as naming
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.records import RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import Run, execute, standing
+from ssm_study.engine.runs import Run, execute, run_status
 from ssm_study.engine.store import intact_manifest
 from ssm_study.engine.task import folder_of
 from ssm_study.refusal import BadRequest
@@ -197,7 +197,7 @@ def test_a_damaged_run_is_done_again_by_the_same_command(tmp_path: Path, name: s
     folder = tmp_path / "study" / "run"
     execute(folder, {"seed": 1}, good)
     (folder / name).write_text('{"status": "ok"}')
-    assert (standing(folder) or {})["status"] == "corrupt"
+    assert (run_status(folder) or {})["status"] == "corrupt"
     assert execute(folder, {"seed": 1}, good).did == "ran"
     assert (folder / "attempts" / "1" / name).read_text() == '{"status": "ok"}'
     assert execute(folder, {"seed": 1}, unreachable).did == "found"

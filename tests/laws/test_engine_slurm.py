@@ -125,7 +125,7 @@ class Requeued(SlurmLauncher):  # type: ignore[misc]
 
     def __call__(self, folder: Path) -> JobReturn:  # type: ignore[override]
         def work(run: Run) -> dict[str, float]:
-            RunStages(folder / "store", run).take(COUNTED, {"calls": str(folder / "calls")})
+            RunStages(folder / "store", run).run_stage(COUNTED, {"calls": str(folder / "calls")})
             (begun := folder / "begun").open("a").write("begun\n")
             while begun.read_text().count("begun") == 1:
                 time.sleep(0.05)

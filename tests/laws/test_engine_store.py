@@ -281,9 +281,9 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     store = Store(tmp_path)
 
     def line(stages: Store | PlannedStages, rate: float) -> str:
-        data = stages.take(Stage(name="data", compute=write_kept), {})
-        model = stages.take(Stage(name="model", compute=write_kept), {"order": 8}, None, data)
-        return stages.take(
+        data = stages.run_stage(Stage(name="data", compute=write_kept), {})
+        model = stages.run_stage(Stage(name="model", compute=write_kept), {"order": 8}, None, data)
+        return stages.run_stage(
             Stage(name="synthesis", compute=write_kept), {"rate": rate}, None, model
         ).result.key
 

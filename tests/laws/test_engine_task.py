@@ -13,7 +13,7 @@ from engine_study import Badly
 
 from ssm_study.engine import fingerprint as code
 from ssm_study.engine.jobs import Job
-from ssm_study.engine.launcher import warm
+from ssm_study.engine.launcher import preload
 from ssm_study.engine.records import read_record
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.store import Store
@@ -83,7 +83,7 @@ def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path:
     settings = Settings(seed=1, do="work", rate=1, study="s", run="r", results_dir=str(tmp_path))
     task, job = Badly(), Job(overrides=[], settings=settings, folder=tmp_path / "s" / "r")
     code.code_version.cache_clear()
-    warm(task, [job])
+    preload(task, [job])
     read = code.code_version.cache_info().misses
     task.stages(settings, Store(tmp_path / ".store"))
     assert code.code_version.cache_info().misses == read > 0
@@ -94,7 +94,7 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
     asked = []
 
     class Asked(Badly):
-        def warm(self, again: Set[str]) -> None:
+        def preload(self, again: Set[str]) -> None:
             asked.append(again)
 
     def job(run: str, seed: int, rate: int) -> Job:
@@ -103,16 +103,16 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
         )
         return Job(overrides=[], settings=made, folder=tmp_path / "s" / run)
 
-    warm(Asked(), [job("a", 1, 1), job("b", 1, 2)])
-    warm(Asked(), [job("a", 1, 1), job("c", 2, 1)])
+    preload(Asked(), [job("a", 1, 1), job("b", 1, 2)])
+    preload(Asked(), [job("a", 1, 1), job("c", 2, 1)])
     first = job("a", 1, 1)
     Asked().stages(first.settings, Store(tmp_path / ".store"))
-    warm(Asked(), [first, job("c", 2, 1)])
+    preload(Asked(), [first, job("c", 2, 1)])
     assert asked == [{"model"}, {"data", "model"}, set()]
 
 
 def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
-    program = "import sys; from ssm_study.study.preload import warm; warm(set()); "
+    program = "import sys; from ssm_study.study.preload import preload; preload(set()); "
     program += "print({'cvxpy', 'torch', 'lightning'} & set(sys.modules))"
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True
