@@ -10,14 +10,17 @@ import math
 import os
 import secrets
 import shutil
+import socket
 import stat
+import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
+POLL_S = 0.02  # between two attempts to obtain a lock
 LARGEST = 2**27  # bytes of a file that is read at once
 FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to
 
@@ -152,54 +155,94 @@ def _body_digest(body: dict[str, Any]) -> str:
 
 @contextmanager
 def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
-    """Hold the exclusive flock on `path`, waiting for it; yields whether it was obtained.
+    """Hold the exclusive lock on `path`, waiting for it; yields whether it was obtained.
 
-    The system lets go of it when the process dies.
+    The system releases it when the process dies. It is a flock; on a file system that knows none
+    it is a name of this machine, which excludes the processes of this machine.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # Every opening is a lock of its own, also within one process; a program that is executed does
     # not inherit it.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
-        if math.isinf(patience_s):
-            _flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
-        yield math.isinf(patience_s) or _try_lock(descriptor, time.monotonic() + patience_s)
+        with ExitStack() as held_name:
+            yield _obtain(descriptor, patience_s, held_name)
     finally:
-        # Lets go of it; the file stays: who removes it may remove a lock that another holds.
+        # Releases the flock; the file stays: who removes it may remove a lock that another holds.
         os.close(descriptor)
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a living process holds the flock on `path`."""
+    """Whether a living process holds the lock on `path`."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
         return False
     try:
         # Shared: readers do not exclude each other.
-        _flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return False
+    except OSError as error:
+        if isinstance(error, BlockingIOError):
+            return True
+        _refuse_other_than_missing_locks(error)
+        with ExitStack() as held_name:
+            return not _take_name(descriptor, held_name)
     finally:
         os.close(descriptor)
-    return False
 
 
-def _flock(descriptor: int, how: int) -> None:
-    """As `fcntl.flock`; a file system that knows no locks has none that others could hold."""
+def _obtain(descriptor: int, patience_s: float, held_name: ExitStack) -> bool:
+    """Try for `patience_s` to lock the open file; a name is held until `held_name` is closed."""
     try:
-        fcntl.flock(descriptor, how)
-    except OSError as error:
-        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-            raise
-
-
-def _try_lock(descriptor: int, deadline: float) -> bool:
-    while True:
-        try:
-            _flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if math.isinf(patience_s):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
             return True
-        except BlockingIOError:
-            if time.monotonic() >= deadline:
-                return False
-            time.sleep(0.02)
+        return _poll(lambda: _try_flock(descriptor), patience_s)
+    except OSError as error:
+        _refuse_other_than_missing_locks(error)
+    return _poll(lambda: _take_name(descriptor, held_name), patience_s)
+
+
+def _poll(attempt: Callable[[], bool], patience_s: float) -> bool:
+    deadline = time.monotonic() + patience_s
+    while not attempt():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(POLL_S)
+    return True
+
+
+def _try_flock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _refuse_other_than_missing_locks(error: OSError) -> None:
+    """Raise the error again unless it says that the file system knows no locks."""
+    if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+        raise error
+
+
+def _take_name(descriptor: int, held_name: ExitStack) -> bool:
+    """Take the machine's name for the open file, if no living process has it.
+
+    The name is an address of Linux' abstract sockets: it lies in no file system and goes when its
+    process dies. On another system nobody can have it.
+    """
+    if not sys.platform.startswith("linux"):
+        return True
+    file = os.fstat(descriptor)
+    name = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        name.bind(f"\0ssm-study-{file.st_dev:x}-{file.st_ino:x}")
+    except OSError as error:
+        name.close()
+        if error.errno == errno.EADDRINUSE:
+            return False
+        raise
+    held_name.callback(name.close)
+    return True

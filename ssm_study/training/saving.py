@@ -6,6 +6,8 @@ import hashlib
 import io
 import logging
 import math
+import signal
+import threading
 import time
 import warnings
 from dataclasses import replace
@@ -112,12 +114,15 @@ def trained(
             "ignore", module="lightning"
         )  # advice on Slurm, workers, loggers: of no use here
         line = [ProgressLine(settings.max_epochs)] if progress else []
-        trainer = trainer_of(
-            settings, [stopping, keeper, *line], folder
-        )  # saved is what stopping has counted
-        trainer.fit(fit, one, one, ckpt_path=resume_from)
-    if trainer.interrupted:
-        raise KeyboardInterrupt
+        # Saved is what stopping has counted.
+        trainer = trainer_of(settings, [stopping, keeper, *line, OriginalSignals()], folder)
+        try:
+            trainer.fit(fit, one, one, ckpt_path=resume_from)
+        except SystemExit as stop:
+            # Lightning exits with status 1 on Ctrl-C, as if the training had failed.
+            if isinstance(stop.__context__, KeyboardInterrupt):
+                raise KeyboardInterrupt from None
+            raise
     early = (
         "validation fit no longer grows"
         if stopping.stopped_epoch > 0
@@ -130,6 +135,27 @@ def trained(
     model, told = fit.concluded()
     ended = (keeper.ended or early) + told
     return Identification.of(model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended)
+
+
+class OriginalSignals(Callback):
+    """Leaves the signals of batch systems to whoever handled them before the training.
+
+    Lightning turns SIGTERM into an exception of its own, which looks like an error of the run, and
+    stops where submitit has asked the process to continue. Without it the process ends at once: the
+    last checkpoint is there, and the same command continues the training.
+    """
+
+    numbers = (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
+
+    def __init__(self) -> None:
+        self.handlers = {number: signal.getsignal(number) for number in self.numbers}
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        if threading.current_thread() is not threading.main_thread():
+            return  # neither Lightning nor we may set a handler there
+        for number, handler in self.handlers.items():
+            if handler is not None:  # None: not set by Python
+                signal.signal(number, handler)
 
 
 def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> pl.Trainer:

@@ -4,6 +4,7 @@ once."""
 import errno
 import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -253,3 +254,40 @@ def test_where_files_cannot_be_shared_they_are_copied(
     (tmp_path / "a").write_text("text")
     link_or_copy(tmp_path / "a", tmp_path / "b")
     assert ((tmp_path / "b").read_text(), (tmp_path / "a").stat().st_nlink) == ("text", 1)
+
+
+NO_FLOCK = """
+#include <errno.h>
+int flock(int descriptor, int how) { (void)descriptor; (void)how; errno = ENOLCK; return -1; }
+"""
+
+
+@pytest.fixture
+def without_flock(tmp_path: Path) -> str:
+    """A library under which every flock fails as on a file system that knows none."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source = tmp_path / "flock.c"
+    source.write_text(NO_FLOCK)
+    library = tmp_path / "flock.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source], check=True)
+    return str(library)
+
+
+def test_a_file_system_without_locks_costs_no_run(tmp_path: Path, without_flock: str) -> None:
+    """Half of the runs failed for good: each job removed the folder of its living neighbour."""
+
+    finish(start(tmp_path, "seed=0", "rate=range(8)", LD_PRELOAD=without_flock, WORK_S="0.3"))
+    assert statuses(tmp_path) == ["ok"] * 8
+    again = tmp_path / "two"
+    again.mkdir()
+    sweeps = [
+        start(again, "seed=0,1", "rate=range(4)", LD_PRELOAD=without_flock, WORK_S="0.3")
+        for _ in range(2)
+    ]
+    for sweep in sweeps:
+        finish(sweep)
+    assert statuses(again) == ["ok"] * 8
+    ledger = (again / "results" / "ledger").read_text().split("\n")[:-1]
+    assert len(ledger) == len(set(ledger)) == 2 + 8

@@ -1,0 +1,76 @@
+"""A training that is stopped from outside is no failure: the run is lost, and resumed by its command."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ssm_study.engine.records import RECORD, read_record
+
+ENDLESS = [
+    "experiment=smoke",
+    "training.max_epochs=100000",
+    "training.patience=100000",
+    "+training.checkpoint_every_s=0.01",
+    "progress=false",
+]
+
+
+def wait_for_file(folder: Path, name: str, seconds: float = 120.0) -> Path:
+    deadline = time.monotonic() + seconds
+    while not (found := list(folder.rglob(name))):
+        assert time.monotonic() < deadline, f"no {name} within {seconds} s"
+        time.sleep(0.1)
+    return found[0]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_within_a_training_leaves_a_run_that_is_resumed(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """Lightning makes an exception of SIGTERM and status 1 of Ctrl-C: both were failures for good."""
+    command = [sys.executable, "-m", "ssm_study.cli", "run", *ENDLESS, f"results_dir={tmp_path}"]
+    training = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_for_file(tmp_path / ".store", "last.ckpt")
+    training.send_signal(number)
+    _, errors = training.communicate(timeout=60)
+    assert training.returncode == -number, errors
+    record = read_record(wait_for_file(tmp_path / "smoke", RECORD).parent)
+    assert record is not None
+    assert record["status"] == "lost"
+    assert "error_type" not in record
+    wait_for_file(tmp_path / ".store", "last.ckpt", seconds=0.0)
+
+
+PROGRAM = """
+import os, signal, threading
+import numpy as np
+import ssm_study as st
+from pathlib import Path
+def stop():
+    while not list(Path(RESULTS).rglob("last.ckpt")):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+threading.Thread(target=stop, daemon=True).start()
+u = np.random.default_rng(0).normal(size=500)
+y = np.convolve(u, [0.0, 0.5, 0.3, 0.1])[:500]
+words = ["model=ssm", "training.max_epochs=100000", "training.patience=100000"]
+st.fit(u, y, 0.1, *words, "+training.checkpoint_every_s=0.01", results_dir=RESULTS)
+print("went on")
+"""
+
+
+def test_a_program_that_fits_ends_by_the_signal_it_got(tmp_path: Path) -> None:
+    """It ended with status 0, and a batch system took it for done."""
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM.replace("RESULTS", repr(str(tmp_path)))],
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert (ended.returncode, ended.stdout) == (-signal.SIGTERM, ""), ended.stderr
