@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.data.mcap import read_mcap
-from ssm_study.engine.settings import resolved
+from ssm_study.engine.settings import resolved, stored_yaml
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.onnx import onnx_model
@@ -94,7 +94,7 @@ def limits(run: Path) -> tuple[Range, Range]:
     if visited is None:
         return np.array([-np.inf]), np.array([np.inf])
     file = run / ".hydra" / "config.yaml"
-    settings = OmegaConf.load(file) if file.is_file() else OmegaConf.create()
+    settings = OmegaConf.create(stored_yaml(file)) if file.is_file() else OmegaConf.create()
     lower = OmegaConf.select(settings, "loop.input_lower")
     upper = OmegaConf.select(settings, "loop.input_upper")
     around_rest = _model(run).scale.with_rest([np.stack(visited[1:])])

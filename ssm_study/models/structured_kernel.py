@@ -16,11 +16,9 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 
+from ssm_study.compilation import compiled
 from ssm_study.models.structured import shapes
-
-compiled = njit(cache=True, error_model="numpy")  # division as in C: no checks inside the loops
 
 
 class Matrices(NamedTuple):

@@ -14,7 +14,8 @@ is within `a0`.
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
+
+from ssm_study.compilation import compiled
 
 # A substep's error falls with its fifth power.
 ORDER = 4
@@ -22,7 +23,7 @@ SWITCHES_PER_SUBSTEP = 16  # a guard against endless switching; met twice at mos
 BISECTIONS = 60  # below the spacing of doubles for any substep
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _torques(
     p, i, wm, wl, th, load
@@ -31,7 +32,7 @@ def _torques(
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _series(p, c, v, load, motor_mode, load_mode):
     """Fill `c[1:]`; row 0 is the state. A stuck body keeps a zero speed in every row, hence
@@ -50,7 +51,7 @@ def _series(p, c, v, load, motor_mode, load_mode):
         c[q + 1, 3] = (wm - wl) * part
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _at(c, j, t):
     value = c[ORDER, j]
@@ -59,7 +60,7 @@ def _at(c, j, t):
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _keeps(p, c, t, load, body, mode):
     """Positive while `body` (0 motor, 1 load) stays in its mode at time t of the series."""
@@ -69,7 +70,7 @@ def _keeps(p, c, t, load, body, mode):
     return p.coulomb - abs(tm if body == 0 else tl)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _leaves(
     p, c, h, load, body, mode
@@ -86,7 +87,7 @@ def _leaves(
     return high
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _mode(
     speed, torque, coulomb
@@ -98,7 +99,7 @@ def _mode(
     return 1 if torque > 0.0 else -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
     tm, tl = _torques(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
@@ -123,7 +124,7 @@ def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
             load_mode = _mode(0.0, tl, p.coulomb if load_mode != 0 else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
     """`x (N, 4)` after `substeps` steps of `h` seconds under voltage `u (N, 1)` and load torque `d

@@ -14,6 +14,7 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
 from ssm_study.engine.durable import contents
+from ssm_study.engine.settings import stored_yaml
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import model_from_json
 from ssm_study.refusal import BadRequest, require
@@ -74,7 +75,8 @@ class RunFolder:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        return self._parsed(".hydra/config.yaml", yaml.safe_load) or {}
+        path = self.path / ".hydra" / "config.yaml"
+        return (yaml.safe_load(stored_yaml(path)) if path.is_file() else None) or {}
 
     @cached_property
     def curve(self) -> pd.DataFrame | None:

@@ -41,7 +41,10 @@ PARTS = ("plant", "excitation", "data", "model", "training", "reduction", "synth
 ENVIRONMENT = re.compile(
     r"(OMP|MKL|OPENBLAS)_NUM_THREADS|OMP_WAIT_POLICY|CUDA_VISIBLE_DEVICES|MALLOC_\w+_"
 )
-RESOLVERS = re.compile(r"\$\{\s*(oc\.env|env|oc\.decode|oc\.create|oc\.deprecated)\s*:")
+# The interpolations that a configuration may hold: another key, and the name of a run. A resolver's
+# name may itself be interpolated, so whatever is nested or has another resolver is refused.
+INTERPOLATION = re.compile(r"\$\{\s*(?:[\w.\[\]]+|run_name:[^${}]*)\s*\}")
+HYDRAS_INTERPOLATION = re.compile(r"\$\{\s*(?:[\w.\[\]]+|(?:hydra|now|run_name):[^${}]*)\s*\}")
 REMEDY = "name a part of ssm_study; your own study: add --with FOLDER"
 
 
@@ -73,11 +76,19 @@ def _refuse_in_task(tree: Any) -> None:
         require(
             key != "_target_" or is_ours(value), path, value, "this may not be instantiated", REMEDY
         )
-        resolves = isinstance(value, str) and RESOLVERS.search(value) is not None
-        require(not resolves, path, value, problem, "write the value itself")
+        is_plain = has_only(INTERPOLATION, value)
+        require(is_plain, path, value, problem, "write the value itself")
+
+
+def has_only(allowed: re.Pattern[str], value: Any) -> bool:
+    """Whether all interpolations in a value are of the allowed form."""
+    return not isinstance(value, str) or value.count("${") == len(allowed.findall(value))
 
 
 def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
+    is_plain = has_only(HYDRAS_INTERPOLATION, value)
+    problem = "this interpolation reads the environment or builds configuration from text"
+    require(is_plain, path, value, problem, "write the value itself")
     if key == "_target_":
         allowed = PLUGINS.fullmatch(str(value)) is not None
         require(allowed, path, value, "this may not be instantiated", "use Hydra's own plugins")

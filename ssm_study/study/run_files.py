@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.durable import contents
+from ssm_study.engine.settings import stored_yaml
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
@@ -48,7 +49,7 @@ class RunFiles:
             "give a run folder that the study made",
         )
         require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
-        config = OmegaConf.create(contents(self.path / CONFIGURATION).decode())
+        config = OmegaConf.create(stored_yaml(self.path / CONFIGURATION))
         require(
             isinstance(config, DictConfig),
             CONFIGURATION,

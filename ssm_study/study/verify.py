@@ -8,8 +8,8 @@ claim that does not hold. What is derived from what: `study.claims`.
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,9 @@ from ssm_study.refusal import printable, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
 from ssm_study.study.run_files import RunFiles, one_line
 from ssm_study.table.columns import declared
+
+
+UNGIVEN = "nothing in the run's files gives it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +43,9 @@ class Verification:
 
     def demand(self, field: str, value: Any) -> None:
         """Raise `BadRequest` that names the claims which do not hold."""
-        wrong = [str(finding) for finding in self.findings if not finding.holds]
-        problem = (
-            f"{len(wrong)} of {len(self.findings)} claims do not hold: {'; '.join(wrong)[:300]}"
-        )
+        wrong = [finding for finding in self.findings if not finding.holds]
+        causes = "; ".join(finding_lines(wrong))[:300]
+        problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {causes}"
         require(
             not wrong,
             field,
@@ -61,20 +63,45 @@ class Verification:
         return f"{held} of {len(self.findings)} claims hold; {left_out}"
 
     def lines(self) -> list[str]:
-        """One line per claim, one per reason for not checking, and the summary."""
+        """One line per claim, one per cause of a failure, one per reason for not checking.
+
+        The summary comes last.
+        """
         reasons: dict[str, list[str]] = {}
         for name, reason in self.unchecked.items():
             reasons.setdefault(reason, []).append(name)
         skipped = [
             f"not checked  {', '.join(names)}: {reason}" for reason, names in reasons.items()
         ]
-        return [*map(str, self.findings), *skipped, self.summary()]
+        return [*finding_lines(self.findings), *skipped, self.summary()]
 
     def to_json(self) -> str:
         claims = [asdict(finding) for finding in self.findings]
         return json.dumps(
             {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}, indent=1
         )
+
+
+def finding_lines(findings: Sequence[Checked]) -> list[str]:
+    """One line per claim that holds, and one per cause for those that do not."""
+    failing: dict[str, list[str]] = {}
+    for finding in findings:
+        if not finding.holds:
+            failing.setdefault(_cause(finding), []).append(finding.claim)
+    lines = []
+    for finding in findings:
+        if finding.holds:
+            lines.append(str(finding))
+        elif len(claims := failing.pop(_cause(finding), [])) == 1:
+            lines.append(str(finding))
+        elif claims:
+            lines.append(str(replace(finding, claim=", ".join(claims), found=_cause(finding))))
+    return lines
+
+
+def _cause(finding: Checked) -> str:
+    """What was found, without the stored value where nothing gives the column."""
+    return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 
 def verify(run: Path) -> Verification:
@@ -161,7 +188,7 @@ def judge(
         return ""
     if reason := unchecked.get(name) or (column.unchecked if column else ""):
         return reason
-    problem = "nothing in the run's files gives it" if column else "no such column is declared"
+    problem = UNGIVEN if column else "no such column is declared"
     return Checked(claim=name, holds=False, found=f"stored {_short(record[name])}, yet {problem}")
 
 

@@ -1,0 +1,36 @@
+"""Compiled loops over numbers: machine code by numba, kept on disk where that is possible."""
+
+import warnings
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from numba import njit
+
+
+class NoCompiledCode(UserWarning):
+    """Compiled code cannot be kept: every process compiles its own."""
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of numbers and arrays when it is first called.
+
+    The code is kept beside the source, in the user's cache, or in `NUMBA_CACHE_DIR`; without a
+    folder that may be written to (a read-only installation, no home) it is compiled in each
+    process, which is said once. Division is that of C: no checks inside the loops.
+    """
+    try:
+        made: Callable[..., Any] = njit(cache=True, error_model="numpy")(function)
+    except RuntimeError as error:  # numba's, for no place to write to
+        if "cannot cache" not in str(error):
+            raise
+        _warn_once()
+        made = njit(error_model="numpy")(function)
+    return made
+
+
+@cache
+def _warn_once() -> None:
+    problem = "compiled code cannot be kept, so each process compiles for some seconds"
+    remedy = "set NUMBA_CACHE_DIR to a folder that may be written to"
+    warnings.warn(f"{problem}; {remedy}", NoCompiledCode, stacklevel=3)

@@ -1,0 +1,86 @@
+"""A small file that stands for a large one is refused before anything is made of it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml  # type: ignore[import-untyped]
+
+from ssm_study.engine.settings import stored_yaml, yaml_text
+from ssm_study.refusal import BadRequest
+from ssm_study.study.claims import Checked
+from ssm_study.study.verify import UNGIVEN, finding_lines
+
+ALIASES = "\n".join(
+    ["a0: &a0 [x,x,x,x,x,x,x,x,x,x]"]
+    + [f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+)
+TEXTS = {
+    "aliases": ALIASES,
+    "an alias of itself": "a: &a [*a]",
+    "interpolations": "a0: xxxxxxxx\n"
+    + "\n".join(f"a{i}: ${{a{i - 1}}}${{a{i - 1}}}${{a{i - 1}}}" for i in range(1, 20)),
+    "no YAML": "a: [",
+    "two documents": "a: 1\n---\nb: 2\n",
+    "depth": "[" * 5000,
+}
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_a_stored_configuration_that_stands_for_more_than_itself_is_refused(
+    tmp_path: Path, text: str
+) -> None:
+    """500 bytes of aliases hung verify, report, export, reproduce and refine."""
+    assert len(text) < 6000
+    file = tmp_path / "config.yaml"
+    file.write_text(text)
+    with pytest.raises(BadRequest, match=r"config\.yaml"):
+        stored_yaml(file)
+
+
+def test_what_the_engine_writes_is_read_although_a_value_stands_in_it_twice(
+    tmp_path: Path,
+) -> None:
+    shared = {"order": 4}
+    file = tmp_path / "config.yaml"
+    file.write_text(yaml_text({"model": shared, "again": shared, "few": [1.0e-5, "1e5"]}))
+    assert "&" not in file.read_text()
+    assert yaml.safe_load(stored_yaml(file))["again"] == shared
+    file.write_text("few: &few [1, 2]\nagain: *few\n")  # the control: a few aliases are no bomb
+    assert yaml.safe_load(stored_yaml(file))["again"] == [1, 2]
+
+
+def test_reproduce_answers_at_once(tmp_path: Path) -> None:
+    run = tmp_path / "study" / "run"
+    (run / ".hydra").mkdir(parents=True)
+    (run / ".hydra" / "config.yaml").write_text(ALIASES)
+    from ssm_study.engine.records import write_record
+
+    write_record(run, {"status": "ok", "study": "study", "run": "run"})
+    command = [sys.executable, "-m", "ssm_study.cli", "reproduce", str(run)]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert "aliases make" in ended.stderr
+
+
+def test_one_cause_is_one_line() -> None:
+    """One unreadable file was told seven times, and eighty columns after it."""
+    cause = "cannot be derived: the file is damaged"
+    findings = [
+        Checked(claim="files", holds=True, found="as written"),
+        Checked(claim="data", holds=False, found=cause),
+        Checked(claim="order", holds=False, found=f"stored 4, yet {UNGIVEN}"),
+        Checked(claim="model", holds=False, found=cause),
+        Checked(claim="seed", holds=False, found=f"stored 0, yet {UNGIVEN}"),
+        Checked(claim="run", holds=False, found="derived a, stored b"),
+    ]
+    assert finding_lines(findings) == [
+        "holds  files: as written",
+        f"FAILS  data, model: {cause}",
+        f"FAILS  order, seed: {UNGIVEN}",
+        "FAILS  run: derived a, stored b",
+    ]
+    assert finding_lines(findings[1:3])[1] == f"FAILS  order: stored 4, yet {UNGIVEN}"
