@@ -63,8 +63,11 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
     loop, made = parts.loop.fitted(model), []
-    for views, trials in (("three", data.trials), ("one", tuple(filter(is_return, data.trials)))):
-        known = Identified.of(model, certified_balls(model), replace(data, trials=trials))
+    for views, trials in (
+        ("three", data.mismatch_records),
+        ("one", tuple(filter(is_return, data.mismatch_records))),
+    ):
+        known = Identified.of(model, certified_balls(model), replace(data, mismatch_records=trials))
         rows = pd.DataFrame(DesignGrid(designs=designs).rows(plant, known, loop, seed))
         settles, drawn = rows.stable_count_noise_free == rows.initial_conditions, rows.index > 0
         said = rows.predicted_stable.astype(bool)

@@ -54,7 +54,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     quiet = replace(data, test=parts.data.build(clean, parts.excitation, seed).test)
     fit = Simulation.of(made, quiet.test, quiet.start_up_samples).fit_percent
     shown, balls = (
-        mismatch(made, data.validation, data.start_up_samples, data.trials),
+        mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
         certified_balls(made),
     )
     design = parts.synthesis.design(made, balls, data.validation, shown)

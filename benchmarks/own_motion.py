@@ -161,7 +161,11 @@ def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
     data, fitted, skip = model.data, model.simulator, model.data.start_up_samples
     validation, test = (Simulation.of(fitted, part, skip) for part in (data.validation, data.test))
     found = judge(
-        data, fitted, validation, test, mismatch(fitted, data.validation, skip, data.trials)
+        data,
+        fitted,
+        validation,
+        test,
+        mismatch(fitted, data.validation, skip, data.mismatch_records),
     )
     shares = shares_predicted(Case(data=data, model=fitted, validation=validation, test=test)) or (
         None,

@@ -46,7 +46,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
     shown, balls = (
-        mismatch(made, data.validation, data.start_up_samples, data.trials),
+        mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
         certified_balls(made),
     )
     free = [

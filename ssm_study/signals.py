@@ -179,7 +179,7 @@ class DataSet:
     """Separate training, validation and test records of one system; `start_up_samples` are
     simulated, not scored.
 
-    `trials` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping and no
+    `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping and no
     score uses them.
     """
 
@@ -189,7 +189,7 @@ class DataSet:
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     scale: Scale
-    trials: Trajectories = ()
+    mismatch_records: Trajectories = ()
     start_up_samples: int = 0
     metadata: dict[str, str] = field(default_factory=dict)
 

@@ -52,7 +52,7 @@ def plant_of(name: str) -> Plant:
 def before(known: Identified) -> Mismatch:
     """What the rule that went before knew: the validation record alone, its average where the input
     has no power."""
-    shown = replace(known, trials=()).shown
+    shown = replace(known, mismatch_records=()).shown
     view: View = shown.views[0]
     unknown = np.isin(
         np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9)

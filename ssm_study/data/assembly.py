@@ -19,7 +19,13 @@ SAME_STEP = 1e-9  # relative: sampling times written by different programs
 Parts = tuple[Sequence[Trajectory], Sequence[Trajectory], Sequence[Trajectory]]
 Rest = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "p"]]
 Channels = tuple[Channel, ...]
-PARTS = ("training", "validation", "test", "trials")
+# Field of a data set: what stored files call it.
+PARTS = {
+    "training": "training",
+    "validation": "validation",
+    "test": "test",
+    "mismatch_records": "trials",
+}
 TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside its signals
 
 
@@ -104,11 +110,11 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
     about |= {
         name: [asdict(channel) for channel in getattr(data, name)] for name in ("inputs", "outputs")
     }
-    for part in PARTS:
+    for part, stored in PARTS.items():
         records: tuple[Trajectory, ...] = getattr(data, part)
-        about[part] = [{k: getattr(record, k) for k in TOLD} for record in records]
+        about[stored] = [{k: getattr(record, k) for k in TOLD} for record in records]
         for i, record in enumerate(records):
-            arrays |= {f"{part}/{i}/u": record.u, f"{part}/{i}/y": record.y}
+            arrays |= {f"{stored}/{i}/u": record.u, f"{stored}/{i}/y": record.y}
     return {name: np.ascontiguousarray(values) for name, values in arrays.items()}, about
 
 
@@ -117,10 +123,10 @@ def dataset_from_tensors(
 ) -> DataSet:
     """The inverse of `dataset_to_tensors`."""
     parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
-    for part in PARTS:
-        told = enumerate(about[part])
+    for part, stored in PARTS.items():
+        told = enumerate(about[stored])
         parts[part] = tuple(
-            Trajectory(u=arrays[f"{part}/{i}/u"], y=arrays[f"{part}/{i}/y"], **one)
+            Trajectory(u=arrays[f"{stored}/{i}/u"], y=arrays[f"{stored}/{i}/y"], **one)
             for i, one in told
         )
     for name in ("inputs", "outputs"):

@@ -89,9 +89,9 @@ class AroundRest(RecordedSource):
 class RecordedData(Columns, AroundRest):
     """Logs of one system, each cut into training, validation and test (`data.splits`).
 
-    The rests of whole logs are `trials` (`splits.returns`), and so are repeated periods where every
+    The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated periods where every
     log is made of such
-    (`splits.repeats`), although they train, too. Of logs made in a closed loop, where `reference`
+    (`splits.periodic_segments`), although they train, too. Of logs made in a closed loop, where `reference`
     or `controller` is
     told, the input is what the set point makes of it (`closed_loop`). The settings:
     conf/data/recorded.yaml.
@@ -203,9 +203,9 @@ class RecordedData(Columns, AroundRest):
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         found = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
-        repeated = [splits.repeats(log, self.start_up_samples) for log in logs]
-        kept = [*map(splits.returns, logs), *(repeated if all(repeated) else [])]
-        return replace(found, trials=tuple(piece for pieces in kept for piece in pieces))
+        repeated = [splits.periodic_segments(log, self.start_up_samples) for log in logs]
+        kept = [*map(splits.rest_segments, logs), *(repeated if all(repeated) else [])]
+        return replace(found, mismatch_records=tuple(piece for pieces in kept for piece in pieces))
 
     def _logs(self, field: str, outputs: str) -> list[Trajectory]:
         """Every log; two files of which one has the inputs and the other the outputs are one

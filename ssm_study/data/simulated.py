@@ -107,12 +107,16 @@ class SimulatedData:
             "excitation": excitation.kind,
         }
         told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
-        told |= {"trials": trials(plant, seed, deviation)} if self.trials else {}
+        told |= (
+            {"mismatch_records": mismatch_records(plant, seed, deviation)} if self.trials else {}
+        )
         parts, channels = (training, validation, test), (plant.inputs, plant.outputs)
         return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
 
-def trials(plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]) -> tuple[Trajectory, ...]:
+def mismatch_records(
+    plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]
+) -> tuple[Trajectory, ...]:
     """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of
     that `deviation`.
 

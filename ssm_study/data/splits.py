@@ -77,7 +77,7 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
     return [piece for piece in (record[:start], record[end:]) if len(piece)], record[start:end]
 
 
-def returns(record: Trajectory) -> list[Trajectory]:
+def rest_segments(record: Trajectory) -> list[Trajectory]:
     """Every stretch at the input at which the record ends, with the sample before it; none where it
     ends moving.
 
@@ -87,7 +87,7 @@ def returns(record: Trajectory) -> list[Trajectory]:
     return [record[a:b] for a, b in _rests(record)]
 
 
-def repeats(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
+def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
     """The stretches between such rests, half of the rest before and all behind, if the input of
     each repeats itself.
 

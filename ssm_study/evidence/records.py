@@ -60,7 +60,7 @@ def _range(case: Case) -> Iterator[str]:
             yield f"{100 * share:.0f} % of the test record's {name} is beyond the training records: train there too."
     starts = [
         abs(case.scaled(record)[1][0])
-        for record in case.data.trials
+        for record in case.data.mismatch_records
         if not np.any(case.scaled(record)[0])
     ]
     reached, farthest = (
@@ -171,7 +171,9 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             "Record more returns to rest."
         )
     elif shown.left_at_rest is None:
-        apart = ends_apart(case.model.scale, [one for one in case.data.trials if is_return(one)])
+        apart = ends_apart(
+            case.model.scale, [one for one in case.data.mismatch_records if is_return(one)]
+        )
         problem = "No two returns to rest input outlast the model's response"
         if (
             apart > AT_REST

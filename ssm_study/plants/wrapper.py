@@ -1,5 +1,4 @@
-"""A plant around a plant: limits and dead time at its input, rounding at its output,
-disturbances."""
+"""A plant around a plant: limits and dead time at its input."""
 
 from dataclasses import dataclass
 from operator import attrgetter
@@ -8,9 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.disturbance import Disturbance
 from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States
-from ssm_study.refusal import at_least, positive, require
+from ssm_study.refusal import at_least, require
 from ssm_study.signals import Channel
 
 Limit = float | tuple[float, ...] | list[float]
@@ -122,45 +120,3 @@ class DelayedInput(Wrapper):
 
     def renewed(self, memory: Memory, u: Inputs) -> Memory:
         return np.concatenate([memory[:, u.shape[1] :], u], axis=1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuantisedOutput(Wrapper):
-    """`y = resolution round(h(x) / resolution)`: an encoder or converter; resolution in the
-    output's unit."""
-
-    resolution: float
-
-    def __post_init__(self) -> None:
-        positive("resolution", self.resolution, "give the output's unit")
-
-    def output(self, x: States) -> Outputs:
-        return self.resolution * np.round(self.plant.output(x) / self.resolution)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Disturbed(Wrapper):
-    """`x+ = f(x, u, d + disturbance(t))` on one disturbance channel; the time since the start is an
-    appended state."""
-
-    disturbance: Disturbance
-    channel: int = 0
-    memory = (Channel(name="elapsed_time", unit="s"),)
-
-    def __post_init__(self) -> None:
-        count = len(self.plant.disturbances)
-        require(
-            0 <= self.channel < count,
-            "channel",
-            self.channel,
-            f"the plant has {count} disturbances",
-            "use 0",
-        )
-
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        inner, elapsed = self.split(x)
-        d = d.copy()
-        d[:, self.channel] += self.disturbance.signal(elapsed[:, 0])
-        return np.concatenate(
-            [self.plant.advance(inner, u, d), elapsed + self.plant.step_s], axis=1
-        )

@@ -143,9 +143,12 @@ class Mismatch:
 
 
 def mismatch(
-    model: Model, validation: Trajectories, start_up_samples: int = 0, trials: Trajectories = ()
+    model: Model,
+    validation: Trajectories,
+    start_up_samples: int = 0,
+    mismatch_records: Trajectories = (),
 ) -> Mismatch:
-    """`e = y - y_model` in free run, scaled: of the `trials` where there are any, else of the
+    """`e = y - y_model` in free run, scaled: of the `mismatch_records` where there are any, else of the
     validation records.
 
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
@@ -154,11 +157,14 @@ def mismatch(
     """
     trial_runs = [
         _Errors.of(model, trial, unscored(trial, start_up_samples))
-        for trial in trials
+        for trial in mismatch_records
         if trial.closed_loop
     ]
     loops = [one for one in trial_runs if one.u.any() and swing(one.e + one.model) > MOVING]
-    opened = [*validation, *(one for one in trials if not one.closed_loop and not is_return(one))]
+    opened = [
+        *validation,
+        *(one for one in mismatch_records if not one.closed_loop and not is_return(one)),
+    ]
     measured = [_Errors.of(model, record, start_up_samples) for record in opened]
     moving = [one for one in measured if one.u.any()]
     problem = "the input never leaves its equilibrium, so no mismatch can be measured"
@@ -176,7 +182,9 @@ def mismatch(
     excited = [
         size for y in rested if (size := swing(y)) > FAINT
     ]  # what a decay may not show: it starts elsewhere
-    still, offsets = after_returns(model.scale, [one for one in trials if is_return(one)], response)
+    still, offsets = after_returns(
+        model.scale, [one for one in mismatch_records if is_return(one)], response
+    )
     decayed = [left(one.e + one.model) for one in measured if not one.u.any()]
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),

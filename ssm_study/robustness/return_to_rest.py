@@ -25,7 +25,7 @@ SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
 def is_return(record: Trajectory) -> bool:
     """Whether the input moves once, at the beginning, and is held from then on
-    (`data.splits.returns`)."""
+    (`data.splits.rest_segments`)."""
     return (
         len(record) > FEWEST
         and bool((record.u[0] != record.u[1]).any())

@@ -188,8 +188,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         pairs = recordings.of_records(kept.records, made)
         pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
-    if records.trials or run.trials:
-        pairs = recordings.of_records(run.trials, records.trials)
+    if records.mismatch_records or run.trials:
+        pairs = recordings.of_records(run.trials, records.mismatch_records)
         yield agreement(f"{recordings.TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
         judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))

@@ -99,7 +99,9 @@ class RunFiles:
             if spec.plant is None
             else build(spec.plant, spec.excitation, spec.seed)
         )
-        return replace(records, trials=(*records.trials, *repeated(spec, self.path)))
+        return replace(
+            records, mismatch_records=(*records.mismatch_records, *repeated(spec, self.path))
+        )
 
     @cached_property
     def simulated(self) -> ModelRun:
@@ -119,7 +121,7 @@ class RunFiles:
     def judgement(self) -> Judgement:
         """What data and model allow to be said of the plant."""
         shown = mismatch(
-            self.model, self.data.validation, self.data.start_up_samples, self.data.trials
+            self.model, self.data.validation, self.data.start_up_samples, self.data.mismatch_records
         )
         return judge(self.data, self.model, self.simulated.validation, self.simulated.test, shown)
 

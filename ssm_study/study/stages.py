@@ -50,8 +50,8 @@ def compute_dataset(
     records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
     write_dataset(folder, records)
     recordings.write_records(folder / "excitation.mcap", records, records.training, outputs=False)
-    if records.trials:
-        recordings.write_records(folder / recordings.TRIALS, records, records.trials)
+    if records.mismatch_records:
+        recordings.write_records(folder / recordings.TRIALS, records, records.mismatch_records)
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
@@ -180,7 +180,7 @@ def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Fact
 def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch:
     """How far the plant is from the model, as the records show it: once for all designs on this
     model."""
-    shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.trials)
+    shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.mismatch_records)
     recordings.write_mismatch(folder, shown)
     return shown
 

@@ -56,7 +56,7 @@ def compute_logged(
 
 
 def _write(folder: Path, data: DataSet, loops: Trajectories) -> None:
-    write_dataset(folder, replace(data, trials=(*data.trials, *loops)))
+    write_dataset(folder, replace(data, mismatch_records=(*data.mismatch_records, *loops)))
     recordings.write_records(folder / recordings.LOOPS, data, loops)
 
 

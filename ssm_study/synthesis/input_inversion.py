@@ -49,11 +49,11 @@ def behind(model: Model, records: Trajectories) -> Trajectories:
 
 
 def shown_behind(
-    model: Model, records: Trajectories, start_up_samples: int, trials: Trajectories
+    model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
     """What the records show, relative to v."""
     return mismatch(
-        commanded(model), behind(model, records), start_up_samples, behind(model, trials)
+        commanded(model), behind(model, records), start_up_samples, behind(model, mismatch_records)
     )
 
 
@@ -62,7 +62,7 @@ def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch
     relative to u."""
     undone = law.inverts if isinstance(law, Design) else law.invert_input
     return (
-        shown_behind(model, data.validation, data.start_up_samples, data.trials)
+        shown_behind(model, data.validation, data.start_up_samples, data.mismatch_records)
         if undone
         else shown
     )

@@ -88,7 +88,9 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     data = log_of(tmp_path)
     linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.15]]), c=np.eye(1), d=np.zeros((1, 1)))
     unit = replace(Scale.unit(1, 1), input_equilibrium=np.ones(1))
-    shown = mismatch(SSM.of(linear, 0.1, unit), data.validation, data.start_up_samples, data.trials)
+    shown = mismatch(
+        SSM.of(linear, 0.1, unit), data.validation, data.start_up_samples, data.mismatch_records
+    )
     assert len(shown.views) == len(AMPLITUDES)
     amplitudes = [view.amplitude for view in shown.views]
     np.testing.assert_allclose(np.divide(amplitudes, amplitudes[-1]), sorted(AMPLITUDES), rtol=0.25)
@@ -98,7 +100,9 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
 
 
 def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None:
-    kept = [trial for trial in log_of(tmp_path, 0.5, 2.0, 1.5).trials if not is_return(trial)]
+    kept = [
+        trial for trial in log_of(tmp_path, 0.5, 2.0, 1.5).mismatch_records if not is_return(trial)
+    ]
     assert kept == []
 
 

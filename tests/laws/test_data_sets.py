@@ -10,7 +10,7 @@ import pytest
 from plants_cases import choices, from_yaml
 
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
-from ssm_study.data.simulated import TrainingAlone, trials
+from ssm_study.data.simulated import TrainingAlone, mismatch_records
 from ssm_study.library import composed
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
@@ -63,7 +63,8 @@ def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_say
     data, usual = from_yaml("data", "simulated", *SMALL).build(plant, small, 0), built()
     assert max(np.abs(one.u).max() for one in data.training) <= 1.0
     for one, other in zip(
-        *([*made.validation, *made.test, *made.trials] for made in (data, usual)), strict=True
+        *([*made.validation, *made.test, *made.mismatch_records] for made in (data, usual)),
+        strict=True,
     ):
         np.testing.assert_array_equal(one.u, other.u)
     asked = composed(["experiment=smoke", "excitation.amplitude=1.0"])
@@ -92,7 +93,7 @@ def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
     plant = from_yaml("plant", "cascaded_tanks")
     driven = {
         t.name: np.abs(t.u - plant.equilibrium().u).max()
-        for t in trials(plant, 0, np.zeros(1))
+        for t in mismatch_records(plant, 0, np.zeros(1))
         if "_at_" in t.name
     }
     shares = np.array([float(name.rpartition("_")[2]) for name in driven])

@@ -15,7 +15,7 @@ from ssm_study.data.splits import (
     by_time,
     end_is_unlike,
     in_blocks,
-    repeats,
+    periodic_segments,
     without_fold,
 )
 from ssm_study.refusal import BadRequest
@@ -73,13 +73,13 @@ def test_stretches_between_rests_count_where_each_repeats_itself():
     rest, period = np.zeros(40), np.random.default_rng(0).uniform(-1, 1, size=40)
     twice = np.concatenate([rest, period, period, rest, 2 * period, 2 * period, rest])
     moved = Trajectory(u=twice[:, None], y=twice[:, None], step_s=0.1)
-    assert [len(piece) for piece in repeats(moved, 0)] == [
+    assert [len(piece) for piece in periodic_segments(moved, 0)] == [
         140,
         141,
     ]  # half a rest, two periods, a rest
     once = np.concatenate([rest, period, rest, 2 * period, 2 * period, rest])
-    assert not repeats(Trajectory(u=once[:, None], y=once[:, None], step_s=0.1), 0)
-    assert not repeats(moved[40:], 0)  # begins in motion
+    assert not periodic_segments(Trajectory(u=once[:, None], y=once[:, None], step_s=0.1), 0)
+    assert not periodic_segments(moved[40:], 0)  # begins in motion
 
 
 def test_the_last_of_five_folds_is_the_cut_in_time():

@@ -78,7 +78,7 @@ def fitted_log(
     parts = {name: Simulation.of(model, getattr(data, name), 20) for name in ("validation", "test")}
     log, shown = (
         Case(data=data, model=model, **parts),
-        mismatch(model, data.validation, 20, data.trials),
+        mismatch(model, data.validation, 20, data.mismatch_records),
     )
     told = [found.sentence for found in findings(log, shown)]
     return log, shown, " ".join(one for one in told if "rest input" in one)
@@ -204,7 +204,7 @@ def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     excited = EXCITED.copy()
     excited[120:1000] *= np.linspace(0.9, 0.8, 880)
     log, shown, _ = fitted_log(tmp_path, excited, answer(excited))
-    assert len(log.data.trials) == 3
+    assert len(log.data.mismatch_records) == 3
     alone = mismatch(log.model, log.data.validation, 20)
     assert (shown.gain, shown.spread, len(shown.views)) == (
         alone.gain,
@@ -218,7 +218,7 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     log = case(LEVELS, answer(LEVELS))
     farthest = np.full((60, 1), times * np.abs(log.data.training[0].y).max())
     trial = Trajectory(u=np.zeros((60, 1)), y=farthest, step_s=0.1)
-    begun = replace(log, data=replace(log.data, trials=(trial,)))
+    begun = replace(log, data=replace(log.data, mismatch_records=(trial,)))
     told = [found.sentence for found in findings(begun, mismatch(log.model, log.data.validation))]
     assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
     assert any("times as far out" in sentence for sentence in told) == (times > 1.2)

@@ -36,14 +36,15 @@ class Identified:
     model: Model
     balls: Balls
     validation: tuple[Trajectory, ...]
-    trials: tuple[Trajectory, ...] = ()
+    mismatch_records: tuple[Trajectory, ...] = ()
     start_up_samples: int = 0
 
     @classmethod
     def of(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
         """The model beside the records that may be known."""
         records = {
-            name: getattr(data, name) for name in ("validation", "trials", "start_up_samples")
+            name: getattr(data, name)
+            for name in ("validation", "mismatch_records", "start_up_samples")
         }
         return cls(model=model, balls=balls, **records)
 
@@ -61,7 +62,7 @@ class Identified:
     @cached_property
     def shown(self) -> Mismatch:
         """How far the plant is from the model, as the records show it."""
-        return mismatch(self.model, self.validation, self.start_up_samples, self.trials)
+        return mismatch(self.model, self.validation, self.start_up_samples, self.mismatch_records)
 
     def chosen(self, synthesis: "Auto") -> Design:
         """What `auto` takes, knowing all this."""
