@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE # hundreds of processes would compile every mod
 
 help:
 	@echo "make study   install what is missing and run the paper's study (conf/experiment/paper.yaml)"
-	@echo "make test    install what is missing, then formatter check, linter, type checker, tests"
+	@echo "make test    install what is missing, then formatter check, linters, type checker, tests"
 	@echo "make docs    build the documentation site into site/, warnings are errors"
 	@echo "make clean   remove the environment and every cache (results stay)"
 
@@ -28,6 +28,7 @@ study: install
 test: install
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
 

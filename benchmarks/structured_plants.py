@@ -29,10 +29,10 @@ import numpy as np
 from common import REFERENCE, study_of, write
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
-from ssm_study.synthesis.frontier import controller_frontier
+from ssm_study.models.structured import at_rest
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.synthesis.model_selection import fastest
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.systems import JacobianBall, StateSpace, System

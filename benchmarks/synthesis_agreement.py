@@ -24,10 +24,11 @@ import scipy.linalg
 from synthesis_certified import instances, kept, named, told
 from synthesis_instances import Instance
 
+from ssm_study.certificates.frontier import energy_root
 from ssm_study.certificates.problem import NoSolution, Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
-from ssm_study.synthesis.modes import energy_root, split_modes
+from ssm_study.synthesis.modes import split_modes
 
 FEASIBLE, INFEASIBLE, CANNOT_TELL = "feasible", "infeasible", "cannot tell"
 TELLING = 1e-7  # Clarabel stops at 1e-8

@@ -17,9 +17,8 @@ from statistics import median
 import numpy as np
 from common import REFERENCE, ROOT, write
 
-from ssm_study.bounds.lipsdp import lipsdp_bound
 from ssm_study.bounds.network import Network
-from ssm_study.bounds.slopes import interval_bound, network_bound, spectral_norm_bound
+from ssm_study.bounds.slopes import interval_bound, lipsdp_bound, network_bound, spectral_norm_bound
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 
 sys.path.insert(0, str(ROOT / "tests"))  # where oracles are

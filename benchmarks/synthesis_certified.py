@@ -19,8 +19,8 @@ import numpy as np
 from common import REFERENCE, keep
 from synthesis_instances import Instance, random_instance
 
+from ssm_study.certificates.frontier import frontier
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis

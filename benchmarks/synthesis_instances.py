@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from ssm_study.synthesis.frontier import frontier
+from ssm_study.certificates.frontier import frontier
 from ssm_study.systems import JacobianBall, StateSpace
 
 KINDS = {"stable": 0.99, "marginal": 1.0, "unstable": 1.3}

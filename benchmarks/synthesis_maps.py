@@ -15,7 +15,7 @@ from common import write
 from synthesis_certified import FOLDER, trained
 
 from ssm_study.certificates.certificate import StateFeedback
-from ssm_study.synthesis.frontier import frontier
+from ssm_study.certificates.frontier import frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 

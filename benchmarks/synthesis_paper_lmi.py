@@ -25,7 +25,8 @@ from common import rows_of, write
 from synthesis_certified import FOLDER, GAPS, instances, kept, told
 from synthesis_instances import Instance
 
-from ssm_study.synthesis.lmi import SOLVERS, paper_lmi
+from ssm_study.certificates.semidefinite import SOLVERS
+from ssm_study.synthesis.lmi import paper_lmi
 
 TARGET = FOLDER / "paper_lmi.csv"
 COLUMNS = ("gap", "index", "order", "kind", "status", "certified", "seconds")

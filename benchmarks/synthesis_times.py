@@ -20,13 +20,14 @@ import scipy.linalg
 from common import REFERENCE, cpu_seconds, keep
 from synthesis_instances import random_model
 
+from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import Problem
+from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.guaranteed_cost import at_tau, guaranteed_cost
 from ssm_study.synthesis.lmi import CompiledLmi
 from ssm_study.synthesis.minimum_energy import fast_gain, minimum_energy_solution
-from ssm_study.synthesis.modes import solve_riccati, split_modes
+from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall
 
 FOLDER = REFERENCE / "certificates"

@@ -39,7 +39,7 @@ from ssm_study.export import targets
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.structured import StructuredSSM
+from ssm_study.models.structured import StructuredSSM, at_rest
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet, fit_percent
@@ -47,7 +47,6 @@ from ssm_study.study import line
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages import ModelRun, write_json
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
-from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.systems import StateSpace
 from ssm_study.table.gather import gather
 

@@ -18,12 +18,13 @@ import numpy as np
 import scipy
 from jaxtyping import Complex
 
+from ssm_study.certificates.frontier import Frontier, energy_root
 from ssm_study.certificates.problem import Problem, Solution
+from ssm_study.certificates.semidefinite import SOLVERS
 from ssm_study.refusal import require
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import Frontier
-from ssm_study.synthesis.lmi import OBJECTIVES, SOLVERS, CompiledLmi
-from ssm_study.synthesis.modes import FastGain, energy_root, split_modes, with_slow_modes
+from ssm_study.synthesis.lmi import OBJECTIVES, CompiledLmi
+from ssm_study.synthesis.modes import FastGain, split_modes, with_slow_modes
 from ssm_study.systems import JacobianBall
 
 # The inequality is asked for a rate this share of the room faster, so that the slow modes find room

@@ -3,7 +3,7 @@ r."""
 
 import numpy as np
 
-from ssm_study.synthesis.frontier import largest_energy, unreached_modulus
+from ssm_study.certificates.frontier import largest_energy, unreached_modulus
 
 
 def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:

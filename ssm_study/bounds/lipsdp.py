@@ -21,9 +21,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network
-from ssm_study.bounds.slopes import SlopeBound, bound_from_ball
 from ssm_study.refusal import BadRequest, require
-from ssm_study.systems import JacobianBall
 
 # The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by
 # this share, far
@@ -32,13 +30,6 @@ ROUNDING_SHARE = 1e-7
 # Any multipliers prove a bound or none. Where the solver stopped just outside, slightly larger ones
 # lie inside.
 ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
-
-
-def lipsdp_bound(network: Network) -> SlopeBound:
-    """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the
-    solver fails."""
-    centre, radius = lipsdp_ball(network, scalar_centre=True)
-    return bound_from_ball(JacobianBall(alpha=float(centre[0, 0]), beta=radius), method="lipsdp")
 
 
 def lipsdp_ball(

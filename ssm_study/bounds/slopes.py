@@ -77,8 +77,6 @@ def network_bound(network: Network) -> SlopeBound:
     """Exact for one channel, otherwise the narrower of LipSDP and interval arithmetic."""
     if network.inputs == 1:
         return bound_from_interval(*slope_interval(network), "break_points")
-    from ssm_study.bounds.lipsdp import lipsdp_bound  # CVXPY takes a second to import
-
     interval = interval_bound(network)
     try:
         # balls that exclude zero by their relative radius, as the frontier sees them; the others by
@@ -90,6 +88,15 @@ def network_bound(network: Network) -> SlopeBound:
         )
     except BadRequest:  # the solver failed: what it was to improve on stands
         return interval
+
+
+def lipsdp_bound(network: Network) -> SlopeBound:
+    """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the
+    solver fails."""
+    from ssm_study.bounds.lipsdp import lipsdp_ball  # CVXPY takes a second to import
+
+    centre, radius = lipsdp_ball(network, scalar_centre=True)
+    return bound_from_ball(JacobianBall(alpha=float(centre[0, 0]), beta=radius), method="lipsdp")
 
 
 def interval_bound(network: Network) -> SlopeBound:

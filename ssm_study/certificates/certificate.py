@@ -10,13 +10,13 @@ import json
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual
 from ssm_study.certificates.theorem import (
     AGAIN,
@@ -27,7 +27,6 @@ from ssm_study.certificates.theorem import (
     value_of,
 )
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.systems import Gains, JacobianBall
 
 # The letter of each matrix in a state feedback's problem, and an observer's for the same matrix,
@@ -174,13 +173,6 @@ class OfProblem(Side, abstract=True):
         found = {"p": of["p"], "y": of["y"], "k": of["k"], "k_w": of.get("k_w"), "status": ""}
         sigma = of["eta" if self.observes else "sigma"]
         return Problem(**data, state_weight=one, input_weight=1.0), Solution(**found, sigma=sigma)
-
-    def at_largest_rate(self) -> Side | None:
-        module = "ssm_study.certificates.theorems.deployed_rate"
-        if hasattr(self, "lambda_"):  # CVXPY only with neurons
-            module = "ssm_study.synthesis.structured_lmi"
-        at_rate: Side | None = import_module(module).at_largest_rate(self)
-        return at_rate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -259,13 +259,13 @@ def _export(options: argparse.Namespace) -> None:
 
 
 def _export_mcap(options: argparse.Namespace) -> None:
-    from ssm_study.export.one_recording import export_mcap
+    from ssm_study.table.one_recording import export_mcap
 
     print(export_mcap(options.study))
 
 
 def _export_mlflow(options: argparse.Namespace) -> None:
-    from ssm_study.export.mlflow import export_mlflow
+    from ssm_study.table.mlflow import export_mlflow
 
     print(f"{export_mlflow(options.study, options.store)} runs written")
 

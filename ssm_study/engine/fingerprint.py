@@ -30,7 +30,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ssm_study.engine.durable import sealed, unsealed, write_json_atomically
+from ssm_study.durable import sealed, unsealed, write_json_atomically
 from ssm_study.refusal import require
 
 Symbol = tuple[

@@ -17,8 +17,8 @@ from hydra.core.utils import JobReturn, JobStatus, configure_log
 from hydra.types import HydraContext
 from omegaconf import open_dict, read_write
 
+from ssm_study.durable import PATIENCE_S, locked
 from ssm_study.engine.compose import Composer, adopt
-from ssm_study.engine.durable import PATIENCE_S, locked
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
 from ssm_study.engine.runs import Outcome, error_facts, outcome_of, write_failure
 from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_all_of

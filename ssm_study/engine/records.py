@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.engine.durable import contents, is_locked, sealed, unsealed, write_json_atomically
+from ssm_study.durable import contents, is_locked, sealed, unsealed, write_json_atomically
 from ssm_study.refusal import BadRequest
 
 RECORD = "record.json"

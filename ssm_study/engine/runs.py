@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from ssm_study.durable import PATIENCE_S, link_or_copy, locked, write_atomically
 from ssm_study.engine import records
-from ssm_study.engine.durable import PATIENCE_S, link_or_copy, locked, write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
 from ssm_study.engine.store import intact_manifest, seal_folder

@@ -16,7 +16,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.engine.durable import contents
+from ssm_study.durable import contents
 from ssm_study.refusal import BadRequest, require
 
 LARGEST_YAML = 2**22  # bytes of a configuration that is read: a real one has 4,000

@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ssm_study.engine import durable
-from ssm_study.engine.durable import contents, locked, sealed, sha256_of_file, sync, unsealed
+from ssm_study import durable
+from ssm_study.durable import contents, locked, sealed, sha256_of_file, sync, unsealed
 from ssm_study.engine.records import storable
 from ssm_study.engine.settings import digest
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key

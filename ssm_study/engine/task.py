@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from ssm_study.engine.durable import sha256_of_file
+from ssm_study.durable import sha256_of_file
 from ssm_study.engine.plan import plan
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, run_status

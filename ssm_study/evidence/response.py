@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
+from ssm_study.bounds.frequency import gains
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS
 from ssm_study.robustness.return_to_rest import RESPONSES
-from ssm_study.robustness.sensitivity import gains
 
 AVERAGES, SEGMENTS = (
     16,

@@ -14,12 +14,11 @@ from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, close_loop, settling_times_s
 from ssm_study.loop.trajectory import equilibrium
-from ssm_study.models.structured import Model, StructuredSSM
+from ssm_study.models.structured import Model, StructuredSSM, at_rest
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, input_limits
-from ssm_study.synthesis.integrated_error import at_rest
 
 Channels = tuple[Channel, ...]
 

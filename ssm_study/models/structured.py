@@ -217,3 +217,10 @@ def model_from_json(data: Mapping[str, Any]) -> Simulator:
 
 
 Model = SSM | StructuredSSM  # of one layer, or with neurons in the recurrence: what is certified
+
+
+def at_rest(model: Model) -> StateSpace:
+    """The recurrence as it is, or of neurons their slopes at the equilibrium."""
+    if isinstance(model, SSM):
+        return model.linear
+    return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))

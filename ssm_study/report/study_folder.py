@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
-from ssm_study.engine.durable import contents
+from ssm_study.durable import contents
 from ssm_study.engine.settings import stored_yaml
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import model_from_json

@@ -32,10 +32,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float
 
+from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.robustness import sensitivity as loops
 from ssm_study.robustness.mismatch import ANGLES, Mismatch
-from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.systems import Balls, Gains, JacobianBall
 
 HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time

@@ -22,7 +22,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system, i
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
-from ssm_study.engine.durable import contents, unsealed
+from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.store import MANIFEST, damaged_files

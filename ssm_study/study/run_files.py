@@ -13,7 +13,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.engine.durable import contents
+from ssm_study.durable import contents
 from ssm_study.engine.settings import stored_yaml
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once

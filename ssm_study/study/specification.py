@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 
 from ssm_study.construction import LARGEST_NUMBER, construct_part
 from ssm_study.data.simulated import SimulatedData
-from ssm_study.engine.durable import sha256_of_file
+from ssm_study.durable import sha256_of_file
 from ssm_study.engine.settings import Settings, nodes, plain
 from ssm_study.refusal import require
 from ssm_study.study.allow_list import PARTS

@@ -19,7 +19,7 @@ from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.data.metrics import benchmark_rmse, data_facts
-from ssm_study.engine.durable import contents
+from ssm_study.durable import contents
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, evidence_facts, judge, withheld

@@ -20,7 +20,6 @@ from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, No
 from ssm_study.study.run_files import RunFiles, one_line
 from ssm_study.table.columns import declared
 
-
 UNGIVEN = "nothing in the run's files gives it"
 
 
@@ -90,9 +89,7 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
             failing.setdefault(_cause(finding), []).append(finding.claim)
     lines = []
     for finding in findings:
-        if finding.holds:
-            lines.append(str(finding))
-        elif len(claims := failing.pop(_cause(finding), [])) == 1:
+        if finding.holds or len(claims := failing.pop(_cause(finding), [])) == 1:
             lines.append(str(finding))
         elif claims:
             lines.append(str(replace(finding, claim=", ".join(claims), found=_cause(finding))))

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution, Solution, dual
 from ssm_study.certificates.theorems.integral_action import frequencies, internal_model, with_modes
 from ssm_study.models.identified import SSM
@@ -34,7 +35,6 @@ from ssm_study.robustness.sensitivity import (
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates, GainCandidate
 from ssm_study.synthesis.design import Synthesis, contraction_rate
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.input_inversion import designed
 from ssm_study.synthesis.integrated_error import relative_areas

@@ -15,9 +15,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import OF_LIMITS, Design, Infeasible, StateFeedback
+from ssm_study.certificates.certificate import (
+    OF_LIMITS,
+    Design,
+    Infeasible,
+    OfProblem,
+    Side,
+    StateFeedback,
+)
 from ssm_study.certificates.problem import NoSolution, within_floats
 from ssm_study.certificates.theorem import Theorem, VerificationContext
+from ssm_study.certificates.theorems import deployed_rate
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.limited_input import LimitedFeedback, from_everywhere
 from ssm_study.certificates.theorems.noise_gain import NoiseGain
@@ -62,7 +70,7 @@ def with_gain_certificates(
     found: dict[str, Theorem | None] = {}
     for side, part in (("state_feedback", feedback), ("observer", observer)):
         if not isinstance(part, Infeasible) and part.certified:
-            found[f"{side}_deployed"] = within_reach(part.at_largest_rate)
+            found[f"{side}_deployed"] = within_reach(partial(at_largest_rate, part))
     linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
     if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
         controlled = controlled_system(model, feedback)
@@ -88,6 +96,21 @@ def with_gain_certificates(
     return (
         replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
     )
+
+
+def at_largest_rate(part: Side) -> Side | None:
+    """The same gain, certified at the largest rate that is proved for it; None where that is no
+    more.
+
+    A plug-in's theorem says itself how (`Side.at_largest_rate`).
+    """
+    if not isinstance(part, OfProblem):
+        return part.at_largest_rate()
+    if hasattr(part, "lambda_"):
+        from ssm_study.synthesis import structured_lmi  # CVXPY only with neurons
+
+        return structured_lmi.at_largest_rate(part)
+    return deployed_rate.at_largest_rate(part)
 
 
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:

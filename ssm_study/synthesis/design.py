@@ -22,6 +22,7 @@ from ssm_study.certificates.certificate import (
     StateFeedback,
     digest,
 )
+from ssm_study.certificates.frontier import Frontier, controller_frontier
 from ssm_study.certificates.problem import (
     Neurons,
     NoSolution,
@@ -39,7 +40,6 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.frontier import Frontier, controller_frontier
 from ssm_study.synthesis.input_inversion import designed
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 

@@ -46,11 +46,11 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.certificates.frontier import Frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric, within_floats
+from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.minimum_energy import minimum_energy_attempts
-from ssm_study.synthesis.modes import solve_riccati
 
 # tau = tau_min (1 + s): s from barely admissible to where the state and input weights no longer
 # matter.

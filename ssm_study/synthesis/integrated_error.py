@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.identified import SSM
-from ssm_study.models.structured import Model
+from ssm_study.models.structured import Model, at_rest
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.systems import Gains, StateSpace, error_input_matrix, held
 
@@ -72,13 +71,6 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
     return np.concatenate(
         [level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS]
     )
-
-
-def at_rest(model: Model) -> StateSpace:
-    """The recurrence as it is, or of neurons their slopes at the equilibrium."""
-    if isinstance(model, SSM):
-        return model.linear
-    return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
 
 
 def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:

@@ -8,7 +8,6 @@ what it returns is exact arithmetic's.
 """
 
 import time
-import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from types import SimpleNamespace
@@ -20,29 +19,22 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.frontier import Frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.semidefinite import SOLVERS, solved
 from ssm_study.certificates.theorem import Blocks, full
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest, one_of
 from ssm_study.synthesis.design import DesignAttempt, Synthesis
-from ssm_study.synthesis.frontier import Frontier
+from ssm_study.synthesis.objectives import Goal, aim
 from ssm_study.systems import JacobianBall, StateSpace
 
 OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")
-# SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact
-# verdict decides.
-# Clarabel's supernodal factorisation is ten times faster than its default from order 28, and no
-# slower below.
-SOLVERS: dict[str, dict[str, Any]] = {
-    "CLARABEL": {"direct_solve_method": "faer", "max_threads": 1},
-    "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0},
-}
 # The inequality is strict and homogeneous in (P, Y, X, sigma): its scale is fixed by P >= I, its
 # strictness by this.
 STRICTNESS = 1e-6
 
 Matrix = Float[np.ndarray, "_ _"]
-Goal = tuple[cp.Expression, list[cp.Constraint]]
 
 
 class CompiledLmi:
@@ -98,54 +90,11 @@ class CompiledLmi:
         return Solution(p=p, y=y, k=k, sigma=float(parts["sigma"].value), status=status)
 
 
-def aim(
-    objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
-) -> Goal:
-    """Goal and constraints of an inequality with this upper triangle, linear in P and other
-    unknowns.
-
-    `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
-    deepest inside.
-    `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance` coupled to block
-    `at`.
-    Source: [Z26]; docs/theory.md, "With neurons".
-    """
-    if objective != "guaranteed_cost":
-        matrix, t = cp.bmat(full(upper)), cp.Variable()
-        one = np.eye(matrix.shape[0])
-        if objective == "feasibility":
-            return cp.Constant(0), [matrix >> one]
-        return -t, [matrix >> t * one, cp.trace(matrix) == len(one)]
-    zeros: list[Any] = [0] * len(performance)
-    bordered = [[*row, *zeros] for row in upper]
-    bordered[at][-len(zeros) :] = [rows.T for rows in performance]
-    bordered += [[np.eye(rows.shape[0]), *zeros[i + 1 :]] for i, rows in enumerate(performance)]
-    one, z = np.eye(p.shape[0]), cp.Variable(p.shape, symmetric=True)
-    return cp.trace(z), [cp.bmat(full(bordered)) >> 0, cp.bmat([[z, one], [one, p]]) >> 0]
-
-
 def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
     """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
     matrix, g = cp.bmat(full(upper)), cp.Variable(nonneg=True)
     bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
     return g, [matrix >> STRICTNESS * np.eye(matrix.shape[0]), p >> np.eye(p.shape[0]), bound >> 0]
-
-
-def solved(program: cp.Problem, solver: str) -> str:
-    """Solve in place; the status, as information. Raises `NoSolution` when the solver returns no
-    matrices."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # "may be inaccurate": the exact verdict says whether it matters
-            program.solve(solver=solver, **SOLVERS[solver])
-    except (cp.error.SolverError, ArithmeticError, ValueError) as error:
-        raise NoSolution(f"{solver.lower()}: {error}") from error
-    status = f"{solver.lower()}: {program.status}"
-    if any(variable.value is None for variable in program.variables()):
-        raise NoSolution(status)
-    return status
 
 
 @lru_cache(maxsize=4)

@@ -49,17 +49,10 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
+from ssm_study.certificates.frontier import Frontier, energy_root, frontier
 from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import Frontier, frontier
-from ssm_study.synthesis.modes import (
-    FastGain,
-    Modes,
-    energy_root,
-    split_modes,
-    whole_metric,
-    with_slow_modes,
-)
+from ssm_study.synthesis.modes import FastGain, Modes, split_modes, whole_metric, with_slow_modes
 from ssm_study.systems import JacobianBall
 
 FASTEST = 0.5  # where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.refusal import at_least, require
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, StateSpace, System
 

@@ -9,7 +9,6 @@ inequalities stand in
 """
 
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -21,28 +20,24 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import LETTERS, Side
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.semidefinite import solved
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
-from ssm_study.synthesis.lmi import aim, solved
+from ssm_study.synthesis.objectives import aim
 from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 
 Rows = Float[np.ndarray, "_ _"]
 
-FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
-LEAST_BALL = (
-    1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
-)
 INSIDE = (
     1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
 )
-INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
 class StructuredLmi:
     """One problem with neurons, ready to be solved at any rate.
 
-    `objective` as in `lmi.aim`; a state feedback's cost stands beside the state, an observer's
+    `objective` as in `objectives.aim`; a state feedback's cost stands beside the state, an observer's
     noise where the step
     arrives. With `fixed` the gains are that solution's, and only the metric and the multipliers are
     sought; `of.k`
@@ -186,86 +181,3 @@ def at_largest_rate(part: Any) -> Side | None:
     status = f"{again.status}, {INSIDE:.1%} inside the largest rate"
     proved: Side = part.proved(numbers, status=status, started=started, **told)
     return proved if proved.certified else None
-
-
-def largest_mismatch(
-    loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
-) -> Iterator[dict[str, Any]]:
-    """`s, lambda_p, p, lambda_` of `theorems.structured_tolerance` from its matrices, each
-    `INSIDE_LARGEST` of s.
-
-    In coordinates where every signal has unit size while all slopes are one half: the loop's own
-    Gramian. Raises
-    `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop that does not rest
-    at these slopes.
-    """
-    (order, width), m, enter = (
-        loop.shape,
-        len(into_u),
-        seen.shape[1],
-    )  # (xi, p, e) enter, neurons stand beside
-    right, moved, w, z = _unit_sizes(
-        loop[:, :enter] + loop[:, enter:] @ seen / 2, into_u, seen, into_w, beta
-    )
-    scale = scipy.linalg.block_diag(
-        right, np.diag([*np.full(m, moved), *np.ones(enter - order - m), *z])
-    )
-    one = np.eye(width)
-    state, disturbed, known, neurons = (
-        one[:order],
-        one[order : order + m],
-        one[order + m : enter],
-        one[enter:],
-    )
-    step, met = np.linalg.solve(right, loop @ scale), (seen @ scale[:enter]) / z[:, None]
-    drawn, read = beta / moved * into_u @ scale[:order], into_w @ scale[:order] / w
-    p, weights = cp.Variable((order, order), symmetric=True), cp.Variable(len(z))
-    lambda_p, mu, t, given = cp.Variable(), cp.Variable(), cp.Variable(), cp.Parameter()
-
-    def room(mu: Any) -> cp.Expression:
-        sectors = neurons.T @ cp.diag(weights) @ (neurons - met)
-        supply = (
-            lambda_p * (disturbed.T @ disturbed - drawn.T @ drawn)
-            - mu * (read.T @ read)
-            + known.T @ known
-        )
-        return state.T @ p @ state - step.T @ p @ step + sectors + sectors.T + supply
-
-    solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
-    if not float(np.asarray(mu.value)) > 0:  # below zero the mismatch would have to help
-        raise NoSolution("the loop is not proved to rest without any mismatch")
-    deepest, left = cp.Problem(cp.Maximize(t), [room(given) >> t * one]), np.linalg.inv(right)
-    for share in INSIDE_LARGEST:
-        given.value = np.asarray(mu.value) * (1 - share) ** 2
-        solved(deepest, "CLARABEL")
-        numbers = {"p": symmetric(left.T @ p.value @ left), "lambda_": weights.value / z**2}
-        sizes = {
-            "s": float(np.sqrt(given.value)) / w,
-            "lambda_p": float(np.asarray(lambda_p.value)) / moved**2,
-        }
-        yield numbers | sizes
-
-
-def _unit_sizes(
-    middle: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
-) -> tuple[Rows, float, float, Float[np.ndarray, "_"]]:
-    """A root of the Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the
-    neurons see in it."""
-    (order, width), m, moved = (
-        middle.shape,
-        len(into_u),
-        0.0,
-    )  # p: none at first, then what e alone makes of u
-    for _ in range(2):
-        into = middle[:, order:] * np.repeat([moved, 1.0], [m, width - order - m])
-        gramian = scipy.linalg.solve_discrete_lyapunov(middle[:, :order], into @ into.T)
-        right = np.linalg.cholesky(
-            symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order)
-        )
-        u, w, z = (
-            np.linalg.norm(rows[:, :order] @ right, axis=1) for rows in (into_u, into_w, seen)
-        )
-        moved = float(u.max()) * max(beta, LEAST_BALL)
-        if not moved > 0:
-            raise NoSolution("the mismatch does not reach the input")
-    return right, moved, float(w.max()), np.maximum(z, FLOOR * z.max())

@@ -12,7 +12,7 @@ import pandas as pd
 from pandas.api.types import infer_dtype
 
 from ssm_study.columns import Column, Kind
-from ssm_study.engine.durable import (
+from ssm_study.durable import (
     contents,
     sealed,
     sha256_of_file,

@@ -25,7 +25,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from ssm_study.engine.durable import write_atomically
+from ssm_study.durable import write_atomically
 from ssm_study.models.spec import ModelSpec
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest, require

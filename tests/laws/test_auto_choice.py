@@ -14,6 +14,7 @@ from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Infeasible
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorems.integral_action import with_modes
 from ssm_study.loop.metrics import behaviour, certified
@@ -24,7 +25,6 @@ from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.structured_lmi import StructuredLmi
 from ssm_study.systems import Balls, Gains, JacobianBall

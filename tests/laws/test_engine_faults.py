@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.engine.durable import unsealed, write_json_atomically
+from ssm_study.durable import unsealed, write_json_atomically
 from ssm_study.engine.records import RECORD, read_record
 from ssm_study.engine.runs import Run, execute
 from ssm_study.engine.settings import digest

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.engine.durable import json_bytes, link_or_copy, sealed
+from ssm_study.durable import json_bytes, link_or_copy, sealed
 from ssm_study.engine.jobs import Job, kill_group, note_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import error_facts, execute

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ssm_study.durable import is_locked
 from ssm_study.engine import plan as planning
-from ssm_study.engine.durable import is_locked
 from ssm_study.engine.plan import PlannedStages, plan
 from ssm_study.engine.settings import canonical_json, digest
 from ssm_study.engine.stages import Stage
@@ -256,7 +256,7 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
 HOLDING = """
 import sys, time
 from pathlib import Path
-from ssm_study.engine.durable import locked
+from ssm_study.durable import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from ssm_study.engine.records import write_record
-from ssm_study.export.mlflow import export_mlflow
 from ssm_study.refusal import BadRequest
+from ssm_study.table.mlflow import export_mlflow
 
 RECORDS = (
     {

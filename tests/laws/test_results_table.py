@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssm_study.engine.durable import json_bytes
+from ssm_study.durable import json_bytes
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.report.page.data import question

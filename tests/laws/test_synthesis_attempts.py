@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from ssm_study.certificates.frontier import Frontier, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.design import REPAIRS
-from ssm_study.synthesis.frontier import Frontier, frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
 from ssm_study.synthesis.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall

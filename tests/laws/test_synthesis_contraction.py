@@ -14,12 +14,12 @@ from ssm_study.bounds.gramians import (
 )
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
 from ssm_study.loop.certified_bound import certified_bound, distances, violations
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Scale
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
 from ssm_study.systems import JacobianBall, StateSpace

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from loop_cases import motor_model, motor_record
 
+from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import mismatch
-from ssm_study.robustness.sensitivity import hinf_norm
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import with_gain_certificates

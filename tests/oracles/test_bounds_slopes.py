@@ -13,7 +13,7 @@ from worst_case import worst_jacobian
 
 from ssm_study.bounds import lipsdp
 from ssm_study.bounds.gramians import balance, gramian, hankel_singular_values
-from ssm_study.bounds.lipsdp import lipsdp_ball, lipsdp_bound
+from ssm_study.bounds.lipsdp import lipsdp_ball
 from ssm_study.bounds.network import Network, slope_interval
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.bounds.slopes import (
@@ -21,6 +21,7 @@ from ssm_study.bounds.slopes import (
     enclosing_ball,
     interval_bound,
     jacobian_ball,
+    lipsdp_bound,
     spectral_norm_bound,
 )
 from ssm_study.models.identified import SSM

@@ -7,9 +7,9 @@ import pytest
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.engine.records import write_record
-from ssm_study.export import one_recording
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
+from ssm_study.table import one_recording
 
 RUNS = {"order4-seed0-0a1b2c3d4e": 30, "order4-seed1-9f8e7d6c5b": 40}  # name: samples
 

@@ -8,6 +8,7 @@ import pytest
 from loop_cases import random_model
 
 from ssm_study.certificates.certificate import Observer, StateFeedback
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.loop.certified_bound import (
     certified_bound,
     decay_rate,
@@ -19,7 +20,6 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.loop.rollout import Rollouts, close_loop
 from ssm_study.models.identified import SSM
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains, JacobianBall
 

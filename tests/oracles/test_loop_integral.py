@@ -8,6 +8,7 @@ import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record, random_model
 from synthesis_ratio import ratio_limit
 
+from ssm_study.bounds.frequency import gains
 from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.theorems.integral_action import controlled_system, with_modes
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
@@ -21,7 +22,7 @@ from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.robustness.prediction import predict
-from ssm_study.robustness.sensitivity import gains, peaks_on_grid, sensitivity
+from ssm_study.robustness.sensitivity import peaks_on_grid, sensitivity
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains

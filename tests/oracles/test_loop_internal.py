@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
 
+from ssm_study.bounds.frequency import frequency_response, gains
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import (
     controlled_system,
@@ -23,7 +24,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.sensitivity import frequency_response, gains, peaks_on_grid, sensitivity
+from ssm_study.robustness.sensitivity import peaks_on_grid, sensitivity
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis

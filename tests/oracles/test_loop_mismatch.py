@@ -16,14 +16,13 @@ from loop_cases import (
     random_model,
 )
 
+from ssm_study.bounds.frequency import gains, hinf_norm
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.robustness.sensitivity import (
     controller_radius,
-    gains,
-    hinf_norm,
     peaks_on_grid,
     sensitivity,
     sensitivity_peak,

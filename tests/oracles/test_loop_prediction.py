@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_cases import BALLS, flat, motor_design, motor_model
 
+from ssm_study.bounds.frequency import frequency_response
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.identified import SSM
@@ -25,7 +26,6 @@ from ssm_study.robustness.sensitivity import (
     Responses,
     controller_radius,
     ends,
-    frequency_response,
     sensitivity,
     sizes,
 )

@@ -23,7 +23,7 @@ from ssm_study.certificates.certificate import digest
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.data.recorded import RecordedData
-from ssm_study.engine.durable import sealed, sha256_of_file, unsealed, write_json_atomically
+from ssm_study.durable import sealed, sha256_of_file, unsealed, write_json_atomically
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified

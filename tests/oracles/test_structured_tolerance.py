@@ -10,6 +10,7 @@ import pytest
 from loop_cases import flat
 from structured_cases import drawn, model
 
+from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, digest
 from ssm_study.certificates.theorem import VerificationContext
@@ -17,8 +18,8 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.certificates.theorems.tolerance import largest_tolerance as without_neurons
 from ssm_study.robustness.mismatch import ANGLES
-from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
-from ssm_study.synthesis.deployed import with_gain_certificates, within_reach
+from ssm_study.robustness.sensitivity import sensitivity
+from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates, within_reach
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.structured_lmi import largest_rate
@@ -49,7 +50,7 @@ def found(
 def test_gains_are_certified_just_inside_their_largest_rate() -> None:
     design = ASKED.design(_Model(drawn(0)), BALLS)
     for part in (design.state_feedback, design.observer):
-        again, limit = part.at_largest_rate(), largest_rate(*part.posed())
+        again, limit = at_largest_rate(part), largest_rate(*part.posed())
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
         assert max(part.rate, 0.998 * limit) < again.rate < limit

@@ -14,6 +14,7 @@ from loop_cases import BALLS as MOTOR_BALLS
 from loop_cases import INPUT_BALL, OUTPUT_BALL, flat, motor_model
 from scipy.linalg import block_diag, solve_discrete_lyapunov
 
+from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback, digest
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import largest_rate
@@ -21,8 +22,8 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.noise_gain import NoiseGain
 from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.robustness.mismatch import ANGLES
-from ssm_study.robustness.sensitivity import hinf_norm, sensitivity
-from ssm_study.synthesis.deployed import covering_weight, with_gain_certificates
+from ssm_study.robustness.sensitivity import sensitivity
+from ssm_study.synthesis.deployed import at_largest_rate, covering_weight, with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -94,7 +95,7 @@ def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int
     rng = np.random.default_rng(seed)
     for part in (design.state_feedback, design.observer):
         assert isinstance(part, StateFeedback | Observer)
-        again = part.at_largest_rate()
+        again = at_largest_rate(part)
         assert again is not None
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
@@ -125,7 +126,7 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
     assert largest_rate(
         part.a, part.b, part.k, JacobianBall(alpha=ball.alpha, beta=0.0)
     ) == pytest.approx(1 - np.abs(np.linalg.eigvals(closed)).max() ** 2, rel=1e-12)
-    again = part.at_largest_rate()
+    again = at_largest_rate(part)
     assert again is not None
     bold = replace(again, rate=again.rate + 0.01 * (1 - again.rate))
     assert not type(bold).holds(**bold.numbers)

@@ -14,11 +14,12 @@ from synthesis_modal import ModalLmiSynthesis, modal_energy, modal_gain, solve_o
 from synthesis_ratio import ratio_limit
 
 from ssm_study.certificates.certificate import Infeasible, StateFeedback
+from ssm_study.certificates.frontier import energy_root, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
+from ssm_study.certificates.riccati import doubled, solve_riccati
 from ssm_study.certificates.theorem import condition
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis import modes
-from ssm_study.synthesis.frontier import energy_root, frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import (
@@ -28,7 +29,7 @@ from ssm_study.synthesis.minimum_energy import (
     minimum_energy_solution,
     whole_solution,
 )
-from ssm_study.synthesis.modes import doubled, solve_riccati, split_modes
+from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from ssm_study.certificates.certificate import StateFeedback
+from ssm_study.certificates.frontier import energy_root
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis import lmi
 from ssm_study.synthesis.guaranteed_cost import guaranteed_cost
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
-from ssm_study.synthesis.modes import energy_root, split_modes
+from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
 
 A = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])

@@ -18,11 +18,11 @@ from structured_cases import (
     slowest,
 )
 
+from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution, dual
 from ssm_study.certificates.theorems.integral_action import augmented
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
-from ssm_study.synthesis.frontier import controller_frontier
 from ssm_study.synthesis.structured_lmi import StructuredLmi, fastest, holds, largest_rate
 from ssm_study.synthesis.structured_riccati import (
     TRIES,

@@ -10,6 +10,7 @@ from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, digest
+from ssm_study.synthesis.deployed import at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
@@ -101,7 +102,7 @@ def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: di
     """`L` with less injected into the neurons is another observer, whatever it is certified for."""
     design = Design.from_json(stored)
     observer = design.observer
-    other = replace(observer, l_z=0.9 * observer.l_z, rate=1e-3).at_largest_rate()
+    other = at_largest_rate(replace(observer, l_z=0.9 * observer.l_z, rate=1e-3))
     assert other is not None
     assert other.certified
     forged = json.loads(json.dumps(replace(design, beside={"observer_deployed": other}).to_json()))

@@ -13,12 +13,12 @@ import pytest
 
 from ssm_study.certificates import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
+from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorem import VerificationContext, margin, unit_diagonal
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
-from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 

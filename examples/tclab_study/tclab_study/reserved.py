@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
+from ssm_study.certificates.frontier import Frontier
 from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.refusal import require
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.frontier import Frontier
 from ssm_study.synthesis.guaranteed_cost import guaranteed_cost
 
 

@@ -47,10 +47,10 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.problem import NoSolution, Solution
-from ssm_study.robustness.sensitivity import hinf_norm
-from ssm_study.synthesis.modes import SLACK, least_metric
+from ssm_study.certificates.riccati import SLACK, least_metric
 from ssm_study.systems import JacobianBall, StateSpace
 
 RATE_TOLERANCE = 1e-6  # the rate is found to this share; what is stored lies further inside

@@ -52,11 +52,10 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.bounds.frequency import frequency_response
 from ssm_study.certificates.certificate import StateFeedback
-from ssm_study.models.structured import Model
+from ssm_study.models.structured import Model, at_rest
 from ssm_study.refusal import require
-from ssm_study.robustness.sensitivity import frequency_response
-from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix
 
 FIELD = "synthesis.internal_model"

@@ -39,10 +39,10 @@ Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, 
 import math
 from dataclasses import dataclass, replace
 
+from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import at_largest_rate
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.frontier import frontier
 from ssm_study.systems import JacobianBall
 
 LEAST = 1e-6  # below it nothing is said to contract

@@ -30,7 +30,7 @@ most 1/6 at z = 1.
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
->>> known = Known(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
 >>> found = largest_tolerance(known, weight=one, theorem=NoiseGain)
 >>> print(f"{1 / found.s:.3f} = 1/6 / 0.999, certified: {found.certified}")
 0.167 = 1/6 / 0.999, certified: True

@@ -45,7 +45,7 @@ Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
 >>> loop = StructuredSystem(**matrices)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
->>> known = Known(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
 >>> found = largest_tolerance(known, weight=one, theorem=StructuredTolerance)
 >>> print(f"{found.s:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {found.certified}")
 4.43 <= 4.43, certified: True
@@ -105,7 +105,7 @@ class StructuredTolerance(Tolerance):
     ) -> Candidates:
         """As there, with `lambda_`: a semidefinite program, `s^2` its goal, then a little inside
         with room to round."""
-        from ssm_study.synthesis.structured_lmi import largest_mismatch  # CVXPY
+        from ssm_study.certificates.semidefinite import largest_mismatch  # CVXPY
 
         for found in largest_mismatch(loop, into_u, seen, into_w, beta):
             yield {**found, "status": "inside the largest that the solver finds"}

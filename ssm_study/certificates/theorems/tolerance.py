@@ -40,7 +40,7 @@ at z = -1.
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
->>> found = largest_tolerance(Known(system=loop, controlled=loop, balls=balls, gains=gains), weight=one)
+>>> found = largest_tolerance(VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains), weight=one)
 >>> print(f"{found.s:.3f} = 0.999 / 0.15, certified: {found.certified}")
 6.660 = 0.999 / 0.15, certified: True
 """
@@ -56,7 +56,9 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.bounds.frequency import frequency_response
 from ssm_study.certificates.problem import DUAL, symmetric
+from ssm_study.certificates.riccati import doubled
 from ssm_study.certificates.theorem import (
     Blocks,
     Theorem,
@@ -65,8 +67,6 @@ from ssm_study.certificates.theorem import (
     full,
     stacked,
 )
-from ssm_study.robustness.sensitivity import frequency_response
-from ssm_study.synthesis.modes import doubled
 from ssm_study.systems import JacobianBall, StateSpace, error_input_matrix
 
 # Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again

@@ -10,13 +10,12 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.family import Family
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import Model
+from ssm_study.models.structured import Model, at_rest
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.signals import DataSet, Trajectory
-from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.systems import Balls
 
 if TYPE_CHECKING:

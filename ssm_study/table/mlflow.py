@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ssm_study.engine.durable import locked
+from ssm_study.durable import locked
 from ssm_study.engine.records import FAILED, FINAL
 from ssm_study.refusal import BadRequest
 from ssm_study.table.columns import BY_NAME

@@ -1,0 +1,94 @@
+"""Riccati equations by doubling, and the least metric of a gain that is given.
+
+Derivation: docs/theory.md, "The gain in closed form".
+"""
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.certificates.frontier import MOST_STEPS
+from ssm_study.certificates.problem import NoSolution, Problem, symmetric
+
+CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
+RESIDUAL_SHARE = (
+    1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows
+)
+# E in coordinates where the reachable metric is about the identity; the faster rate gives the slack
+# itself.
+SLACK = 1e-6
+Square = Float[np.ndarray, "n n"]
+
+
+def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: float) -> Square:
+    """The stabilising `S` of `S = A^T (S^{-1} + kappa B B^T)^{-1} A + Q`, by doubling, else by
+    SciPy's QZ.
+
+    Raises `NoSolution` when neither gives one.
+    """
+    s = doubled(a, kappa * b @ b.T, q)
+    if s is not None:
+        sb = s @ b
+        inner = s - kappa * sb @ np.linalg.solve(np.eye(b.shape[1]) + kappa * b.T @ sb, sb.T)
+        residual = np.abs(s - a.T @ inner @ a - q).max() / max(
+            np.abs(s).max(), np.finfo(float).tiny
+        )
+        if residual < RESIDUAL_SHARE:
+            return s
+    try:
+        s = scipy.linalg.solve_discrete_are(a, b, q, np.eye(b.shape[1]) / kappa)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise NoSolution(f"no stabilising Riccati solution: {error}") from error
+    return symmetric(s)
+
+
+def doubled(a: Square, g: Square, q: Square) -> Square | None:
+    """The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None
+    without a limit.
+
+    From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`,
+    `G' = G + A (I + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S,
+    quadratically. A few matrix
+    products a step instead of a QZ decomposition. Source: Chu, Fan, Lin & Wang 2004, Algorithm 2.1.
+    """
+    n, h = len(a), q
+    for _ in range(MOST_STEPS):
+        with np.errstate(over="ignore", invalid="ignore"):
+            try:
+                solved = np.linalg.solve(np.eye(n) + g @ h, np.hstack([a, g]))
+            except np.linalg.LinAlgError:
+                return None
+            step = a.T @ h @ solved[:, :n]
+            h = h + symmetric(step)
+            if not np.isfinite(h).all():  # diverged: no stabilising solution in floats
+                return None
+            if np.abs(step).max() <= CONVERGED * np.abs(h).max():
+                return h
+            g = g + a @ solved[:, n:] @ a.T
+            a = a @ solved[:, :n]
+        g = symmetric(g)
+    return None
+
+
+def least_metric(
+    problem: Problem,
+    k: Float[np.ndarray, "m n"],
+    contraction: float,
+    right: Square,
+    left: Square,
+    slack: float = SLACK,
+) -> Square:
+    """The least `P = Ah_K (P^{-1} - beta^2 K^T K)^{-1} Ah_K^T + Bh Bh^T + E` at `r = contraction`,
+    for a given gain.
+
+    Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`.
+    Raises `NoSolution` if
+    floats find none.
+    """
+    b, k = left @ problem.b / contraction, k @ right
+    a_closed = left @ problem.a @ right / contraction + problem.ball.alpha * b @ k
+    noise = b @ b.T + slack * np.eye(len(b))
+    p = doubled(np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise)
+    if p is None:
+        raise NoSolution("the bounded-real equation has no solution in floats")
+    return symmetric(right @ p @ right.T)

@@ -1,0 +1,129 @@
+"""Semidefinite programs: how one is solved, and the one whose solution proves
+`theorems.structured_tolerance`."""
+
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.certificates.problem import NoSolution, symmetric
+
+# SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact
+# verdict decides.
+# Clarabel's supernodal factorisation is ten times faster than its default from order 28, and no
+# slower below.
+SOLVERS: dict[str, dict[str, Any]] = {
+    "CLARABEL": {"direct_solve_method": "faer", "max_threads": 1},
+    "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0},
+}
+FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
+LEAST_BALL = (
+    1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
+)
+INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
+
+Rows = Float[np.ndarray, "_ _"]
+
+
+def solved(program: cp.Problem, solver: str) -> str:
+    """Solve in place; the status, as information. Raises `NoSolution` when the solver returns no
+    matrices."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # "may be inaccurate": the exact verdict says whether it matters
+            program.solve(solver=solver, **SOLVERS[solver])
+    except (cp.error.SolverError, ArithmeticError, ValueError) as error:
+        raise NoSolution(f"{solver.lower()}: {error}") from error
+    status = f"{solver.lower()}: {program.status}"
+    if any(variable.value is None for variable in program.variables()):
+        raise NoSolution(status)
+    return status
+
+
+def largest_mismatch(
+    loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
+) -> Iterator[dict[str, Any]]:
+    """`s, lambda_p, p, lambda_` of `theorems.structured_tolerance` from its matrices, each
+    `INSIDE_LARGEST` of s.
+
+    In coordinates where every signal has unit size while all slopes are one half: the loop's own
+    Gramian. Raises
+    `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop that does not rest
+    at these slopes.
+    """
+    (order, width), m, enter = (
+        loop.shape,
+        len(into_u),
+        seen.shape[1],
+    )  # (xi, p, e) enter, neurons stand beside
+    right, moved, w, z = _unit_sizes(
+        loop[:, :enter] + loop[:, enter:] @ seen / 2, into_u, seen, into_w, beta
+    )
+    scale = scipy.linalg.block_diag(
+        right, np.diag([*np.full(m, moved), *np.ones(enter - order - m), *z])
+    )
+    one = np.eye(width)
+    state, disturbed, known, neurons = (
+        one[:order],
+        one[order : order + m],
+        one[order + m : enter],
+        one[enter:],
+    )
+    step, met = np.linalg.solve(right, loop @ scale), (seen @ scale[:enter]) / z[:, None]
+    drawn, read = beta / moved * into_u @ scale[:order], into_w @ scale[:order] / w
+    p, weights = cp.Variable((order, order), symmetric=True), cp.Variable(len(z))
+    lambda_p, mu, t, given = cp.Variable(), cp.Variable(), cp.Variable(), cp.Parameter()
+
+    def room(mu: Any) -> cp.Expression:
+        sectors = neurons.T @ cp.diag(weights) @ (neurons - met)
+        supply = (
+            lambda_p * (disturbed.T @ disturbed - drawn.T @ drawn)
+            - mu * (read.T @ read)
+            + known.T @ known
+        )
+        return state.T @ p @ state - step.T @ p @ step + sectors + sectors.T + supply
+
+    solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
+    if not float(np.asarray(mu.value)) > 0:  # below zero the mismatch would have to help
+        raise NoSolution("the loop is not proved to rest without any mismatch")
+    deepest, left = cp.Problem(cp.Maximize(t), [room(given) >> t * one]), np.linalg.inv(right)
+    for share in INSIDE_LARGEST:
+        given.value = np.asarray(mu.value) * (1 - share) ** 2
+        solved(deepest, "CLARABEL")
+        numbers = {"p": symmetric(left.T @ p.value @ left), "lambda_": weights.value / z**2}
+        sizes = {
+            "s": float(np.sqrt(given.value)) / w,
+            "lambda_p": float(np.asarray(lambda_p.value)) / moved**2,
+        }
+        yield numbers | sizes
+
+
+def _unit_sizes(
+    middle: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
+) -> tuple[Rows, float, float, Float[np.ndarray, "_"]]:
+    """A root of the Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the
+    neurons see in it."""
+    (order, width), m, moved = (
+        middle.shape,
+        len(into_u),
+        0.0,
+    )  # p: none at first, then what e alone makes of u
+    for _ in range(2):
+        into = middle[:, order:] * np.repeat([moved, 1.0], [m, width - order - m])
+        gramian = scipy.linalg.solve_discrete_lyapunov(middle[:, :order], into @ into.T)
+        right = np.linalg.cholesky(
+            symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order)
+        )
+        u, w, z = (
+            np.linalg.norm(rows[:, :order] @ right, axis=1) for rows in (into_u, into_w, seen)
+        )
+        moved = float(u.max()) * max(beta, LEAST_BALL)
+        if not moved > 0:
+            raise NoSolution("the mismatch does not reach the input")
+    return right, moved, float(w.max()), np.maximum(z, FLOOR * z.max())
