@@ -12,7 +12,10 @@ from rich.console import Console
 from rich.text import Text
 
 from ssm_study import __version__
+from ssm_study.engine.durable import write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
+from ssm_study.engine.runs import refuse_link
+from ssm_study.refusal import BadRequest
 from ssm_study.study.line import study_folder
 
 RUN_FIGURES = ("validation_trajectory", "closed_loop_responses")  # the paper's two
@@ -37,10 +40,11 @@ def conclude_run(config: DictConfig) -> bool:
     known = _told(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
     if known[:-1] != about or record.get("status") != OK:
         known = [*about, _outcome(study, record, drawn, figures, width)]
-        with suppress(OSError):  # a study that may only be read
+        with suppress(OSError, BadRequest):  # a study that may only be read
             told.parent.mkdir(exist_ok=True)
+            refuse_link(told.parent)
             # Last: it vouches for tables and figures.
-            told.write_text(json.dumps(known), encoding="utf-8")
+            write_atomically(told, json.dumps(known).encode(), durable=False)
     console.print(Text.from_ansi(known[-1]), soft_wrap=True)
     return record.get("status") not in (OK, INFEASIBLE) or (
         config.strict and record.get("evidence") == "cannot judge"

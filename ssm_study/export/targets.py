@@ -20,6 +20,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.data.mcap import read_mcap
+from ssm_study.engine.durable import write_atomically
 from ssm_study.engine.settings import resolved, stored_yaml
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
@@ -62,7 +63,7 @@ def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controll
     if find_spec("onnx") is not None:
         contents[to / "controller.onnx"] = onnx_model(controller, about).SerializeToString()
     for path, content in contents.items():
-        path.write_bytes(content)
+        write_atomically(path, content, durable=False)
     return sorted(contents)
 
 

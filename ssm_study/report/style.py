@@ -1,10 +1,14 @@
 """One look for every figure: widths of a two-column paper, colours that survive colour blindness
 and grey print."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from ssm_study.engine.durable import write_atomically
+from ssm_study.engine.runs import refuse_link
 
 if TYPE_CHECKING:  # a colour is asked for more often than a figure is drawn
     from matplotlib.axes import Axes
@@ -54,8 +58,11 @@ def paper() -> Iterator[None]:
     look: dict[Any, Any] = {
         f"{group}.{name}": v for group, values in _PAPER.items() for name, v in values.items()
     }
-    with sns.axes_style("ticks"), mpl.rc_context(look | {"axes.prop_cycle": cycler(color=CYCLE)}):
-        yield
+    look["axes.prop_cycle"] = cycler(color=CYCLE)
+    with mpl.rc_context():
+        mpl.rcdefaults()  # a user's own file may ask for TeX, which a run need not have
+        with sns.axes_style("ticks"), mpl.rc_context(look):
+            yield
 
 
 def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
@@ -81,7 +88,10 @@ def save(figure: "Figure", folder: Path, name: str) -> list[Path]:
     """`folder/name.png` and `folder/name.pdf`; the same data give the same bytes (no creation
     date)."""
     folder.mkdir(parents=True, exist_ok=True)
+    refuse_link(folder)
     paths = {folder / f"{name}.png": "Software", folder / f"{name}.pdf": "CreationDate"}
     for path, left_out in paths.items():
-        figure.savefig(path, metadata={left_out: None})
+        content = io.BytesIO()
+        figure.savefig(content, format=path.suffix[1:], metadata={left_out: None})
+        write_atomically(path, content.getvalue(), durable=False)
     return list(paths)

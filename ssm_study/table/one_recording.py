@@ -5,6 +5,7 @@ For players that open one file at a time, as Foxglove does.
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import RECORD
@@ -36,7 +37,10 @@ def export_mcap(study: Path) -> Path:
             groups.append(replace(group, topic=f"/{name}{group.topic}"))
     names = {name: path.parent.name for name, path in by_name.items()}
     file = study / "closed_loops.mcap"
-    write_mcap(file, tuple(groups), names)
+    with TemporaryDirectory(dir=study, prefix=".export-") as folder:
+        made = Path(folder) / file.name
+        write_mcap(made, tuple(groups), names)
+        made.replace(file)  # whatever stood there: a link of a stranger is replaced, not followed
     return file
 
 

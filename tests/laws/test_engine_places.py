@@ -1,7 +1,9 @@
 """Places where nothing can be kept or that lack what a machine usually has: the run goes on."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 PROGRAM = """
 import numba.core.caching as caching
@@ -22,3 +24,27 @@ def test_without_a_place_for_compiled_code_there_is_a_warning_and_a_result() -> 
     ended = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
     assert (ended.returncode, ended.stdout) == (0, "(0.0, 1.0)\n"), ended.stderr
     assert ended.stderr.count("NUMBA_CACHE_DIR") == 1
+
+
+DRAWN = """
+import matplotlib
+from ssm_study.report.style import paper
+assert matplotlib.rcParams["text.usetex"]
+from matplotlib.figure import Figure
+with paper():
+    figure = Figure()
+    figure.subplots().set_title("a")
+    figure.savefig("figure.png")
+assert matplotlib.rcParams["text.usetex"], "the user's own settings are back"
+"""
+
+
+def test_a_users_own_style_of_figures_does_not_end_a_run(tmp_path: Path) -> None:
+    """With `text.usetex`, and no TeX, a run that was ok ended with status 2."""
+    (tmp_path / "matplotlibrc").write_text("text.usetex: true\nbackend: agg\n")
+    environment = os.environ | {"MATPLOTLIBRC": str(tmp_path), "PATH": ""}
+    ended = subprocess.run(
+        [sys.executable, "-c", DRAWN], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "figure.png").is_file()

@@ -11,6 +11,7 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from ssm_study.engine.durable import write_atomically
 from ssm_study.extensions import modules
 from ssm_study.refusal import require
 from ssm_study.report import style
@@ -80,5 +81,6 @@ def draw(
         told = "".join(
             f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there)
         )
-        (study.folder / "figures" / "captions.md").write_text(told, encoding="utf-8")
+        captions = study.folder / "figures" / "captions.md"
+        write_atomically(captions, told.encode(), durable=False)
     return paths

@@ -2,6 +2,7 @@
 when records change."""
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -82,6 +83,11 @@ def serve(study: Path, port: int, announce: Callable[[str], object]) -> Threadin
     return server
 
 
+def is_loopback(host: str) -> bool:
+    """Whether a request's `Host` names this machine alone: `localhost:8420`, `127.0.0.1`."""
+    return re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", host.lower()) is not None
+
+
 def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
     answers: dict[str, tuple[str, Callable[[], str]]] = {
         "/": ("text/html; charset=utf-8", live.page),
@@ -90,6 +96,10 @@ def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:  # the name that http.server looks for
+            # A page of a stranger may give its own name our address, and read what we answer.
+            if not is_loopback(self.headers.get("Host", "")):
+                self.send_error(403, "ask for localhost")
+                return
             if self.path not in answers:
                 self.send_error(404)
                 return

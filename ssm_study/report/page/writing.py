@@ -1,8 +1,11 @@
 """The report page of a study: one HTML file that opens from disk, with no server and no network."""
 
 import json
+import re
+from html import escape
 from pathlib import Path
 
+from ssm_study.engine.durable import write_atomically
 from ssm_study.refusal import BadRequest
 from ssm_study.report.page.data import best_ordered, page_data
 from ssm_study.report.study_folder import StudyFolder
@@ -42,20 +45,22 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     for letter in "<>&":  # whatever the texts of a run contain, they end no <script> element
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     html = (ASSETS / "page.html").read_text(encoding="utf-8")
-    for name, content in {
-        "title": study.name,
+    parts = {
+        "title": escape(study.name),
         "style": (ASSETS / "page.css").read_text(encoding="utf-8"),
         "data": text,
         "library": _library(),
         "script": "\n".join(
             (ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS
         ),
-    }.items():
-        html = html.replace(f"<!--{name}-->", content, 1)
+    }
+    # In one pass: what is filled in may itself look like a place to be filled.
+    places = "|".join(parts)
+    html = re.sub(f"<!--({places})-->", lambda place: parts[place[1]], html)
     path = study_folder / (
         "_".join(["report", *(f"with_{other.resolve().name}" for other in others)]) + ".html"
     )
-    path.write_text(html, encoding="utf-8")
+    write_atomically(path, html.encode(), durable=False)
     return path
 
 
