@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.data.mcap import read_mcap
-from ssm_study.engine.durable import write_atomically
+from ssm_study.durable import write_atomically
 from ssm_study.engine.settings import resolved, stored_yaml
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device

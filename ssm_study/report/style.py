@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssm_study.engine.durable import write_atomically
+from ssm_study.durable import write_atomically
 from ssm_study.engine.runs import refuse_link
 
 if TYPE_CHECKING:  # a colour is asked for more often than a figure is drawn

@@ -5,7 +5,7 @@ import re
 from html import escape
 from pathlib import Path
 
-from ssm_study.engine.durable import write_atomically
+from ssm_study.durable import write_atomically
 from ssm_study.refusal import BadRequest
 from ssm_study.report.page.data import best_ordered, page_data
 from ssm_study.report.study_folder import StudyFolder
