@@ -230,22 +230,28 @@ class Infeasible:
 SIDES = ("state_feedback", "observer")
 # Parts of the file that are another part's theorem once more: at the largest rate, under another
 # weight, with limits.
-BESIDE = {f"{side}_deployed": side for side in SIDES} | {"tolerance_by_frequency": "tolerance"}
+BESIDE = {f"{side}_deployed": side for side in SIDES}
 OF_LIMITS = {
     "state_feedback_limited": "limited_input",
     "state_feedback_unlimited": "unlimited_start",
 }  # by theorem
 BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
+# Parts that 0.1 wrote and that nothing decides any more: kept as they were read, and never checked.
+WITHDRAWN_PARTS = ("noise", "tolerance_by_frequency")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Controller and observer; either may be missing, with its reason. `beside`: proved of the pair
-    as deployed."""
+    """Controller and observer; either may be missing, with its reason.
+
+    `extra_certificates`: what is proved of the pair as deployed, by the names of the file.
+    `withdrawn`: entries of an older file that are not claimed any more, as they were read.
+    """
 
     state_feedback: StateFeedback | Infeasible
     observer: Observer | Infeasible
-    beside: Mapping[str, Theorem] = field(default_factory=dict)
+    extra_certificates: Mapping[str, Theorem] = field(default_factory=dict)
+    withdrawn: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def certified(self) -> bool:
@@ -285,7 +291,11 @@ class Design:
     @property
     def content(self) -> dict[str, Theorem | Infeasible]:
         """Every part, as the file names it."""
-        return {"state_feedback": self.state_feedback, "observer": self.observer, **self.beside}
+        return {
+            "state_feedback": self.state_feedback,
+            "observer": self.observer,
+            **self.extra_certificates,
+        }
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
@@ -295,7 +305,7 @@ class Design:
 
     def certified_rate(self, side: str) -> float | None:
         """The largest rate that is proved for the gain of this side; None without any."""
-        parts = self.content[side], self.beside.get(f"{side}_deployed")
+        parts = self.content[side], self.extra_certificates.get(f"{side}_deployed")
         return max(
             (part.rate for part in parts if isinstance(part, Side) and part.certified), default=None
         )
@@ -313,7 +323,7 @@ class Design:
                 plain[name.rstrip("_")] = value.tolist() if isinstance(value, np.ndarray) else value
             plain |= {"certified": part.certified, "feasible": isinstance(part, Theorem)}
             content[label] = plain | {"digest": digest(plain)}
-        return content
+        return content | dict(self.withdrawn)
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "Design":
@@ -321,9 +331,11 @@ class Design:
         no matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
-        parts = {name: _read(name, stored) for name, stored in content.items()}
+        withdrawn = {name: content[name] for name in WITHDRAWN_PARTS if name in content}
+        claimed = content.keys() - withdrawn.keys()
+        parts = {name: _read(name, content[name]) for name in content if name in claimed}
         sides = {name: parts.pop(name) for name in SIDES}
-        return cls(**sides, beside=parts)
+        return cls(**sides, extra_certificates=parts, withdrawn=withdrawn)
 
     def save(self, path: Path) -> None:
         path.write_text(

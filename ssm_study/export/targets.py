@@ -292,7 +292,7 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
     proved: dict[str, float | None] = {}
     for side, gain in gains.items():
         # The certificate at the requested rate and that at the gain's largest rate.
-        parts = [design.content[side], design.beside.get(f"{side}_deployed")]
+        parts = [design.content[side], design.extra_certificates.get(f"{side}_deployed")]
         rates = [_largest_rate(part, context, gain) for part in parts if isinstance(part, Theorem)]
         proved[side] = max(rates, default=0.0) or None
     return proved

@@ -95,7 +95,7 @@ def noise_gain(run: Rollouts) -> float | None:
     """`std(y) / std(n)` over the second half of the horizon, cases that stayed, the worst output;
     None without noise.
 
-    What the sensor's noise n leaves of the true output at rest; `noise_gain` of the design bounds
+    What the sensor's noise n leaves of the true output at rest; `noise_gain_model` of the design is
     it for the model.
     """
     half = run.y.shape[1] // 2

@@ -74,6 +74,26 @@ def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: flo
     )
 
 
+def noise_response(
+    linear: StateSpace, pair: Gains, slope_in: float, slope_out: float
+) -> StateSpace:
+    """Transfer function at constant slopes from a sensor's noise to the model's true output."""
+    loop = sensitivity(linear, pair, slope_in, slope_out)
+    by_state = np.hstack([linear.c, np.zeros((len(linear.c), loop.order - linear.order))])
+    by_input = slope_in * linear.d @ loop.c
+    none = np.zeros((len(linear.c), loop.b.shape[1]))
+    return StateSpace(a=loop.a, b=loop.b, c=slope_out * (by_state + by_input), d=none)
+
+
+def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
+    """Largest gain from a sensor's noise to the model's output, over all frequencies and constant
+    slopes; infinite if one of these loops is unstable.
+
+    A number of the model, not a claim: slopes that vary may do more, and white noise does less.
+    """
+    return max(hinf_norm(noise_response(*end)) for end in ends(system, pair, balls))
+
+
 def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
     """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is
     unstable."""

@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
 from ssm_study.certificates.theorems.integral_action import controlled_system, internal_model
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
-from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
+from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA, WITHDRAWN
 from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
@@ -245,6 +245,7 @@ def certificate(run: RunFiles) -> Claims:
     if unfit := [sentence for sentence in broken if sentence.endswith(UNFIT)]:
         yield Checked(claim="certificate.json", holds=False, found="; ".join(unfit))
         return
+    yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
     for label, part in design.content.items():
         wrong = [
             sentence for sentence in broken if re.match(rf"{label}\b", sentence)
@@ -266,7 +267,9 @@ def certificate(run: RunFiles) -> Claims:
             "certificate internal model", made, ONE_FORMULA, f"{', '.join(words)} was requested"
         )
     told = {
-        label: part for label, part in design.beside.items() if isinstance(part, UnlimitedStart)
+        label: part
+        for label, part in design.extra_certificates.items()
+        if isinstance(part, UnlimitedStart)
     }
     ends = run.model.scale.scaled_input(
         np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))

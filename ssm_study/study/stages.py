@@ -230,7 +230,7 @@ def compute_synthesis(
             else judgeable
         )
     design = with_gain_certificates(
-        chosen_by.design(model, balls, data.validation, shown), model, balls, shown, ends
+        chosen_by.design(model, balls, data.validation, shown), model, balls, ends
     )
     design.save(folder / "certificate.json")
 

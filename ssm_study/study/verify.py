@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ssm_study.columns import Column
+from ssm_study.columns import WITHDRAWN, WITHDRAWN_COLUMNS, Column
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
@@ -181,6 +181,8 @@ def judge(
     column = declared(name)
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
+    if name in WITHDRAWN_COLUMNS:
+        return "" if record.get(name) is None else WITHDRAWN
     if record.get(name) is None and column:
         return ""
     if reason := unchecked.get(name) or (column.unchecked if column else ""):

@@ -28,7 +28,6 @@ from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems import deployed_rate
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.limited_input import LimitedFeedback, from_everywhere
-from ssm_study.certificates.theorems.noise_gain import NoiseGain
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
@@ -38,7 +37,6 @@ from ssm_study.certificates.theorems.unlimited_start import unlimited
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.robustness.mismatch import ANGLES, Mismatch
 from ssm_study.synthesis.input_inversion import of_commands
 from ssm_study.systems import Balls
 
@@ -46,23 +44,18 @@ Inputs = Float[np.ndarray, "m"]
 Outputs = Float[np.ndarray, "p"]
 EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 
-# Weights of first order that are tried: gain at the highest frequency over that at rest, and the
-# corner (rad/sample).
-RATIOS = np.geomspace(1e-3, 1e3, 61)
-CORNERS = np.geomspace(1e-3, 3.0, 40)
-
 
 def with_gain_certificates(
     design: Design,
     model: Model,
     balls: Balls,
-    shown: Mismatch,
     limits: tuple[Inputs, Inputs] | None = None,
 ) -> Design:
-    """The design with what is proved of its very gains beside it: rates, tolerances and what input
-    `limits` (physical)
-    leave, each exactly verified. Of a law that undoes the input map no limits: they are not those
-    of what it commands.
+    """The design with what is proved of its very gains, each exactly verified: the largest rates,
+    the tolerance, and what input `limits` (physical) leave.
+
+    For a law that undoes the input map nothing is proved with limits: they are not those of what
+    it commands.
     """
     model, balls = of_commands(design, model, balls)
     limits = None if design.inverts else limits
@@ -77,25 +70,20 @@ def with_gain_certificates(
         known = VerificationContext(
             system=model.system, controlled=controlled, balls=balls, gains=design.gains
         )
-        weights = {"tolerance": np.eye(len(feedback.k))}
-        gains = np.max([view.by_frequency for view in shown.everywhere], axis=0)
-        if shown.rests and np.isfinite(gains).all():  # else no weight covers what is shown
-            weights["tolerance_by_frequency"] = covering_weight(
-                ANGLES, gains, channels=len(feedback.k)
+        found["tolerance"] = within_reach(
+            partial(
+                largest_tolerance,
+                known,
+                np.eye(len(feedback.k)),
+                theorem=Tolerance if linear else StructuredTolerance,
             )
-        asked = {
-            name: (weight, Tolerance if linear else StructuredTolerance)
-            for name, weight in weights.items()
-        }
-        if linear and not model.linear.d.any():
-            asked["noise"] = weights["tolerance"], NoiseGain
-        for name, (weight, theorem) in asked.items():
-            found[name] = within_reach(partial(largest_tolerance, known, weight, theorem=theorem))
-    beside = {name: part for name, part in found.items() if part is not None}
-    design = replace(design, beside=beside)
-    return (
-        replace(design, beside=beside | with_limits(model, design, *limits)) if limits else design
-    )
+        )
+    extra = {name: part for name, part in found.items() if part is not None}
+    design = replace(design, extra_certificates=extra)
+    if limits is None:
+        return design
+    within = with_limits(model, design, *limits)
+    return replace(design, extra_certificates=extra | within)
 
 
 def at_largest_rate(part: Side) -> Side | None:
@@ -118,7 +106,10 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
     not around rest."""
     parts = (
         design.state_feedback,
-        *(design.beside.get(f"state_feedback_{more}") for more in ("deployed", "limited")),
+        *(
+            design.extra_certificates.get(f"state_feedback_{more}")
+            for more in ("deployed", "limited")
+        ),
     )
     known = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
     limits = np.stack([model.scale.scaled_input(end) for end in (lower, upper)], axis=1)
@@ -198,36 +189,3 @@ def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
             return find()
     except NoSolution:
         return None
-
-
-def covering_weight(
-    angles: Float[np.ndarray, "F"], gains: Float[np.ndarray, "F"], channels: int
-) -> Float[np.ndarray, "v v"]:
-    """`[A_W, B_W; C_W, D_W]` of the tightest first-order filter, stable with its inverse, that
-    covers what is shown.
-
-    `w(z) = (g_1 t (z - 1) + g_0 (z + 1)) / (t (z - 1) + z + 1)` has gain `g_0` at rest, `g_1` at
-    the highest frequency,
-    and `|w|^2 = (g_0^2 + (g_1 t tan)^2) / (1 + (t tan)^2)` with `tan = tan(angle / 2)`, `t = 1 /
-    tan(corner / 2)`.
-    Of a grid of ratios and corners the one that exceeds the shown gain by the least mean logarithm;
-    channels alike.
-    """
-    known = gains > 0
-    if not known.any():
-        return np.eye(channels)
-    gains, half = gains[known], np.tan(np.minimum(angles[known], np.pi - 1e-6) / 2)
-    turn = 1 / np.tan(CORNERS / 2)
-    swept = (turn[:, None] * half) ** 2
-    shapes = np.log((1 + RATIOS[:, None, None] ** 2 * swept) / (1 + swept)) / 2
-    lacking = (np.log(gains) - shapes).max(
-        axis=2
-    )  # log of the least gain at rest at which each covers
-    cost = lacking + (shapes - np.log(gains)).mean(axis=2)
-    ratio, corner = np.unravel_index(int(np.argmin(cost)), cost.shape)
-    rest, t = float(np.exp(lacking[ratio, corner])), float(turn[corner])
-    high = rest * float(RATIOS[ratio])
-    pole, direct = (t - 1) / (t + 1), (high * t + rest) / (t + 1)  # w(z) as pole and direct path
-    output = (rest - high * t) / (t + 1) + direct * pole
-    identity = np.eye(channels)
-    return np.block([[pole * identity, identity], [output * identity, direct * identity]])

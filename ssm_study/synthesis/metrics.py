@@ -13,6 +13,7 @@ from ssm_study.columns import EIGENVALUE, ITERATED, Column
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.sensitivity import noise_gain
 from ssm_study.synthesis.deployed import SETS, WithinLimits
 from ssm_study.synthesis.input_inversion import of_commands
 from ssm_study.systems import Balls, StructuredSystem
@@ -91,15 +92,6 @@ COLUMNS = (
         ITERATED,
     ),
     Column(
-        "certified_tolerance_resolved",
-        "Float64",
-        "high",
-        "",
-        "Tolerance over what records show",
-        "–",
-        ITERATED,
-    ),
-    Column(
         "limit_lower",
         "Float64",
         word="Input limited from",
@@ -141,11 +133,11 @@ COLUMNS = (
         ITERATED,
     ),
     Column(
-        "noise_gain",
+        "noise_gain_model",
         "Float64",
         "low",
         "",
-        "Sensor noise on the output, at most",
+        "Sensor noise on the model's output",
         "share of the noise",
         ITERATED,
     ),
@@ -224,15 +216,10 @@ def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) ->
         missed = (f"{side}: {part.solver_status}" for side, part in sides if not part.certified)
         facts["uncertified_reason"] = "; ".join(missed)
     predicted = predict(model, design.pair, balls, shown)
-    tolerated = {
-        "tolerance": "certified_tolerance",
-        "tolerance_by_frequency": "certified_tolerance_resolved",
-    }
-    facts |= {
-        column: getattr(design.beside.get(part), "s", None) for part, column in tolerated.items()
-    }
+    tolerance = design.extra_certificates.get("tolerance")
+    facts["certified_tolerance"] = getattr(tolerance, "s", None)
     facts |= limit_facts(design, model)
-    facts["noise_gain"] = 1 / design.beside["noise"].s if "noise" in design.beside else None  # type: ignore[attr-defined]
+    facts["noise_gain_model"] = noise_gain(model.system, design.pair, balls)
     seen = {
         "mismatch_gain": shown.gain,
         "mismatch_seen": shown.seen,
@@ -245,9 +232,9 @@ def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) ->
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
     """What is proved within input limits; of several inputs or outputs what all share. Empty where
     nothing is."""
-    if (found := WithinLimits.of(model, design.beside)) is None:
+    if (found := WithinLimits.of(model, design.extra_certificates)) is None:
         return {}
-    limits: Any = design.beside[SETS]
+    limits: Any = design.extra_certificates[SETS]
     lower, upper = model.scale.physical_input(limits.limits.T)
     ranges = (
         ("limit_lower", "limit_upper", lower, upper),

@@ -163,7 +163,7 @@ def test_outputs_that_share_no_range_are_not_given_one() -> None:
 
 def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None:
     """A limit cycle of 3.5 noise deviations stood beside `at most 1` without a word."""
-    record = a_run("ok") | {"noise_gain": 1.0}
+    record = a_run("ok") | {"noise_gain_model": 1.0}
     for measured, told in ((3.51, True), (0.9, False)):
         text = " ".join(printed(record | {"noise_gain_measured": measured}).split())
         assert ("more than noise moves it" in text) is told

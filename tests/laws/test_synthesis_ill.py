@@ -79,9 +79,7 @@ def test_a_design_comes_back(kind: str) -> None:
         record = (Trajectory(u=u, y=OUTPUTS[seed](rng, u), step_s=0.01),)
         design = Auto(**GRIDS, integral_weights=integral_weights).design(model, balls, record)
         shown = mismatch(model, record)
-        facts = design_facts(
-            with_gain_certificates(design, model, balls, shown), model, balls, shown
-        )
+        facts = design_facts(with_gain_certificates(design, model, balls), model, balls, shown)
         assert isinstance(facts["controller_certified"], bool)
         assert design.feasible or facts["infeasible_reason"]
 

@@ -197,11 +197,11 @@ def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path)
     that."""
     design, none = Design.load(certified / "certificate.json"), np.array([np.inf])
     part, device = design.state_feedback, Device.of(load(certified), "double", -none, none)
-    faster = replace(design, state_feedback=replace(part, rate=0.99), beside={})
+    faster = replace(design, state_feedback=replace(part, rate=0.99), extra_certificates={})
     found = deployed_rates(device, faster)["state_feedback"]
     assert 0.3 < found < 0.99
     for rate, proved in ((found, True), (found + 0.99 / 4096, False)):
-        stored = replace(design, state_feedback=replace(part, rate=rate), beside={})
+        stored = replace(design, state_feedback=replace(part, rate=rate), extra_certificates={})
         assert (deployed_rates(device, stored)["state_feedback"] == rate) is proved
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_cases import flat, motor_model, motor_record
+from loop_cases import motor_model, motor_record
 from structured_cases import model as with_neurons
 
 from ssm_study.bounds.slopes import certified_balls
@@ -19,7 +19,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import ANGLES, mismatch
+from ssm_study.robustness.mismatch import mismatch
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
@@ -30,7 +30,6 @@ from ssm_study.synthesis.integrated_error import relative_areas
 ASKED = RiccatiSynthesis(
     rate_controller=0.4, rate_observer=0.2, input_weight=0.1, output_noise=0.1, invert_input=True
 )
-SHOWN = flat(np.interp(ANGLES, np.linspace(0, np.pi, 5), [0.05, 0.1, 0.2, 0.2, 0.1]), gain=0.1)
 MODELS = {"one layer": motor_model, "neurons": with_neurons}
 
 
@@ -43,7 +42,7 @@ def made(request: pytest.FixtureRequest) -> tuple:
         stand,
         balls,
         with_gain_certificates(
-            asked.design(stand, balls), stand, balls, SHOWN, (np.array([-4.0]), np.array([4.0]))
+            asked.design(stand, balls), stand, balls, (np.array([-4.0]), np.array([4.0]))
         ),
     )
 

@@ -211,7 +211,9 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     design = wanted.design(model, Balls(input=ball, output=ball))
     ends = np.full(2, -0.6), np.full(2, 0.6)
     each = within_limits(model, design, *ends)
-    facts = limit_facts(replace(design, beside=with_limits(model, design, *ends)), model)
+    facts = limit_facts(
+        replace(design, extra_certificates=with_limits(model, design, *ends)), model
+    )
     assert (each.lower < [0.0, apart]).all()
     assert (each.upper > [0.0, apart]).all()
     assert (facts["limit_lower"], facts["limit_upper"]) == (-0.6, 0.6)

@@ -63,7 +63,7 @@ NUMBERS = {
         for what in ("rate_limit", "gain_norm")
     },
     **{f"{side}_certified_rate": ITERATED for side in ("controller", "observer")},
-    **dict.fromkeys(("certified_tolerance", "certified_tolerance_resolved"), ITERATED),
+    **dict.fromkeys(("certified_tolerance",), ITERATED),
     **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
     **dict.fromkeys(
         ("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"),
@@ -87,7 +87,8 @@ NUMBERS = {
         ("estimate_decay_rate", "certified_bound_excess_plant", "noise_gain_measured"), ONE_FORMULA
     ),
     **dict.fromkeys(
-        ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain"), ITERATED
+        ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain_model"),
+        ITERATED,
     ),
 }
 # Absolute, of matrices with unit diagonal.

@@ -105,6 +105,8 @@ def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: di
     other = at_largest_rate(replace(observer, l_z=0.9 * observer.l_z, rate=1e-3))
     assert other is not None
     assert other.certified
-    forged = json.loads(json.dumps(replace(design, beside={"observer_deployed": other}).to_json()))
+    forged = json.loads(
+        json.dumps(replace(design, extra_certificates={"observer_deployed": other}).to_json())
+    )
     claims = failed_checks(forged, model().system, certified_balls(model()))
     assert "observer_deployed: the gain is not the one that is deployed" in claims

@@ -158,7 +158,7 @@ class Tolerance(Theorem):
         return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
     def given(self, known: VerificationContext) -> dict[str, Any]:
-        return self.loop_of(known)
+        return self.loop_of(known) | {"weight": np.eye(len(self.k))}
 
     @classmethod
     def loop_of(cls, known: VerificationContext) -> dict[str, Any]:
