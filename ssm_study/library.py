@@ -13,10 +13,12 @@ the program ends.
 """
 
 import atexit
+import re
 import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,7 +43,7 @@ from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.structured import StructuredSSM, at_rest
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import BadRequest, positive, require
 from ssm_study.signals import DataSet, fit_percent
 from ssm_study.study import line
 from ssm_study.study.specification import Specification
@@ -102,6 +104,9 @@ class Model:
             problem,
             "give the outputs of this input",
         )
+        moves = bool(np.ptp(measured, axis=0).any())
+        problem = "is constant, and the score compares the error with its deviation from the mean"
+        require(moves, "y", "one value", problem, "score a record in which it moves")
         return fit_percent(measured, predicted)
 
     @property
@@ -123,7 +128,11 @@ class Model:
         within A, B, C, D.
         Refuses a baseline, which has no state space.
         """
-        import control as python_control
+        try:
+            import control as python_control
+        except ImportError as error:
+            remedy = "pip install 'ssm-study[export]'"
+            raise BadRequest("to_control", "control", "is not installed", remedy) from error
 
         model, linear = self.ssm, at_rest(self.ssm)
         inward, outward = (
@@ -215,11 +224,12 @@ def fit(
     True
     """
     folder = Path(results_dir or _scratch())
+    seconds = sampling_time(step_s)
     paths, inputs, outputs = logged(u, y, folder)
     words = ["data=recorded", f"data.path=[{_quoted(*paths)}]", f"data.input=[{_quoted(*inputs)}]"]
     words += [
         f"data.output=[{_quoted(*outputs)}]",
-        f"data.step_s={float(step_s)!r}",
+        f"data.step_s={seconds!r}",
         "study=library",
         "progress=false",
     ]
@@ -374,5 +384,26 @@ def _scratch() -> Path:
 
 
 def _quoted(*texts: str) -> str:
-    """Texts as Hydra reads them back."""
-    return ",".join("'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'" for text in texts)
+    """Texts as Hydra reads them back.
+
+    There a backslash stands for itself, except in front of a quote.
+    """
+    return ",".join(f"'{_escaped(text)}'" for text in texts)
+
+
+def _escaped(text: str) -> str:
+    before_quotes = re.sub(r"(\\*)'", r"\1\1\\'", text)
+    return re.sub(r"(\\+)$", r"\1\1", before_quotes)
+
+
+def sampling_time(step_s: Any) -> float:
+    """Seconds of a number or a time difference. Raises `BadRequest` for what is none."""
+    remedy = "give it in seconds"
+    if isinstance(step_s, timedelta | np.timedelta64):
+        step_s = pd.Timedelta(step_s).total_seconds()
+    try:
+        seconds = float(step_s)
+    except (TypeError, ValueError) as error:
+        raise BadRequest("step_s", step_s, "is no sampling time", remedy) from error
+    positive("step_s", seconds, remedy)
+    return seconds

@@ -63,12 +63,9 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
         return full_or_forbidden(
             *(("file", error) if named else ("command", error, " ".join(arguments)))
         )
-    problem = (
-        f"ended by what no file that we write leads to ({type(error).__name__}: {str(error)[:300]})"
-    )
-    remedy = (
-        "run the study again if its files were changed; SSM_STUDY_TRACEBACK=1 shows where it ended"
-    )
+    cause = f"{type(error).__name__}: {str(error)[:300]}"
+    problem = f"Unexpected error (a bug in ssm-study, please report it): {cause}"
+    remedy = "if files of the study were changed, run it again; SSM_STUDY_TRACEBACK=1 shows the traceback"
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 

@@ -6,12 +6,15 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import OverrideType
 from omegaconf import OmegaConf
 
 from ssm_study.engine.compose import Command, Composer, combinations
 from ssm_study.engine.jobs import jobs_of
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
+from ssm_study.refusal import require
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 OPTIONS = {
@@ -60,8 +63,20 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     """
     request = Command(arguments, folder, name)
     refuse_foreign_targets(request.config)
+    refuse_empty(request)
     refuse_unbounded(OmegaConf.to_container(request.config, resolve=False))
     return request
+
+
+def refuse_empty(request: Command) -> None:
+    """Raise `BadRequest` for `plant={}`: Hydra merges it, so it would change nothing."""
+    parser = OverridesParser.create(config_loader=request.config_loader)
+    for override in parser.parse_overrides(list(request.asked.overrides)):
+        key = str(override.key_or_group)
+        value = override.value()
+        changes = value != {} or override.type is not OverrideType.CHANGE
+        problem = "changes nothing: what it holds is added to what is there"
+        require(changes, key, value, problem, f"write {key}=null for none, or name a choice")
 
 
 @contextmanager

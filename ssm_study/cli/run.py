@@ -20,7 +20,7 @@ from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden, lim
 from ssm_study.cli.request import JUST_ASKING, check_request, checked, translate
 from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, forget
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
 
 PYTHONS_WARNING = warnings.formatwarning
 
@@ -92,6 +92,9 @@ def run(overrides: list[str]) -> int:
         raise advised(error, overrides, configuration_folder()) from error
     except ValueError as error:
         # Hydra's own, for a number or null where the name of a choice belongs.
+        if "integer string conversion" in str(error):
+            problem = "holds a number of thousands of digits"
+            raise BadRequest("request", " ".join(overrides), problem, "write it shorter") from error
         if "Config group override" not in str(error):
             raise
         raise advised(error, overrides, configuration_folder()) from error

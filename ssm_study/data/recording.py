@@ -1,6 +1,7 @@
 """One recorded experiment: which file, which columns, which clock, which samples."""
 
 import re
+import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -231,6 +232,24 @@ def decimated(
     ]
 
 
+def plain_name(column: str) -> str:
+    """`Motor voltage (V)` becomes `Motor_voltage_V`, `ω` becomes `omega`."""
+    letters = unicodedata.normalize("NFKD", column)
+    spelled = "".join(_spelled(letter) for letter in letters)
+    return re.sub(r"[^0-9A-Za-z]+", "_", spelled).strip("_") or "signal"
+
+
+def _spelled(letter: str) -> str:
+    """`ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`; another letter stays."""
+    if letter == "\N{DEGREE SIGN}":
+        return "deg"
+    name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))
+    if name is None:
+        return letter
+    word = name[3].lower()
+    return word if name[1] == "SMALL" else word.title()
+
+
 def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
     """Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
 
@@ -241,6 +260,9 @@ def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Chann
     stated = ("",) * len(columns) if stated == ("",) else stated
     problem, remedy = f"there are {len(columns)} columns", "give one unit per column"
     require(len(stated) == len(columns), f"data.{side}_unit", units, problem, remedy)
-    plain = [re.sub(r"[^0-9A-Za-z]+", "_", column).strip("_") or "signal" for column in columns]
+    plain = [plain_name(column) for column in columns]
+    twice = next((name for name in plain if plain.count(name) > 1), "")
+    problem = f"two of them would be called {twice}"
+    require(not twice, f"data.{side}", ", ".join(columns), problem, "rename a column of the log")
     plain = [f"{side}_{words}" if apart or words[0].isdigit() else words for words in plain]
     return tuple(Channel(name=name, unit=unit) for name, unit in zip(plain, stated, strict=True))

@@ -23,6 +23,8 @@ from ssm_study.refusal import require
 R = TypeVar("R")
 
 INPUTS = "inputs_sha256"
+# Settings that say how a run is done, not what it is.
+FLAGS = frozenset({"progress", "dry_run", "retry_failed", "strict"})
 # Requests by their folder; jobs that are forked off a sweep find theirs here.
 _CHECKED: dict[Path, Any] = {}
 
@@ -87,7 +89,13 @@ class Task(ABC, Generic[R]):
         """A configuration refused or resolved."""
         if not isinstance(config, Settings):
             self.refuse(config)
-        return plain(config)
+        settings = plain(config)
+        for name in FLAGS & settings.keys():
+            is_flag = isinstance(settings[name], bool)
+            require(
+                is_flag, name, settings[name], "is neither true nor false", "write true or false"
+            )
+        return settings
 
     def request(self, config: DictConfig | Settings) -> R:
         """`check`, once per run and process."""

@@ -1,0 +1,92 @@
+"""Requests that were accepted, or answered with a traceback, are answered with one sentence."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ssm_study.cli.main import WRONG_REQUEST, main
+from ssm_study.data.recording import plain_name
+from ssm_study.library import _quoted, sampling_time
+from ssm_study.refusal import BadRequest
+
+WRONG = {
+    "a seed of 5,000 digits": (["seed=" + "1" * 5000], "thousands of digits"),
+    "a list for progress": (["progress=[[1]]"], "progress = [[1]]: is neither true nor false"),
+    "a number for strict": (["strict=-1"], "strict = -1: is neither true nor false"),
+    "a number for dry_run": (["dry_run=0"], "dry_run = 0: is neither true nor false"),
+    "nothing for a plant": (["plant={}"], "plant = {}: changes nothing"),
+    "nothing for a part of one": (["model.scaffold_in={}"], "changes nothing"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+@pytest.mark.parametrize("many", [False, True])
+def test_a_request_that_means_nothing_is_refused(
+    case: str, many: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, sentence = WRONG[case]
+    results = tmp_path / "results"
+    place = ["experiment=smoke", f"results_dir={results}"]
+    assert main(["run", *words, *place, *(["-m"] if many else [])]) == WRONG_REQUEST
+    answer = capsys.readouterr().err
+    assert answer.count("\n") == 1
+    assert sentence in answer
+    assert not results.exists()
+
+
+def test_a_column_that_is_named_twice_is_refused_before_any_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was a failed run."""
+    log = tmp_path / "log.csv"
+    rng = np.random.default_rng(0)
+    pd.DataFrame(rng.normal(size=(400, 2)), columns=["u", "y"]).to_csv(log, index=False)
+    words = ["data=recorded", f"data.path={log}", "data.output=y", "data.step_s=0.1"]
+    results = tmp_path / "results"
+    assert main(["run", *words, "data.input=[u,u]", f"results_dir={results}"]) == WRONG_REQUEST
+    assert "two of them would be called u" in capsys.readouterr().err
+    assert not results.exists()
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), None, "often", 0.0, -1.0, [0.1]])
+def test_what_is_no_sampling_time_is_refused(value: object) -> None:
+    with pytest.raises(BadRequest, match="step_s"):
+        sampling_time(value)
+
+
+@pytest.mark.parametrize(
+    "value", [0.1, np.float64(0.1), pd.Timedelta("100ms"), timedelta(milliseconds=100)]
+)
+def test_a_time_difference_is_a_sampling_time(value: object) -> None:
+    assert sampling_time(value) == 0.1
+
+
+TEXTS = ["a\\b", "a\\", "it's", "a\\'b", "\\\\server\\share", "a b", "", "[x]", "\\\\'", "'\\"]
+
+
+def test_texts_from_python_arrive_as_they_are() -> None:
+    """Every backslash was doubled: a folder of another name was made."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    parser = OverridesParser.create()
+    assert parser.parse_override(f"key=[{_quoted(*TEXTS)}]").value() == TEXTS
+
+
+NAMES = {
+    "Motor voltage (V)": "Motor_voltage_V",
+    "ω [°/s]": "omega_deg_s",
+    "φ": "phi",
+    "Ω": "Omega",
+    "ς": "sigma",
+    "ü": "u",
+    "!": "signal",
+}
+
+
+@pytest.mark.parametrize("column", NAMES)
+def test_greek_names_stay_apart(column: str) -> None:
+    """All were folded to one: `ω [°/s]` became `s`."""
+    assert plain_name(column) == NAMES[column]
