@@ -27,7 +27,8 @@ from ssm_study.study.allow_list import ROOMS
 HEAVY = {
     "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
     "synthesis": re.compile(
-        r"ssm_study\.(bounds\.lipsdp|synthesis\.\w*lmi|loop\.(comparison|peers))"
+        r"ssm_study\.(bounds\.lipsdp|certificates\.semidefinite|synthesis\.(objectives|\w*lmi)"
+        r"|loop\.(comparison|peers))"
     ),
 }
 
