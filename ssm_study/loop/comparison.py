@@ -19,6 +19,7 @@ from ssm_study.refusal import at_least, require
 
 LOADS = ("load_step", "load_pulse", "load_periodic")
 SITUATIONS = ("nominal", *LOADS, "noise_free", "noise_4x", "saturation", "delay", "spread")
+WITHDRAWN = {"mpc": "the linear MPC was withdrawn in 0.2 (CHANGELOG.md, 0.2.0)"}
 Case = tuple[Plant, Loop]
 
 
@@ -48,11 +49,12 @@ class Comparison(ComparisonTable):
             ("situations", SITUATIONS),
         ):
             unknown = [value for value in getattr(self, name) if value not in known]
+            withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
             require(
                 not unknown,
                 f"loop.comparison.{name}",
                 unknown,
-                "not known",
+                withdrawn[0] if withdrawn else "not known",
                 f"use some of {', '.join(known)}",
             )
         require(

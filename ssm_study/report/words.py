@@ -19,7 +19,7 @@ DERIVED = {
     "slope_ratio": "Certified slope ratio of S_u, smallest / largest (–)",
 }
 CHOICES: dict[str, str] = {
-    "pi": "PI", "lqg": "LQG", "mpc": "MPC", "lmi": "LMI", "paper_lmi": "paper's LMI",
+    "pi": "PI", "lqg": "LQG", "lmi": "LMI", "paper_lmi": "paper's LMI",
     "auto_integral": "auto, integral", "own_pi": "own PI",
     "load_periodic": "load sine", "noise_free": "no noise", "noise_4x": "noise × 4", "spread": "off-nominal",
     "dc_motor": "DC motor", "dc_motor_limited": "DC motor, limited", "stribeck_drive": "Stribeck drive",

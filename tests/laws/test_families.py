@@ -55,7 +55,7 @@ def test_members_are_those_of_the_room() -> None:
     assert set(Scaffold.members(scaffolds)) == {"linear", "mlp", "monotone", "residual"}
     assert set(Simulator.members(baselines)) == {"deep_ssm", "dynonet", "gru", "lstm", "narx"}
     assert set(Reader.members(readers)) == {".csv", ".mat", ".mcap", ".parquet"}
-    assert {"uncontrolled", "pi", "lqg", "mpc", "auto"} < set(Peer.members(peers))
+    assert {"uncontrolled", "pi", "lqg", "auto"} < set(Peer.members(peers))
 
 
 def test_families_do_not_share_their_members() -> None:

@@ -13,7 +13,6 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.metrics import behaviour
 from ssm_study.loop.peers.lqg import lqg
-from ssm_study.loop.peers.mpc import MPC
 from ssm_study.loop.peers.peer import Identified, compared
 from ssm_study.loop.peers.pi import tyreus_luyben, ultimate
 from ssm_study.loop.reference import StepReference
@@ -65,8 +64,7 @@ def test_pi_leaves_no_error_under_a_load():
     )
 
 
-@pytest.mark.parametrize("name", ["lqg", "mpc"])
-def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest(name):
+def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     """Differences are the second route; the gains are those of that linear system, and not of A and
     B alone."""
     model = with_neurons()
@@ -81,16 +79,16 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest(name):
     ).T / 2e-6
     seen = known.without_neurons.linear
     assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
-    built, _ = compared(name, motor(), known)
+    built, _ = compared("lqg", motor(), known)
     without = compared(
-        name,
+        "lqg",
         motor(),
         Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),)),
     )
     assert built.gains.k == pytest.approx(without[0].gains.k)
     plain = replace(known.without_neurons, linear=model.linear)
     blind = compared(
-        name, motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
+        "lqg", motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
     )
     assert built.gains.k != pytest.approx(blind[0].gains.k, rel=1e-3)
 
@@ -107,34 +105,6 @@ def test_lqg_is_optimal_for_the_linear_part():
     )
     greedy = -np.linalg.solve(0.3 * np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)
     np.testing.assert_allclose(law.gains.k, greedy, rtol=1e-8)
-
-
-def mpc(model, weights, low, high):
-    limits = {"input_lower": np.array([low]), "input_upper": np.array([high])}
-    return MPC(model=model, gains=lqg(model, weights).gains, weights=weights, **limits)
-
-
-def test_mpc_without_active_limits_is_the_riccati_law():
-    model, weights = motor_model(), replace(WEIGHTS, input_weight=0.1)
-    law = mpc(model, weights, -1e3, 1e3)
-    a, b, c = model.linear.a, model.linear.b, model.linear.c
-    slope = float(
-        (model.scaffold_in(np.ones((1, 1))) - model.scaffold_in(-np.ones((1, 1))))[0, 0] / 2
-    )
-    r = 0.1 / slope**2 * np.eye(1)
-    s = scipy.linalg.solve_discrete_are(a, b, c.T @ c + 1e-4 * np.eye(2), r)
-    k = -np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a)
-    x = np.array([[0.3, -0.2], [-0.1, 0.4]])
-    u = law.input(x, np.zeros((2, 1)), np.zeros(3))
-    np.testing.assert_allclose(model.lift(u), x @ k.T, atol=2e-3)
-
-
-def test_mpc_keeps_its_limits():
-    law = mpc(motor_model(), WEIGHTS, -1.0, 0.7)
-    run = SHORT.on_plant(motor(), law, seed=0).controlled
-    assert run.u.min() >= -1.0 - 1e-9
-    assert run.u.max() <= 0.7 + 1e-9
-    assert np.abs(run.u).max() > 0.69
 
 
 def test_a_grid_of_gains_is_its_designs_one_by_one():
