@@ -203,7 +203,7 @@ def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(
         claim for claim in claims if claim.startswith("certificate.") and claim not in FILES
     }
     assert verified.holds
-    assert len(certificates) == 8
+    assert len(certificates) == 6
     assert claims - certificates == {*NUMBERS, *COUNTS, *WORDS, *ABSENT, *REQUESTED, *FILES}
     assert {name for name, value in record.items() if value is not None} <= {
         *claims,
