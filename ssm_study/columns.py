@@ -19,6 +19,10 @@ EIGENVALUE = (
 WITHDRAWN = "withdrawn in 0.2"
 WITHDRAWN_COLUMNS = frozenset({"noise_gain", "certified_tolerance_resolved"})
 
+# Columns that records of 0.1 (record_version 1) lack.
+ADDED = "records of 0.1 do not have it"
+ADDED_COLUMNS = frozenset({"noise_gain_model"})
+
 
 @dataclass(frozen=True)
 class Column:

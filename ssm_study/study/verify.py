@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ssm_study.columns import WITHDRAWN, WITHDRAWN_COLUMNS, Column
+from ssm_study.columns import ADDED, ADDED_COLUMNS, WITHDRAWN, WITHDRAWN_COLUMNS, Column
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
@@ -179,6 +179,8 @@ def judge(
     """The finding on a column of the record, or why it is not checked; empty where the record
     claims nothing."""
     column = declared(name)
+    if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
+        return ADDED
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
     if name in WITHDRAWN_COLUMNS:
