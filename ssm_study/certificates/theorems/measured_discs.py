@@ -1,0 +1,250 @@
+"""Rest of the closed loop on every plant whose mismatch stays within a disc that records show.
+
+Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = m + e`, m the
+model's output for the same input. Records bound e in a disc around `c m`, by frequency, with two
+references: m where the model speaks, u where it is silent. How much larger may e be than the
+records show?
+
+Hypotheses. `S_u` in the ball `alpha I + beta Delta`, slopes free to vary; `S_y` in the ball
+`alpha_out I + beta_out Delta`, one fixed map. The premise: for every start of the plant there is a
+gamma such that for every input of finite energy, over all time,
+
+    sum |e - c m|^2  <=  kappa^2 sum ( floor^2 |m|^2 + |W m|^2 + |V u|^2 )  +  gamma
+
+with stable filters W and V, from zero. No input limit acts, no load is constant, noise has finite
+energy.
+
+Statement. With `eps = xh - x`, `v = alpha u + p`, `o = C x + D v`, `do = C eps`, `m = alpha_out o +
+r2`, `inj = alpha_out do + r1 - e` (that is `yh - y`),
+
+    x+ = A x + B v + E e,    eps+ = A eps + L inj,    u = K (x, z) + K_x eps
+
+(x with its internal model z, which E feeds e to), and the states of W and V beside them in xi, if
+`P > 0`, `lambda_p > 0`, `lambda_out > 0`, `kappa floor > |c|` and
+
+    xi' P xi - xi+' P xi+  - lambda_p (beta^2 |u|^2 - |p|^2)
+      - sum over (a, b) in (r1, do), (r2, o), (r1 + r2, do + o)  of lambda_out (beta_out^2 |b|^2 - |a|^2)
+      + |e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)   >  0   for all (xi, p, e, r1, r2)
+
+then x, eps and e are square-summable: input and output of the plant come to rest from every start.
+Where the premise also holds for differences of two inputs and S_y is linear, the loop contracts.
+
+Why a premise over all time is enough, although a loop stops at no time: the disc holds `e = 0`
+(`kappa floor > |c|`) and is convex, so with e it holds `tau e` for tau in [0, 1]. The inequality
+bounds every loop of finite energy alike in tau; at `tau = 0` the loop is the certified model, and a
+small step of tau keeps energies finite (Megretski & Rantzer 1997, Theorem 1). So a plant that
+answers a sample before its model is covered too, whose sums up to a time exceed the disc's.
+
+When not to use it. As a forecast: that the plant meets the premise is what records show, not what
+is proved. Where kappa is below what they need nothing is covered, and the number is no fraction.
+
+Reference. docs/theory.md, "Measured discs"; Megretski & Rantzer, IEEE TAC 42 (1997) 819-830,
+Theorem 1.
+
+Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: small gain, as in
+`tolerance`.
+
+>>> import numpy as np
+>>> from ssm_study.synthesis.measured_discs_search import largest_kappa
+>>> from ssm_study.certificates.theorem import VerificationContext
+>>> from ssm_study.robustness.coverage import Weights
+>>> from ssm_study.systems import Balls, JacobianBall, StateSpace
+>>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
+>>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
+>>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
+>>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> proof = largest_kappa(known, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
+>>> print(f"{proof.kappa:.2f}, at most 1 / 0.15, certified: {proof.certified}")
+6.57, at most 1 / 0.15, certified: True
+"""
+
+from dataclasses import dataclass, fields
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.certificates.problem import DUAL
+from ssm_study.certificates.theorem import (
+    Blocks,
+    Theorem,
+    VerificationContext,
+    diagonal,
+    stacked,
+)
+from ssm_study.systems import JacobianBall, error_input_matrix
+
+OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is controlled
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredDiscs(Theorem):
+    """`kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`; empty for a linear
+    S_y.
+
+    The disc is `centre, floor, weight_output, weight_input`: `[A, B; C, D]` of a filter of one
+    channel, applied to each. The loop is `a, b, k` (controlled), `c, d, l, alpha_out, beta_out`
+    (observed).
+    """
+
+    a: Float[np.ndarray, "s s"]
+    b: Float[np.ndarray, "s m"]
+    c: Float[np.ndarray, "p n"]
+    d: Float[np.ndarray, "p m"]
+    k: Float[np.ndarray, "m s"]
+    l: Float[np.ndarray, "n p"]  # noqa: E741 - the paper's letter
+    alpha_out: float
+    beta_out: float
+    centre: float
+    floor: float
+    weight_output: Float[np.ndarray, "y y"]
+    weight_input: Float[np.ndarray, "v v"]
+    kappa: float
+    lambda_p: float
+    lambda_out: Float[np.ndarray, "r"]
+    p: Float[np.ndarray, "x x"]
+
+    part: ClassVar[str] = "coverage"
+    metric_matrix: ClassVar[str] = "p"
+
+    @classmethod
+    def conditions(cls, of: Any) -> dict[str, Blocks]:
+        signals = cls.signals(of)
+        form = signals.xi.T @ of.p @ signals.xi - signals.step.T @ of.p @ signals.step
+        form = form + cls.disc_form(of, signals)
+        for multiplier, positive in cls.map_forms(of, signals):
+            form = form + multiplier * positive
+        disc = of.kappa * of.kappa * of.floor * of.floor - of.centre * of.centre
+        positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "kappa", "floor")}
+        if of.lambda_out.shape[1]:
+            positive["lambda_out"] = [[diagonal(of.lambda_out)]]
+        return {"inequality": [[form]], "model inside the disc": [[disc]], **positive}
+
+    @staticmethod
+    def disc_form(of: Any, signals: Any) -> Any:
+        """`|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
+        deviation = signals.e - of.centre * signals.m
+        reference = of.floor * of.floor * (signals.m.T @ signals.m)
+        reference = reference + signals.w_m.T @ signals.w_m + signals.v_u.T @ signals.v_u
+        return deviation.T @ deviation - of.kappa * of.kappa * reference
+
+    @classmethod
+    def map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
+        """Each multiplier with the form of the static maps that it multiplies, which no signal of
+        the loop makes positive."""
+        u, p = signals.u, signals.p
+        forms = [(of.lambda_p, p.T @ p - of.beta * of.beta * (u.T @ u))]
+        if of.lambda_out.shape[1]:
+            pairs = [(signals.r1, signals.do), (signals.r2, signals.o)]
+            pairs.append((signals.r1 + signals.r2, signals.do + signals.o))
+            square = of.beta_out * of.beta_out
+            for i, (remainder, argument) in enumerate(pairs):
+                form = remainder.T @ remainder - square * (argument.T @ argument)
+                forms.append((of.lambda_out[:, i : i + 1], form))
+        return forms
+
+    @classmethod
+    def inputs_of(cls, of: Any) -> dict[str, int]:
+        """How many entries each free signal has, in the order of the columns."""
+        (_, m), (p, _) = of.b.shape, of.c.shape
+        bent = {"r1": p, "r2": p} if of.lambda_out.shape[1] else {}
+        return {"p": m, "e": p, **bent}
+
+    @classmethod
+    def signals(cls, of: Any) -> SimpleNamespace:
+        """Every signal of the statement as rows over `(xi, p, e, ...)`, in the numbers of `of`."""
+        (s, m), (p, n) = of.b.shape, of.c.shape
+        filters = {
+            "x_w": (len_of(of.weight_output) - 1) * p,
+            "x_v": (len_of(of.weight_input) - 1) * m,
+        }
+        states = {"x": s, "eps": n, **filters}
+        rows = SimpleNamespace(**selectors(states | cls.inputs_of(of)))
+        rows.xi = np.vstack([getattr(rows, name) for name in states])
+        rows.u = of.k @ rows.x + of.k[:, :n] @ rows.eps
+        rows.drive = of.alpha * rows.u + rows.p
+        zero = np.zeros((p, rows.xi.shape[1]))
+        rows.o = of.c @ rows.x[:n] + of.d @ rows.drive + cls.neurons_at_output(of, rows, "w")
+        rows.do = of.c @ rows.eps + cls.neurons_at_output(of, rows, "d")
+        rows.m = of.alpha_out * rows.o + getattr(rows, "r2", zero)
+        rows.injected = of.alpha_out * rows.do + getattr(rows, "r1", zero) - rows.e
+        fed = np.vstack([np.zeros((n, p)), error_input_matrix(np.eye(s - n), p)])
+        moved = of.a @ rows.x + of.b @ rows.drive + fed @ rows.e
+        error = of.a[:n, :n] @ rows.eps + of.l @ rows.injected
+        next_w, rows.w_m = filter_rows(of.weight_output, rows.x_w, rows.m, p)
+        next_v, rows.v_u = filter_rows(of.weight_input, rows.x_v, rows.u, m)
+        moved, error = cls.neurons_at_states(of, rows, moved, error)
+        rows.step = stacked(
+            [[moved], [error], *([part] for part in (next_w, next_v) if part.shape[0])]
+        )
+        return rows
+
+    @classmethod
+    def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
+        """What neurons add to an output; nothing of one layer."""
+        del letter
+        return np.zeros((of.c.shape[0], rows.xi.shape[1]))
+
+    @classmethod
+    def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
+        """The next states with what neurons add to them; unchanged of one layer."""
+        del of, rows
+        return moved, error
+
+    def given(self, known: VerificationContext) -> dict[str, Any]:
+        given = self.loop_of(known)
+        ball = known.balls.output
+        linear_map = len(self.lambda_out) == 0
+        if linear_map and ball.beta > 0:  # no multiplier for a bend that there is: proves nothing
+            given["beta_out"] = np.nan
+        return given
+
+    @classmethod
+    def loop_of(cls, known: VerificationContext) -> dict[str, Any]:
+        """Every field that is the model's, or a gain."""
+        names = [field.name for field in fields(cls) if field.name in DUAL]
+        loop = {
+            name: getattr(known.system if name in OF_THE_OUTPUT else known.controlled, name)
+            for name in names
+        }
+        ball = known.balls.output
+        return {**loop, **known.gains, "alpha_out": ball.alpha, "beta_out": ball.beta}
+
+    @staticmethod
+    def ball(known: VerificationContext) -> JacobianBall:
+        return known.balls.input
+
+    @classmethod
+    def rate_limit_of(cls, known: VerificationContext) -> None:
+        """No rate is claimed."""
+
+
+def len_of(matrix: Any) -> int:
+    """The number of rows, of floats and of exact numbers alike."""
+    return int(matrix.shape[0])
+
+
+def selectors(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
+    """Rows that pick each named part out of the whole vector."""
+    ends = np.cumsum(list(sizes.values()))
+    identity = np.eye(int(ends[-1]))
+    pieces = np.split(identity, ends[:-1])
+    return dict(zip(sizes, pieces, strict=True))
+
+
+def filter_rows(weight: Any, state: Any, signal: Any, channels: int) -> tuple[Any, Any]:
+    """The next state and the output of a filter of one channel, applied to each channel of a
+    signal."""
+    order = len_of(weight) - 1
+    a, b = weight[:order, :order], weight[:order, order:]
+    c, direct = weight[order:, :order], weight[order:, order:]
+    if not order:
+        return np.zeros((0, signal.shape[1])), direct * signal
+    steps, outputs = [], []
+    for i in range(channels):
+        own = state[i * order : (i + 1) * order]
+        entering = signal[i : i + 1, :]
+        steps.append([a @ own + b @ entering])
+        outputs.append([c @ own + direct * entering])
+    return stacked(steps), stacked(outputs)

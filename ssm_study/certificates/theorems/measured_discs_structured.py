@@ -1,0 +1,107 @@
+"""Rest of the closed loop of a model with neurons on every plant whose mismatch stays within a
+measured disc.
+
+Problem. As in `measured_discs`, for the model and the observer of `structured_observer`.
+
+Hypotheses. Those of `measured_discs`; each neuron is one fixed map of slopes in [0, 1], zero at
+rest; `L_z = 0` where `H != 0`.
+
+Statement. With the letters of `measured_discs` and `z = F x + G v`, `dz = F eps + L_z inj`, the
+neurons of the model against rest `w`, and of the observer against the model `d`,
+
+    x+ = A x + B v + E w + ...,    eps+ = A eps + E d + L inj,    o = C x + D v + H w,    do = C eps + H d
+
+its inequality with `lambda > 0` and one more term for each pair,
+
+    + sum over (w, z) in (w, z), (d, dz), (w + d, z + dz)   of He( w' Lambda (w - z) )
+
+proves the same. The third pair is the observer's neuron against rest: one map, so it costs nothing
+and counts (`w_i (z_i - w_i) >= 0` for any two points of a curve of slopes in [0, 1]).
+
+When not to use it. As `measured_discs`; where slopes of neurons vary in time at will the third pair
+does not hold.
+
+Reference. docs/theory.md, "Measured discs"; Megretski & Rantzer 1997, Theorem 1; `E = 0, H = 0` is
+`measured_discs`.
+
+Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: at slope zero
+small gain allows `8 * 0.7 * 0.95 / 1.2`.
+
+>>> import numpy as np
+>>> from ssm_study.synthesis.measured_discs_search import largest_kappa
+>>> from ssm_study.certificates.theorem import VerificationContext
+>>> from ssm_study.robustness.coverage import Weights
+>>> from ssm_study.systems import Balls, JacobianBall, StructuredSystem
+>>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
+>>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
+>>> loop = StructuredSystem(**matrices)
+>>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
+>>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> proof = largest_kappa(known, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
+>>> print(f"{proof.kappa:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {proof.certified}")
+4.37 <= 4.43, certified: True
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.certificates.theorem import Blocks, VerificationContext, diagonal
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuredMeasuredDiscs(MeasuredDiscs):
+    """The fields of `measured_discs`, and `e (s, q), f (q, s), g (q, m)`, `h (p, q)`, `l_z (q, p)`,
+    `lambda_ (3 q,)`."""
+
+    e: Float[np.ndarray, "s q"]
+    f: Float[np.ndarray, "q s"]
+    g: Float[np.ndarray, "q m"]
+    h: Float[np.ndarray, "p q"]
+    l_z: Float[np.ndarray, "q p"]
+    lambda_: Float[np.ndarray, "w"]
+
+    @classmethod
+    def conditions(cls, of: Any) -> dict[str, Blocks]:
+        found = super().conditions(of)
+        return found | {"lambda": [[diagonal(of.lambda_)]]}
+
+    @classmethod
+    def inputs_of(cls, of: Any) -> dict[str, int]:
+        q = of.g.shape[0]
+        return super().inputs_of(of) | {"w": q, "d_w": q}
+
+    @classmethod
+    def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
+        return of.h @ (rows.w if letter == "w" else rows.d_w)
+
+    @classmethod
+    def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
+        n = of.c.shape[1]
+        return moved + of.e @ rows.w, error + of.e[:n, :] @ rows.d_w
+
+    @classmethod
+    def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
+        """What the neurons give and what they see: model against rest, observer against model,
+        observer against rest."""
+        n = of.c.shape[1]
+        z = of.f @ rows.x + of.g @ rows.drive
+        dz = of.f[:, :n] @ rows.eps + of.l_z @ rows.injected
+        return [(rows.w, z), (rows.d_w, dz), (rows.w + rows.d_w, z + dz)]
+
+    @classmethod
+    def map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
+        forms = super().map_forms(of, signals)
+        q = of.g.shape[0]
+        for i, (given, seen) in enumerate(cls.neuron_pairs(of, signals)):
+            weights = diagonal(of.lambda_[:, i * q : (i + 1) * q])
+            weighted = weights @ (given - seen)
+            forms.append((1, given.T @ weighted + weighted.T @ given))
+        return forms
+
+    def given(self, known: VerificationContext) -> dict[str, Any]:
+        looped = known.system.h.any() and self.l_z.any()
+        return super().given(known) | ({"alpha_out": np.nan} if looped else {})

@@ -1,0 +1,257 @@
+"""The convex program behind `measured_discs`: weights, multipliers and kappa at once, at some
+angles.
+
+With every signal of the loop as a row over its free signals at `z = e^{jw}` the theorem's
+inequality is, by the Kalman-Yakubovich-Popov lemma, a Hermitian matrix that must be positive at
+every angle:
+
+    |e - c m|^2 - X(w) |m|^2 - Y(w) |u|^2 + sum of multipliers times forms of the static maps  >  0
+
+`X = kappa^2 (floor^2 + |W|^2)` and `Y = kappa^2 |V|^2` are `sum_j x_j phi_j(w)`, `phi_j = 2 cos(j
+w) / |den|^2`, so all is linear in x, y, the multipliers and `nu = kappa^2`. A few angles are
+solved, the worst violated of a grid join them, until none is. Source: docs/theory.md, "Measured
+discs".
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import scipy
+from jaxtyping import Complex, Float
+
+from ssm_study.certificates.problem import NoSolution
+from ssm_study.certificates.theorem import VerificationContext
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+
+GRID = np.concatenate([[0.0], np.geomspace(1e-4, np.pi, 300)])
+FIRST = 14  # angles that are solved first
+MORE = 6  # of the worst violated join at a time
+ROUNDS = 12
+VIOLATED = 1e-9  # a smallest eigenvalue below minus this, where |e|^2 counts one, violates
+IDLE = 0.1  # a smallest eigenvalue above this decides nothing
+MOST = 1e8  # of a multiplier, in units where its form is of the size of |e|^2
+Forms = Complex[np.ndarray, "A F G G"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopForms:
+    """The loop's quadratic forms: of the disc's parts and of each multiplier, over states and free
+    signals."""
+
+    a: Float[np.ndarray, "x x"]
+    b: Float[np.ndarray, "x g"]
+    model: Float[np.ndarray, "N N"]
+    input: Float[np.ndarray, "N N"]
+    centred: dict[float, Float[np.ndarray, "N N"]]
+    multipliers: Float[np.ndarray, "A N N"]
+    names: tuple[tuple[str, int], ...]
+
+    @classmethod
+    def of(
+        cls, theorem: type[MeasuredDiscs], known: VerificationContext, centres: Sequence[float]
+    ) -> "LoopForms":
+        """Without filters: of the weights only their squared gains enter."""
+        of, counts = bare(theorem, known)
+        rows = theorem.signals(of)
+        order = len(rows.xi)
+        names = [(name, i) for name, count in counts.items() for i in range(count)]
+        deviations = {c: rows.e - c * rows.m for c in centres}
+        return cls(
+            a=rows.step[:, :order],
+            b=rows.step[:, order:],
+            model=rows.m.T @ rows.m,
+            input=rows.u.T @ rows.u,
+            centred={c: row.T @ row for c, row in deviations.items()},
+            multipliers=np.stack([_form_of(theorem, of, counts, *name) for name in names]),
+            names=tuple(names),
+        )
+
+    def at(self, angles: Float[np.ndarray, "F"]) -> "FormsAtAngles":
+        """Each form over the free signals alone, at each angle."""
+        order = len(self.a)
+        shifted = np.exp(1j * angles)[:, None, None] * np.eye(order) - self.a
+        to_state = np.linalg.solve(shifted, np.broadcast_to(self.b, (len(angles), *self.b.shape)))
+        free = np.broadcast_to(np.eye(self.b.shape[1]), (len(angles), *(self.b.shape[1],) * 2))
+        signals = np.concatenate([to_state, free], axis=1)
+        adjoint = np.conj(signals.transpose(0, 2, 1))
+        return FormsAtAngles(
+            angles=angles,
+            model=adjoint @ self.model @ signals,
+            input=adjoint @ self.input @ signals,
+            centred={c: adjoint @ form @ signals for c, form in self.centred.items()},
+            multipliers=adjoint @ self.multipliers[:, None] @ signals,
+        )
+
+    @property
+    def angles(self) -> Float[np.ndarray, "F"]:
+        """A grid with the angles of the loop's own modes and their neighbourhoods."""
+        modes = np.linalg.eigvals(self.a)
+        own = np.abs(np.angle(modes))
+        width = np.maximum(1 - np.abs(modes), 1e-4)
+        around = own + width * np.array([-1.0, -0.3, 0.0, 0.3, 1.0])[:, None]
+        return np.union1d(GRID, np.clip(around, 0.0, np.pi))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormsAtAngles:
+    """`LoopForms` at some angles, Hermitian over the free signals."""
+
+    angles: Float[np.ndarray, "F"]
+    model: Complex[np.ndarray, "F G G"]
+    input: Complex[np.ndarray, "F G G"]
+    centred: dict[float, Complex[np.ndarray, "F G G"]]
+    multipliers: Forms
+
+    def joined(self, other: "FormsAtAngles") -> "FormsAtAngles":
+        """The forms at the angles of both."""
+        return FormsAtAngles(
+            angles=np.concatenate([self.angles, other.angles]),
+            model=np.concatenate([self.model, other.model]),
+            input=np.concatenate([self.input, other.input]),
+            centred={c: np.concatenate([f, other.centred[c]]) for c, f in self.centred.items()},
+            multipliers=np.concatenate([self.multipliers, other.multipliers], axis=1),
+        )
+
+
+def bare(theorem: type[MeasuredDiscs], known: VerificationContext) -> tuple[Any, dict[str, int]]:
+    """The loop's numbers with filters of order zero and multipliers zero, and how many multipliers
+    there are of each name."""
+    loop = theorem.loop_of(known)
+    zero = np.zeros((1, 1))
+    counts = {"lambda_p": 1, "lambda_out": 3 if loop["beta_out"] > 0 else 0}
+    if "e" in loop:
+        counts["lambda_"] = 3 * loop["g"].shape[0]
+    ball = known.balls.input
+    numbers = {"alpha": ball.alpha, "beta": ball.beta, "weight_output": zero, "weight_input": zero}
+    multipliers = {name: np.zeros((1, count)) for name, count in counts.items()}
+    return SimpleNamespace(**loop, **numbers, **multipliers), counts
+
+
+def _form_of(
+    theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
+) -> Float[np.ndarray, "N N"]:
+    """The form that one multiplier multiplies."""
+    unit = np.zeros((1, counts[name]))
+    unit[0, index] = 1.0
+    alone = SimpleNamespace(**{**vars(of), name: unit})
+    forms = [
+        multiplier * form for multiplier, form in theorem.map_forms(alone, theorem.signals(alone))
+    ]
+    return np.asarray(np.sum(forms, axis=0))
+
+
+@dataclass(kw_only=True)
+class ConeProgram:
+    """`minimise c x` subject to rows `g x >= h` and Hermitian `H_0 + sum_a x_a H_a >= 0`; solved by
+    Clarabel."""
+
+    unknowns: int
+    rows: list[Float[np.ndarray, "R n"]] = field(default_factory=list)
+    bounds: list[Float[np.ndarray, "R"]] = field(default_factory=list)
+    blocks: list[tuple[Any, Any]] = field(default_factory=list)
+
+    def at_least(self, rows: Float[np.ndarray, "R n"], bounds: Float[np.ndarray, "R"]) -> None:
+        """Append `rows x >= bounds`."""
+        self.rows.append(np.atleast_2d(rows))
+        self.bounds.append(np.atleast_1d(bounds))
+
+    def positive(
+        self, constant: Complex[np.ndarray, "G G"], linear: Complex[np.ndarray, "n G G"]
+    ) -> None:
+        """Append `constant + sum_a x_a linear_a >= 0`."""
+        self.blocks.append((_triangle(constant[None])[0], _triangle(linear)))
+
+    def minimise(self, cost: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The solution; raises `NoSolution` with the solver's word where there is none."""
+        import clarabel  # slow to load
+
+        rows = [-row for row in self.rows] + [-linear.T for _, linear in self.blocks]
+        right = [-bound for bound in self.bounds] + [constant for constant, _ in self.blocks]
+        cones: list[Any] = [clarabel.NonnegativeConeT(sum(map(len, self.bounds)))]
+        for constant, _ in self.blocks:
+            side = round((float(np.sqrt(8 * len(constant) + 1)) - 1) / 2)
+            cones.append(clarabel.PSDTriangleConeT(side))
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_iter = 120
+        quadratic = scipy.sparse.csc_matrix((self.unknowns, self.unknowns))
+        matrix = scipy.sparse.csc_matrix(np.concatenate(rows))
+        solver = clarabel.DefaultSolver(
+            quadratic, np.asarray(cost, dtype=float), matrix, np.concatenate(right), cones, settings
+        )
+        solution = solver.solve()
+        status = str(solution.status)
+        if status not in ("Solved", "AlmostSolved"):
+            raise NoSolution(f"Clarabel: {status}")
+        return np.array(solution.x)
+
+
+def _triangle(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t"]:
+    """Upper triangles, column by column, of the real symmetric matrices `[Re, -Im; Im, Re]`, as
+    Clarabel takes them."""
+    real, imaginary = hermitian.real, hermitian.imag
+    top = np.concatenate([real, -imaginary], axis=2)
+    whole = np.concatenate([top, np.concatenate([imaginary, real], axis=2)], axis=1)
+    size = whole.shape[1]
+    columns, lines = np.tril_indices(size)  # (column, row) with row <= column: column by column
+    scale = np.where(columns == lines, 1.0, np.sqrt(2))
+    return np.asarray(whole[:, lines, columns] * scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngleProgram:
+    """`maximise goal x` subject to rows, and `constant + sum_a x_a linear_a >= 0` at every angle of
+    a grid."""
+
+    constant: Complex[np.ndarray, "F G G"]
+    linear: Complex[np.ndarray, "n F G G"]
+    rows: Float[np.ndarray, "R n"]
+    bounds: Float[np.ndarray, "R"]
+
+    def smallest_eigenvalues(self, x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "F"]:
+        """Of the matrix at each angle."""
+        whole = self.constant + np.tensordot(x, self.linear, axes=1)
+        return np.asarray(np.linalg.eigvalsh(whole)[:, 0])
+
+    def maximise(
+        self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED
+    ) -> tuple[Float[np.ndarray, "n"], list[int]]:
+        """The solution and the angles that decided it, by cutting planes; raises `NoSolution`.
+
+        Angles that are far from deciding leave again.
+        """
+        chosen = _spread(len(self.constant), FIRST)
+        x = np.zeros(len(goal))
+        for _ in range(ROUNDS):
+            program = ConeProgram(unknowns=len(goal))
+            program.at_least(self.rows, self.bounds)
+            for k in chosen:
+                program.positive(self.constant[k], self.linear[:, k])
+            x = program.minimise(-goal)
+            lowest = self.smallest_eigenvalues(x)
+            violated = _local_minima(lowest, -accuracy)
+            fresh = [k for k in violated if k not in chosen][:MORE]
+            if not fresh:
+                return x, chosen
+            chosen = [k for k in chosen if lowest[k] < IDLE] + fresh
+        return x, chosen
+
+
+def _spread(count: int, some: int) -> list[int]:
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, some).round())]
+
+
+def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
+    """Where a value below `below` is no larger than its neighbours, the smallest first."""
+    padded = np.concatenate([[np.inf], values, [np.inf]])
+    least = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & (values < below)
+    found = np.flatnonzero(least)
+    return [int(k) for k in found[np.argsort(values[found])]]
+
+
+def normalised(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
+    """A size for each form, by which its multiplier is scaled."""
+    return np.asarray(np.maximum(np.abs(forms).max(axis=(1, 2, 3)), np.finfo(float).tiny))

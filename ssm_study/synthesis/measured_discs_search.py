@@ -1,0 +1,505 @@
+"""Weights, kappa and proof of `measured_discs` for given gains: the largest that records leave room
+for.
+
+One convex program gives weights, multipliers and kappa (`measured_discs_program`); kappa is then
+taken a little back and the weights widened where the loop does not mind, since weights that are
+tight to one record overfit it. Spectral factors make filters of them, one Riccati equation the
+matrix P, and exact arithmetic decides. Source: docs/theory.md, "Measured discs".
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from ssm_study.certificates.problem import NoSolution, symmetric
+from ssm_study.certificates.theorem import VerificationContext
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
+from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.synthesis.measured_discs_program import (
+    MOST,
+    AngleProgram,
+    FormsAtAngles,
+    LoopForms,
+    normalised,
+)
+from ssm_study.systems import StructuredSystem
+
+CENTRES = (-0.25, 0.0)  # of discs, tried in turn; farther ones hold `e = 0` only when they are wide
+POLES = (0.5, 0.9)  # of the weights, with as many at zero
+ORDER = 4  # of each weight
+INSIDE = (0.985, 0.96, 0.9, 0.8)  # shares of the largest kappa, in order of trial
+WIDEST = 2.25  # times what records show, in power: weights are widened up to here
+ROOM = 0.02  # the model lies inside the disc by this share
+NEAR_ZERO = 1e-2  # share of its mean over the circle below which a squared gain never falls
+CEPSTRUM = 2**15  # points of the circle for a spectral factor
+LARGEST = 1e6  # of nu = kappa^2: beyond it, nothing that e does matters
+SLACKS = (1e-4, 1e-6, 1e-8)  # of the Riccati equation, where each signal's own weight is one
+JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
+KEPT = 0.5  # of the margin by frequency, for the equation
+FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean
+CIRCLE = np.union1d(np.linspace(0, np.pi, 65), np.geomspace(1e-3, 0.1, 12))
+EVENLY = np.linspace(0, np.pi, 2001)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """The certificate with `coverage`, kappa over what the records need; or None with the
+    `reason`."""
+
+    certificate: MeasuredDiscs | None
+    coverage: float | None
+    reason: str
+    reference: str = ""
+
+
+def theorem_of(known: VerificationContext) -> type[MeasuredDiscs]:
+    """The theorem for a model with or without neurons."""
+    neurons = isinstance(known.system, StructuredSystem)
+    return StructuredMeasuredDiscs if neurons else MeasuredDiscs
+
+
+def largest_kappa(
+    known: VerificationContext, weights: Weights, centre: float
+) -> MeasuredDiscs | None:
+    """The largest certified kappa for given weights; None where none is certified, and where no
+    mismatch has an effect."""
+    started = time.perf_counter()
+    theorem = theorem_of(known)
+    try:
+        nu, multipliers = fixed_optimum(theorem, known, weights, centre)
+        if nu >= LARGEST:
+            return None
+        forms = LoopForms.of(theorem, known, (centre,))
+        for inside in INSIDE:
+            scaled = nu * inside**2
+            multipliers, margin = _with_margin(theorem, forms, weights, centre, scaled, multipliers)
+            numbers = _numbers(forms, weights, centre, scaled**0.5, multipliers)
+            found = certified(theorem, known, numbers, margin, started)
+            if found is not None:
+                return found
+    except NoSolution:
+        return None
+    return None
+
+
+def fixed_optimum(
+    theorem: type[MeasuredDiscs], known: VerificationContext, weights: Weights, centre: float
+) -> tuple[float, Float[np.ndarray, "A"]]:
+    """The largest `kappa^2` for given weights, by frequency, and its multipliers; raises
+    `NoSolution`."""
+    forms = LoopForms.of(theorem, known, (centre,))
+    grid = forms.at(forms.angles)
+    x = np.zeros(0)
+    scale = np.zeros(0)
+    for _ in range(3):  # finer around the angles that decide
+        program, scale = _fixed_program(grid, weights, centre)
+        goal = np.zeros(program.linear.shape[0])
+        goal[0] = 1.0
+        x, _ = program.maximise(goal)
+        lowest = program.smallest_eigenvalues(x)
+        near = np.argsort(lowest)[:4]
+        order = np.sort(grid.angles)
+        fresh = list[np.ndarray]()
+        for angle in grid.angles[near]:
+            at = int(np.searchsorted(order, angle))
+            ends = order[max(at - 1, 0)], order[min(at + 1, len(order) - 1)]
+            fresh.append(np.linspace(*ends, 41))
+        grid = grid.joined(forms.at(np.setdiff1d(np.concatenate(fresh), grid.angles)))
+    unscaled = x / scale
+    return float(unscaled[0]), np.maximum(unscaled[1:], 0.0)
+
+
+def _fixed_program(
+    grid: FormsAtAngles, weights: Weights, centre: float
+) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
+    reference = weights.on_output(grid.angles)[:, None, None] * grid.model
+    reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
+    linear = np.concatenate([-reference[None], grid.multipliers])
+    scale = normalised(linear)
+    most = np.full(len(scale), MOST)
+    most[0] = LARGEST * scale[0]
+    program = AngleProgram(
+        constant=grid.centred[centre],
+        linear=linear / scale[:, None, None, None],
+        rows=np.concatenate([np.eye(len(scale)), -np.eye(len(scale))]),
+        bounds=np.concatenate([np.zeros(len(scale)), -most]),
+    )
+    return program, scale
+
+
+def _with_margin(
+    theorem: type[MeasuredDiscs],
+    forms: LoopForms,
+    weights: Weights,
+    centre: float,
+    nu: float,
+    multipliers: Float[np.ndarray, "A"],
+) -> tuple[Float[np.ndarray, "A"], float]:
+    """Multipliers of the largest margin at this kappa, and the margin: in units of each free
+    signal's own weight."""
+    del theorem
+    grid = forms.at(forms.angles)
+    own = own_weights(forms, centre, multipliers)
+    reference = weights.on_output(grid.angles)[:, None, None] * grid.model
+    reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
+    constant = grid.centred[centre] - nu * reference
+    margin = -np.broadcast_to(np.diag(own), grid.model.shape)
+    linear = np.concatenate([grid.multipliers, margin[None]])
+    scale = normalised(linear)
+    rows = np.concatenate([np.eye(len(scale)), -np.eye(len(scale))])
+    bounds = np.concatenate([np.zeros(len(scale)), np.full(len(scale), -MOST)])
+    program = AngleProgram(
+        constant=constant, linear=linear / scale[:, None, None, None], rows=rows, bounds=bounds
+    )
+    goal = np.zeros(len(scale))
+    goal[-1] = 1.0
+    x, _ = program.maximise(goal)
+    unscaled = x / scale
+    return np.maximum(unscaled[:-1], 0.0), float(unscaled[-1])
+
+
+def own_weights(
+    forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
+) -> Float[np.ndarray, "G"]:
+    """What each free signal weighs by itself in the form: |e|^2 one, |p|^2 its multiplier, and so
+    on."""
+    order = len(forms.a)
+    whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
+    own = np.abs(np.diagonal(whole)[order:])
+    return np.asarray(np.maximum(own, 1e-9 * own.max()))
+
+
+def _numbers(
+    forms: LoopForms,
+    weights: Weights,
+    centre: float,
+    kappa: float,
+    multipliers: Float[np.ndarray, "A"],
+) -> dict[str, Any]:
+    """The theorem's own numbers but P."""
+    numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
+    numbers |= {"weight_output": weights.output, "weight_input": weights.input}
+    numbers["lambda_out"] = np.zeros(0)
+    least = 1e-9 * multipliers.max()  # a multiplier is positive; one at zero moves nothing
+    for (name, _), value in zip(forms.names, np.maximum(multipliers, least), strict=True):
+        if name == "lambda_p":
+            numbers[name] = float(value)
+        else:
+            numbers[name] = np.append(numbers.get(name, np.zeros(0)), value)
+    return numbers
+
+
+def certified(
+    theorem: type[MeasuredDiscs],
+    known: VerificationContext,
+    numbers: dict[str, Any],
+    margin: float,
+    started: float,
+) -> MeasuredDiscs | None:
+    """The certificate with the first P that exact arithmetic accepts; None without any."""
+    if margin <= 0:
+        return None
+    ball = known.balls.input
+    whole = theorem.loop_of(known) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
+    for p in metrics(theorem, whole, margin):
+        found: MeasuredDiscs = theorem.proved(
+            whole | {"p": p},
+            started=started,
+            status="one convex program, one Riccati equation",
+            method="measured discs",
+        )
+        if found.certified:
+            return found
+    return None
+
+
+def metrics(
+    theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
+) -> Iterator[Float[np.ndarray, "x x"]]:
+    """Candidates for P: minus the stabilising solutions of the Riccati equation, at several
+    slacks."""
+    of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
+    rows = theorem.signals(of)
+    order = len(rows.xi)
+    form = theorem.disc_form(of, rows)
+    for multiplier, positive in theorem.map_forms(of, rows):
+        form = form + multiplier * positive
+    a, b = rows.step[:, :order], rows.step[:, order:]
+    own = np.abs(np.diagonal(form)[order:])
+    root = np.sqrt(np.maximum(own, 1e-9 * own.max()))
+    driven = b / root
+    gramian = symmetric(scipy.linalg.solve_discrete_lyapunov(a, driven @ driven.T))
+    share = FLOOR * np.trace(gramian) / order
+    right = np.linalg.cholesky(gramian + share * np.eye(order))
+    left = np.linalg.inv(right)
+    scaling = scipy.linalg.block_diag(right, np.diag(1 / root))
+    scaled = symmetric(scaling.T @ form @ scaling)
+    inputs = np.eye(len(root))
+    for slack in SLACKS:
+        q = scaled[:order, :order] - slack * margin * np.eye(order)
+        r = scaled[order:, order:] - KEPT * margin * inputs
+        try:
+            x = scipy.linalg.solve_discrete_are(
+                left @ a @ right, left @ driven, q, r, s=scaled[:order, order:]
+            )
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        p = symmetric(-(left.T @ x @ left))
+        if theorem_margin(theorem, numbers | {"p": p}) > 0:
+            yield p
+
+
+def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
+    """The smallest eigenvalue of the inequality and of P in floats, scaled to unit diagonals."""
+    matrices = theorem.as_floats(**numbers)
+    return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in ("inequality", "p"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeightBasis:
+    """Squared gains `sum_j x_j phi_j`, `phi_0 = 1 / |den|^2`, `phi_j = 2 cos(j w) / |den|^2`."""
+
+    poles: tuple[float, ...] = POLES
+    order: int = ORDER
+
+    def denominator(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+        """`|den|^2`."""
+        factors = [np.abs(1 - pole * np.exp(-1j * angles)) ** 2 for pole in self.poles]
+        return np.asarray(np.prod(factors, axis=0)) if factors else np.ones(len(angles))
+
+    def at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
+        """Each basis function at each angle."""
+        return self.numerators(angles) / self.denominator(angles)
+
+    def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
+        """One, and `2 cos(j w)`."""
+        rows = [np.ones(len(angles)), *(2 * np.cos(j * angles) for j in range(1, self.order + 1))]
+        return np.stack(rows)
+
+    def filter(self, coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "v v"]:
+        """The spectral factor with zeros inside the circle as `[A, B; C, D]`; raises `NoSolution`
+        where there is none."""
+        if coefficients[0] <= 0:
+            return np.zeros((1, 1))
+        if self.order == 0 and not self.poles:
+            return np.array([[np.sqrt(coefficients[0])]])
+        numerator = spectral_factor(coefficients)
+        denominator = np.real(np.poly(self.poles)) if self.poles else np.ones(1)
+        size = max(len(numerator), len(denominator))
+        padded = np.pad(denominator, (0, size - len(denominator)))
+        a, b, c, d = scipy.signal.tf2ss(np.pad(numerator, (0, size - len(numerator))), padded)
+        return np.block([[a, b], [c, d]])
+
+
+def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+    """`n` with `|sum_k n_k z^-k|^2 = c_0 + sum_j 2 c_j cos(j w)`, its zeros inside the circle;
+    raises `NoSolution`.
+
+    By the cepstrum: the causal half of `log |n|^2` is the logarithm of a factor without zeros or
+    poles outside (Oppenheim & Schafer, Discrete-Time Signal Processing, chapter 13).
+    """
+    order = len(coefficients) - 1
+    circle = np.zeros(CEPSTRUM)
+    circle[: order + 1] = coefficients
+    circle[len(circle) - order :] = coefficients[:0:-1]
+    power = np.fft.fft(circle).real
+    if power.min() <= 0:
+        raise NoSolution("a squared gain is not positive everywhere")
+    cepstrum = np.fft.ifft(np.log(power)).real
+    cepstrum[0] /= 2
+    cepstrum[CEPSTRUM // 2 :] = 0.0
+    factor = np.fft.ifft(np.exp(np.fft.fft(cepstrum))).real[: order + 1]
+    again = np.convolve(factor, factor[::-1])[order:]
+    if np.abs(again - coefficients).max() > 1e-3 * coefficients[0]:
+        raise NoSolution("a squared gain has no spectral factor")
+    return np.asarray(factor)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeightProgram:
+    """The joint program of weights, multipliers and `nu = kappa^2` around one centre.
+
+    Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
+    and each band has a `widening` of its own.
+    """
+
+    forms: LoopForms
+    grid: FormsAtAngles
+    centre: float
+    items: tuple[Item, ...]
+    basis: WeightBasis
+
+    @property
+    def linear(self) -> Any:
+        """The matrix of each unknown but nu, at each angle."""
+        phi = self.basis.at(self.grid.angles)[:, :, None, None]
+        parts = [-phi * self.grid.model, -phi * self.grid.input, self.grid.multipliers]
+        return np.concatenate(parts)
+
+    def item_rows(self) -> Float[np.ndarray, "I n"]:
+        """`sum over an item's lines of (X model + Y input) / seen` by the coefficients x, y."""
+        rows = []
+        for item in self.items:
+            phi = self.basis.at(item.angles)
+            row = np.concatenate([phi @ item.model_power, phi @ item.input_power])
+            rows.append(row / item.seen)
+        return np.array(rows)
+
+    def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
+        """Rows on (x, y) and their bounds: X exceeds `c^2`, so that the disc holds `e = 0`, and
+        neither comes near zero."""
+        mean = self.basis.at(EVENLY).mean(axis=1)
+        clear = self.basis.at(CIRCLE).T - NEAR_ZERO * mean
+        none = np.zeros_like(clear)
+        least = np.full(len(CIRCLE), self.centre**2 * (1 + ROOM))
+        on_x = np.hstack([clear, none])
+        on_y = np.hstack([none, clear])
+        return np.concatenate([on_x, on_y]), np.concatenate([least, np.zeros(len(CIRCLE))])
+
+    def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
+        """The largest nu, and x, y, multipliers; raises `NoSolution`."""
+        linear = self.linear
+        scale = normalised(linear)
+        count, weights = len(scale), 2 * (self.basis.order + 1)
+        rows_xy, least_xy = self.weight_rows()
+        seen = self.item_rows()
+        top = np.zeros((len(seen) + len(rows_xy), 1 + count))
+        top[: len(seen), 0] = -1.0
+        top[:, 1 : 1 + weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
+        bottom = np.zeros((2 * (count - weights) + 1, 1 + count))
+        bottom[: count - weights, 1 + weights :] = np.eye(count - weights)
+        bottom[count - weights : -1, 1 + weights :] = -np.eye(count - weights)
+        bottom[-1, 0] = -1.0
+        most = np.full(count - weights, -MOST)
+        bounds = [np.zeros(len(seen)), least_xy, np.zeros(count - weights), most, [-LARGEST]]
+        program = AngleProgram(
+            constant=self.grid.centred[self.centre],
+            linear=np.concatenate([np.zeros_like(linear[:1]), linear / scale[:, None, None, None]]),
+            rows=np.concatenate([top, bottom]),
+            bounds=np.concatenate(bounds),
+        )
+        goal = np.zeros(1 + count)
+        goal[0] = 1.0
+        x, _ = program.maximise(goal, JOINT)
+        return float(x[0]), x[1:] / scale
+
+    def widened(
+        self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
+    ) -> Float[np.ndarray, "n"]:
+        """At a fixed nu the weights that are widest beyond what records show, each band up to
+        `WIDEST`; a margin of `room` times each free signal's own weight is left in the loop."""
+        weights = 2 * (self.basis.order + 1)
+        own = own_weights(self.forms, self.centre, np.maximum(unknowns[weights:], 0.0))
+        linear = self.linear
+        scale = normalised(linear)
+        count = len(scale)
+        rows_xy, least_xy = self.weight_rows()
+        seen = self.item_rows()
+        bands = sorted({item.where.rpartition(", ")[2] for item in self.items})
+        place = [bands.index(item.where.rpartition(", ")[2]) for item in self.items]
+        total = count + len(bands)
+        rows = np.zeros((len(seen) + len(rows_xy), total))
+        rows[:, :weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
+        rows[np.arange(len(seen)), count + np.array(place)] = -nu
+        right = np.concatenate([np.zeros(len(seen)), least_xy])
+        ends = np.concatenate([np.eye(total)[weights:], -np.eye(total)[weights:]])
+        least = np.concatenate([np.zeros(count - weights), np.ones(len(bands))])
+        most = np.concatenate([np.full(count - weights, MOST), np.full(len(bands), WIDEST)])
+        none = np.zeros((len(bands), *linear.shape[1:]))
+        program = AngleProgram(
+            constant=self.grid.centred[self.centre] - room * np.diag(own),
+            linear=np.concatenate([linear / scale[:, None, None, None], none]),
+            rows=np.concatenate([rows, ends]),
+            bounds=np.concatenate([right, least, -most]),
+        )
+        goal = np.concatenate([np.zeros(count), np.ones(len(bands))])
+        x, _ = program.maximise(goal, JOINT)
+        return np.asarray(x[:count] / scale)
+
+    def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
+        """Filters of the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
+        `NoSolution`."""
+        size = self.basis.order + 1
+        x, y = unknowns[:size] / nu, unknowns[size : 2 * size] / nu
+        floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
+        if floor == 0:
+            floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))
+        left = x - floor**2 * autocorrelation(self.basis.poles, size)
+        return Weights(
+            floor=float(floor), output=self.basis.filter(left), input=self.basis.filter(y)
+        )
+
+
+def autocorrelation(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
+    """Coefficients of `|den|^2` in ones and `2 cos(j w)`."""
+    denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
+    whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
+    return np.pad(whole, (0, size - len(whole)))
+
+
+def largest_coverage(
+    known: VerificationContext,
+    premise: Premise,
+    centres: Sequence[float] = CENTRES,
+    basis: WeightBasis | None = None,
+) -> Coverage:
+    """The proof that covers most of what the records show, over all centres; or why there is
+    none."""
+    started = time.perf_counter()
+    missing = next((reason for c in centres if (reason := premise.missing(c))), None)
+    if missing is not None:
+        return Coverage(certificate=None, coverage=None, reason=missing)
+    theorem = theorem_of(known)
+    forms = LoopForms.of(theorem, known, centres)
+    grid = forms.at(forms.angles)
+    basis = basis or WeightBasis()
+    found = list[tuple[float, Any, WeightProgram]]()
+    for centre in centres:
+        items = tuple(item for item in premise.items(centre) if item.seen > 0)
+        program = WeightProgram(forms=forms, grid=grid, centre=centre, items=items, basis=basis)
+        try:
+            nu, unknowns = program.largest()
+        except NoSolution:
+            continue
+        found.append((nu, unknowns, program))
+    found.sort(key=lambda one: -one[0])
+    for nu, unknowns, program in found:
+        if nu >= LARGEST:
+            return Coverage(certificate=None, coverage=None, reason="no mismatch has an effect")
+        made = _proved(known, theorem, program, nu, unknowns, started)
+        if made is not None:
+            return made
+    return Coverage(certificate=None, coverage=None, reason="nothing is proved at these gains")
+
+
+def _proved(
+    known: VerificationContext,
+    theorem: type[MeasuredDiscs],
+    program: WeightProgram,
+    nu: float,
+    unknowns: Float[np.ndarray, "n"],
+    started: float,
+) -> Coverage | None:
+    for inside in INSIDE:
+        scaled = nu * inside**2
+        for room in (1e-2, 1e-3, 1e-4):
+            try:
+                chosen = program.widened(scaled, unknowns, room)
+                weights = program.weights_of(scaled, chosen)
+            except NoSolution:
+                continue
+            multipliers = np.maximum(chosen[2 * (program.basis.order + 1) :], 0.0)
+            numbers = _numbers(program.forms, weights, program.centre, scaled**0.5, multipliers)
+            proof = certified(theorem, known, numbers, room, started)
+            if proof is not None:
+                need, where = weights.need(program.items)
+                covered = proof.kappa / need
+                return Coverage(certificate=proof, coverage=covered, reason="", reference=where)
+    return None
