@@ -19,7 +19,7 @@ EIGENVALUE = (
 WITHDRAWN = "withdrawn in 0.2"
 WITHDRAWN_COLUMNS = frozenset({"noise_gain", "certified_tolerance_resolved"})
 
-# Columns that records of 0.1 (record_version 1) lack.
+# Columns that records of 0.1 lack; those have a withdrawn one.
 ADDED = "records of 0.1 do not have it"
 ADDED_COLUMNS = frozenset({"noise_gain_model"})
 

@@ -179,7 +179,7 @@ def judge(
     """The finding on a column of the record, or why it is not checked; empty where the record
     claims nothing."""
     column = declared(name)
-    if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
+    if name in ADDED_COLUMNS and name not in record and WITHDRAWN_COLUMNS & record.keys():
         return ADDED
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
