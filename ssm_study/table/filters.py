@@ -1,118 +1,133 @@
-"""`--where "order == 8 and fit_test_percent > 85"`: comparisons of columns with constants, and
-nothing else.
+"""`--where "order == 8 and fit_test_percent > 85"`: rows that an expression of columns selects.
 
-The expression is parsed, never evaluated as Python: names are columns, the rest is numbers, texts,
-true, false, null.
+`pandas.DataFrame.eval` evaluates the expression, as `DataFrame.query` does. It evaluates Python, so
+calls, attributes, subscripts and names that are no columns are refused before it sees them.
 """
 
 import ast
-import operator
-from functools import reduce
-from typing import Never
 
+import numpy as np
 import pandas as pd
 
 from ssm_study.refusal import BadRequest
 from ssm_study.table.columns import nearest
 
 REMEDY = "write comparisons of columns with constants, e.g. order == 8 and fit_test_percent > 85"
-COMPARE = {ast.Eq: "eq", ast.NotEq: "ne", ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge"}
-MIRRORED = {
-    ast.Lt: ast.Gt,
-    ast.LtE: ast.GtE,
-    ast.Gt: ast.Lt,
-    ast.GtE: ast.LtE,
-    ast.Eq: ast.Eq,
-    ast.NotEq: ast.NotEq,
-}
-WORDS = {"true": True, "false": False, "null": None, "nan": None, "inf": float("inf")}
+WORDS = {"true": True, "false": False, "inf": float("inf")}
+NULL = ("null", "none", "nan")
+REFUSED = (ast.Call, ast.Attribute, ast.Subscript, ast.Lambda, ast.JoinedStr, ast.NamedExpr)
+LISTS = (ast.List, ast.Tuple, ast.Set)
+IS_MISSING = "__is_missing"  # ends the name that stands for `column == null`
+TEXT = pd.StringDtype("python", na_value=np.nan)  # a comparison with what is missing is false
 
 
 def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
-    """The rows of `table` for which `expression` holds; a comparison with a missing value does not
-    hold.
+    """Rows of `table` for which `expression` holds; a comparison with a missing value is false.
 
-    Grammar: `and`, `or`, `not`, parentheses, `== != < <= > >=` (chains too), `in [..]`, `not in
-    [..]`, `== null`.
-    Raises `BadRequest` for anything else and for unknown columns.
+    `null`, `true`, `false` and `inf` are constants; `x == null` selects what is missing. Raises
+    `BadRequest` for what is no comparison of columns and for unknown columns.
     """
     try:
         tree = ast.parse(expression.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise BadRequest("where", expression, "not an expression", REMEDY) from None
-    return table[_mask(tree, table)]
-
-
-def _refuse(node: ast.expr, problem: str) -> Never:
-    raise BadRequest("where", ast.unparse(node), problem, REMEDY)
-
-
-def _mask(node: ast.expr, table: pd.DataFrame) -> pd.Series:
-    match node:
-        case ast.BoolOp(op=op, values=values):
-            both = operator.and_ if isinstance(op, ast.And) else operator.or_
-            return reduce(both, [_mask(value, table) for value in values])
-        case ast.UnaryOp(op=ast.Not(), operand=operand):
-            return ~_mask(operand, table)
-        case ast.Name() if (
-            column := _column(node, table)
-        ) is not None and column.dtype == "boolean":
-            return column.fillna(False).astype(bool)
-        case ast.Compare(left=left, ops=ops, comparators=comparators):
-            pairs = zip([left, *comparators], ops, comparators, strict=False)  # a < b < c
-            return reduce(
-                operator.and_, [_compare(one, op, other, table) for one, op, other in pairs]
-            )
-    _refuse(node, "not a comparison")
-
-
-def _compare(left: ast.expr, op: ast.cmpop, right: ast.expr, table: pd.DataFrame) -> pd.Series:
-    column, other = _column(left, table), _column(right, table)
-    if column is None and other is not None and type(op) in MIRRORED:
-        right, column, op, other = left, other, MIRRORED[type(op)](), None  # 8 == order
-    if column is None:
-        _refuse(left, "not a column")
-    if isinstance(op, (ast.In, ast.NotIn)):
-        if not isinstance(right, (ast.List, ast.Tuple, ast.Set)):
-            raise BadRequest(
-                "where", ast.unparse(right), "'in' needs a list", "write e.g. order in [4, 8]"
-            )
-        among = column.isin([_constant(item) for item in right.elts])
-        return (
-            among if isinstance(op, ast.In) else ~among & column.notna()
-        )  # missing is in no list and outside none
-    value = _constant(right) if other is None else other
-    if value is None and isinstance(op, (ast.Eq, ast.Is, ast.NotEq, ast.IsNot)):
-        return column.isna() if isinstance(op, (ast.Eq, ast.Is)) else column.notna()
-    if type(op) not in COMPARE or value is None:
-        raise BadRequest("where", type(op).__name__, "this comparison does not apply here", REMEDY)
+    prepared = ast.unparse(_Prepared(table).visit(tree))
+    missing = {f"{name}{IS_MISSING}": values.isna() for name, values in table.items()}
     try:
-        if other is not None or isinstance(value, str) == (column.dtype == "string"):
-            return getattr(column, COMPARE[type(op)])(value).fillna(False).astype(bool)
-    except TypeError:  # two columns of different types
-        pass
-    said = value if other is None else other.name
-    raise BadRequest(
-        "where", said, f"does not compare with column {column.name} ({column.dtype})", REMEDY
-    )
+        selected = _comparable(table).eval(prepared, engine="python", resolvers=[missing])
+    except Exception as error:  # whatever pandas meets in an expression that it does not take
+        raise BadRequest("where", expression, str(error), REMEDY) from None
+    if not isinstance(selected, pd.Series) or selected.dtype != bool:
+        raise BadRequest("where", expression, "not a comparison", REMEDY)
+    return table[selected]
 
 
-def _column(node: ast.expr, table: pd.DataFrame) -> pd.Series | None:
-    if not isinstance(node, ast.Name) or node.id.lower() in WORDS:
-        return None
-    if node.id not in table.columns:
-        raise BadRequest("where", node.id, "no such column", nearest(node.id, table.columns))
-    return table[node.id]
+def _comparable(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with NaN for missing numbers and texts, and false for missing truth values."""
+    columns = {}
+    for name, values in table.items():
+        if values.dtype == "boolean":
+            columns[name] = values.fillna(False).astype(bool)
+        elif pd.api.types.is_numeric_dtype(values.dtype):
+            columns[name] = values.astype("Float64").to_numpy(float, na_value=np.nan)
+        else:
+            columns[name] = values.astype(TEXT)
+    return pd.DataFrame(columns, index=table.index)
 
 
-def _constant(node: ast.expr) -> bool | int | float | str | None:
-    match node:
-        case ast.Constant(value=None | bool() | int() | float() | str() as value):
-            return value
-        case ast.Name(id=name) if name.lower() in WORDS:
-            return WORDS[name.lower()]
-        case ast.UnaryOp(op=ast.USub(), operand=operand) if isinstance(
-            value := _constant(operand), (int, float)
+class _Prepared(ast.NodeTransformer):
+    """Checks an expression against the table, and rewrites what pandas reads otherwise."""
+
+    def __init__(self, table: pd.DataFrame) -> None:
+        self.table = table
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        if isinstance(node, REFUSED):
+            raise BadRequest("where", ast.unparse(node), "not a comparison", REMEDY)
+        return super().generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id.lower() in WORDS:
+            return ast.Constant(WORDS[node.id.lower()])
+        if node.id not in self.table.columns:
+            remedy = nearest(node.id, self.table.columns)
+            raise BadRequest("where", node.id, "no such column", remedy)
+        return node
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        """One comparison of a chain after the other, each with what missing values ask for."""
+        sides = [node.left, *node.comparators]
+        compared = [
+            self._compare(left, operator, right)
+            for left, operator, right in zip(sides, node.ops, sides[1:], strict=False)
+        ]
+        return compared[0] if len(compared) == 1 else ast.BoolOp(ast.And(), compared)
+
+    def _compare(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> ast.expr:
+        if _is_null(left):
+            left, right = right, left
+        if _is_null(right):
+            return self._missing(left, operator)
+        if isinstance(operator, ast.In | ast.NotIn) and not isinstance(right, LISTS):
+            remedy = "write e.g. order in [4, 8]"
+            raise BadRequest("where", ast.unparse(right), "'in' needs a list", remedy)
+        self._refuse_mixed(left, right)
+        left, right = self.visit(left), self.visit(right)
+        comparison = ast.Compare(left, [operator], [right])
+        if not isinstance(operator, ast.NotEq | ast.NotIn):
+            return comparison
+        # NaN differs from everything and is in no list: here it has to be equal to itself as well.
+        names = [side for side in (left, right) if isinstance(side, ast.Name)]
+        present: list[ast.expr] = [ast.Compare(name, [ast.Eq()], [name]) for name in names]
+        return ast.BoolOp(ast.And(), [comparison, *present])
+
+    def _missing(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
+        """What stands for `x == null` or `x != null`."""
+        equal = isinstance(operator, ast.Eq | ast.Is)
+        if not isinstance(side, ast.Name) or not (
+            equal or isinstance(operator, ast.NotEq | ast.IsNot)
         ):
-            return -value
-    _refuse(node, "not a constant")
+            raise BadRequest("where", "null", "this comparison does not apply here", REMEDY)
+        self.visit(side)
+        missing = ast.Name(f"{side.id}{IS_MISSING}")
+        return missing if equal else ast.UnaryOp(ast.Not(), missing)
+
+    def _refuse_mixed(self, left: ast.expr, right: ast.expr) -> None:
+        """A number is not compared with a text: no row would ever be selected."""
+        kinds = {kind for side in (left, right) if (kind := self._kind(side))}
+        if len(kinds) > 1:
+            problem = f"{ast.unparse(left)} is a {self._kind(left)}"
+            raise BadRequest("where", ast.unparse(right), problem, REMEDY)
+
+    def _kind(self, side: ast.expr) -> str:
+        if isinstance(side, ast.Constant):
+            return "text" if isinstance(side.value, str) else "number"
+        if isinstance(side, ast.Name) and side.id in self.table.columns:
+            numeric = pd.api.types.is_numeric_dtype(self.table[side.id].dtype)
+            return "number" if numeric else "text"
+        return ""
+
+
+def _is_null(node: ast.expr) -> bool:
+    constant = isinstance(node, ast.Constant) and node.value is None
+    return constant or (isinstance(node, ast.Name) and node.id.lower() in NULL)

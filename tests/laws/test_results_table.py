@@ -148,6 +148,13 @@ def test_gathering_twice_gives_the_same_bytes(study: Path) -> None:
         ("controller_rate_limit > rate_controller", "d"),
         ("8 == order", "ac"),
         ("fit_test_percent > -1", "abe"),
+        ("order + 5 == 9", "b"),
+        ("fit_test_percent != 80", "ae"),
+        ("fit_test_percent not in [80, 99]", "a"),
+        ("not (fit_test_percent > 85)", "bcd"),
+        ("controller_certified == null", "cde"),
+        ("controller_certified != null and controller_certified == false", "b"),
+        ("zz != 'other'", "e"),
     ],
 )
 def test_filters_compare_columns(study: Path, expression: str, runs: str) -> None:
@@ -166,7 +173,8 @@ def test_filters_compare_columns(study: Path, expression: str, runs: str) -> Non
         "nothing == 1",
         "order",
         "order == 'eight'",
-        "order + 1 == 2",
+        "order.values == 1",
+        "order == 'a' or @order",
         "(lambda: 1)() == 1",
         "order == 8 if 1 else 2",
         "f'{order}' == '8'",
