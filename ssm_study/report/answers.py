@@ -1,26 +1,28 @@
-"""What a newcomer asks of a study, answered from its table: which run is best, where feasibility
-ends, what failed."""
+"""What a study shows about its three questions, in sentences computed from its table.
 
+Where feasibility ends, whether a better fit means a better loop, and whether the prediction holds.
+The best run and the failures have parts of the page of their own.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 import scipy
 
-from ssm_study.report.words import (
-    FAILED,
-    INFEASIBLE,
-    LOST,
-    SETTLED,
-    decides,
-    spoken,
-    verdicts,
-    words,
-)
+from ssm_study.report.words import spoken, words
 from ssm_study.table.columns import column, flag, requested, swept, text
-from ssm_study.table.rank import best_first, predicted
+from ssm_study.table.rank import predicted
 
 CONFIDENCE = 0.95
+MOST_LISTED = 8  # values of a setting that are listed; of more the first and the last
+FEWEST_RANKED = 3  # runs, and different fits: with fewer a rank correlation says nothing
+# Column that the fit is compared with, its name in a sentence, and what the better end means.
+OUTCOMES_OF_FIT = (
+    ("stable_fraction", "share of starts settled", "1: the better the fit, the more settle"),
+    ("settling_time_mean_s", "settling time", "-1: the better the fit, the sooner"),
+)
 
 
 @dataclass(frozen=True)
@@ -32,237 +34,172 @@ class Answer:
 
 
 def answers(table: pd.DataFrame) -> list[Answer]:
-    """The headline questions of a study, in the order a reader asks them."""
-    best = [
-        begun * (k == 0) + said
-        for begun, runs in by_plant(table)
-        for k, said in enumerate(_best(runs))
+    """The questions that this table has numbers for, with their answers."""
+    found = [
+        Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
+        Answer("Does a better fit mean a better loop?", fit_sentences(table)),
+        Answer(prediction_question(table), prediction_sentences(table)),
     ]
-    feasibility = [
-        sentence for side in ("controller", "observer") for sentence in _feasibility(table, side)
-    ]
-    fit = [begun + _fit(runs) for begun, runs in by_plant(table)]
-    return [
-        Answer("Which run is best, and why?", tuple(best)),
-        Answer(
-            "Where does feasibility end, and why?",
-            tuple(feasibility) or ("No run got as far as a rate limit.",),
-        ),
-        *([Answer("Does a better fit mean a better loop?", tuple(fit))] if len(table) != 1 else []),
-        Answer("Does the prediction hold on the plant?", _margin(table)),
-        Answer("What failed?", _failed(table)),
-    ]
+    return [answer for answer in found if answer.sentences]
 
 
 def parameters_line(table: pd.DataFrame) -> str:
     """`Swept: model order (4, 8, 12); ...`, or that there was no sweep."""
-    told = []
+    parts = []
     for name in swept(table):
-        unique = sorted(
-            requested(table, name).dropna().unique().tolist(),
-            key=lambda value: (value == "auto", value),
-        )
-        shown = [f"{value:g}" if isinstance(value, float) else str(value) for value in unique]
-        many = f"{len(shown)} values, {shown[0]} to {shown[-1]}"
-        told.append(
-            f"{words(name).split(' (')[0].lower()} ({', '.join(shown) if len(shown) <= 8 else many})"
-        )
-    return f"Swept: {'; '.join(told)}." if told else "One setting, no sweep."
+        title = words(name).split(" (")[0].lower()
+        parts.append(f"{title} ({listed_values(requested(table, name))})")
+    return f"Swept: {'; '.join(parts)}." if parts else "One setting, no sweep."
 
 
-def by_plant(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    """The runs of each plant, with `DC motor: ` to stand before its first sentence; nothing if
-    there is only one plant.
+def listed_values(values: pd.Series) -> str:
+    """The distinct values in order, `auto` last; of many their number, the first and the last."""
+    distinct = values.dropna().unique().tolist()
+    distinct.sort(key=lambda value: (value == "auto", value))
+    printed = [f"{value:g}" if isinstance(value, float) else str(value) for value in distinct]
+    if len(printed) <= MOST_LISTED:
+        return ", ".join(printed)
+    return f"{len(printed)} values, {printed[0]} to {printed[-1]}"
+
+
+def by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The runs of each plant with `DC motor: ` for their first sentence; empty for a single plant.
 
     Settling times of different plants do not compare.
     """
     plants = text(table, "plant")
     if plants.nunique() < 2:
-        return [("", table)]
-    titles = {name: spoken(name) for name in plants.unique() if name}
-    return [
-        (f"{title[:1].upper()}{title[1:]}: ", table[plants == name])
-        for name, title in titles.items()
-    ]
+        yield "", table
+        return
+    for name in filter(None, plants.unique()):
+        title = spoken(name)
+        yield f"{title[:1].upper()}{title[1:]}: ", table[plants == name]
 
 
-def _number(runs: pd.DataFrame, name: str) -> float:
-    """Of the first run."""
-    return float(column(runs, name).iloc[0])
+def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
+    """The exact limits of the rates; the observers' only where a request failed."""
+    sides = ("controller", "observer")
+    return tuple(sentence for side in sides for sentence in frontier_sentences(table, side))
 
 
-def _best(table: pd.DataFrame) -> list[str]:
-    if table.empty:
-        return ["No run has been made yet."]
-    ordered = best_first(table)
-    name, word = text(ordered, "run").iloc[0], verdicts(ordered)
-    if word.iloc[0] != SETTLED.word:
-        return [
-            f"No run is certified and brings every start to rest; the nearest, {name}, is {word.iloc[0]}."
-        ]
-    rivals = ordered[word == SETTLED.word]
-    where = (
-        ""
-        if text(rivals, "loop_on").iloc[0] in ("", "plant")
-        else f" on the {text(rivals, 'loop_on').iloc[0]}"
-    )
-    said, time_s = predicted(rivals), _number(rivals, "settling_time_mean_s")
-    told = f", as was predicted without the plant ({_prediction(rivals)})" if said.iloc[0] else ""
-    such = int(said.sum()) if said.iloc[0] else len(rivals)
-    soonest = f"Of the {such} such runs it settles soonest," if such > 1 else "It settles"
-    alone_s = _number(rivals, "settling_time_open_loop_s")
-    share = (
-        f", {time_s / alone_s:.2f} of the uncontrolled time ({alone_s:.4g} s)"
-        if np.isfinite(alone_s)
-        else ""
-    )
-    fit, rate = _number(rivals, "fit_test_percent"), _number(rivals, "rate_controller")
-    return [
-        f"{name}. Both certificates hold and every start settles{where}{told}. "
-        f"{soonest} in {time_s:.4g} s on average{share}.",
-        f"Its model fits the test record to {fit:.1f} %; its controller was designed for rate {rate:.3g} per sample, "
-        f"where at most {_number(rivals, 'controller_rate_limit'):.3g} can be certified.",
-        *_faster_but_not_predicted(rivals),
-    ]
-
-
-def _prediction(runs: pd.DataFrame) -> str:
-    """The numbers behind the prediction for the first run."""
-    return decides(
-        *(_number(runs, name) for name in ("resolved_margin", "controller_radius", "noise_peak"))
-    )
-
-
-def _faster_but_not_predicted(rivals: pd.DataFrame) -> list[str]:
-    quickest = rivals.loc[[column(rivals, "settling_time_mean_s").idxmin()]]
-    if predicted(quickest).iloc[0] or not predicted(rivals).any():
-        return []
-    name, time_s = text(quickest, "run").iloc[0], _number(quickest, "settling_time_mean_s")
-    return [
-        f"{name} was faster ({time_s:.4g} s), yet only the plant itself could tell ({_prediction(quickest)})."
-    ]
-
-
-def _feasibility(table: pd.DataFrame, side: str) -> list[str]:
-    """The frontier of the controllers, or of the observers where some request went beyond it."""
-    rate, limit = column(table, f"rate_{side}"), column(table, f"{side}_rate_limit")
-    known, certified = rate.notna() & limit.notna(), flag(table, f"{side}_certified")
-    beyond, missed = (
-        known & (rate >= limit),
-        known & (rate < limit) & ~certified,
-    )  # at the limit itself none exists
-    if not known.any() or (side == "observer" and not (beyond | missed).any()):
-        return []
-    reach = (
-        f"from {limit.min():.3g} to {limit.max():.3g}"
-        if limit.nunique() > 1
-        else f"{limit.max():.3g}"
-    )
-    sentences = [
-        f"The largest rate any {side} can be certified for is {reach} per sample over the models of this study; it "
-        "follows exactly from the eigenvalues of A and the ratio of the smallest to the largest slope of "
-        f"{'S_u' if side == 'controller' else 'S_y'}."
-    ]
-    held = int((beyond & certified).sum())
+def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
+    """The largest rates that the models of this study allow, and how many requests went beyond."""
+    rate = column(table, f"rate_{side}")
+    limit = column(table, f"{side}_rate_limit")
+    certified = flag(table, f"{side}_certified")
+    known = rate.notna() & limit.notna()
+    beyond = known & (rate >= limit)  # at the limit itself no certificate exists
+    missed = known & (rate < limit) & ~certified
+    failed = beyond | missed
+    if not known.any() or (side == "observer" and not failed.any()):
+        return
+    yield limit_sentence(side, limit)
     if beyond.any():
-        none = f"{held} of those were certified" if held else "none of those was certified"
-        sentences.append(
-            f"{int(beyond.sum())} of {int(known.sum())} requests lie beyond it, and {none}."
-        )
+        yield beyond_sentence(int(beyond.sum()), int(known.sum()), int((beyond & certified).sum()))
+    elif known.sum() > 1:
+        yield "Every rate is below the limit of its model."
     else:
-        sentences.append(
-            "Every rate is below the limit of its model."
-            if known.sum() > 1
-            else "The rate is below it."
-        )
+        yield "The rate is below it."
     if missed.any():
-        sentences.append(
-            f"Inside it, {int(missed.sum())} got no certificate: there the method fell short."
-        )
-    return sentences
+        count = int(missed.sum())
+        yield f"Inside it, {count} got no certificate: there the method fell short."
 
 
-def _fit(table: pd.DataFrame) -> str:
-    """Against the share of starts settled; against settling time where all settle."""
+def limit_sentence(side: str, limit: pd.Series) -> str:
+    """Range of the exact rate limits, and what they follow from."""
+    reach = f"{limit.max():.3g}"
+    if limit.nunique() > 1:
+        reach = f"from {limit.min():.3g} to {reach}"
+    input_map = "S_u" if side == "controller" else "S_y"
+    return (
+        f"The largest rate any {side} can be certified for is {reach} per sample over the models "
+        "of this study; it follows exactly from the eigenvalues of A and the ratio of the smallest "
+        f"to the largest slope of {input_map}."
+    )
+
+
+def beyond_sentence(beyond: int, known: int, certified: int) -> str:
+    """How many requests lie beyond the limit, and what became of them."""
+    outcome = f"{certified} of those were certified" if certified else "none of those was certified"
+    return f"{beyond} of {known} requests lie beyond it, and {outcome}."
+
+
+def fit_sentences(table: pd.DataFrame) -> tuple[str, ...]:
+    """Per plant: how the fit ranks with the share of starts settled, or with the settling time."""
+    if len(table) < 2:
+        return ()
+    return tuple(prefix + fit_sentence(runs) for prefix, runs in by_plant(table))
+
+
+def fit_sentence(table: pd.DataFrame) -> str:
+    """Spearman's rank correlation of the fit with the first outcome that varies."""
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
     fit = column(table, "fit_test_percent")
-    for name, said, meaning in (
-        ("stable_fraction", "share of starts settled", "1: the better the fit, the more settle"),
-        ("settling_time_mean_s", "settling time", "-1: the better the fit, the sooner"),
-    ):
+    for name, outcome, meaning in OUTCOMES_OF_FIT:
         other = column(table, name)
         known = certified & fit.notna() & other.notna()
-        if (
-            known.sum() >= 3 and fit[known].nunique() > 2 and other[known].nunique() > 1
-        ):  # else a rank says nothing
-            rank = float(np.corrcoef(fit[known].rank(), other[known].rank())[0, 1])  # Spearman's
+        fits = fit[known]
+        if known.sum() < FEWEST_RANKED or fits.nunique() < FEWEST_RANKED:
+            continue
+        if other[known].nunique() > 1:
+            rank = float(np.corrcoef(fits.rank(), other[known].rank())[0, 1])
             return (
-                f"Over {int(known.sum())} certified runs, fit and {said} have a rank correlation of {rank:.2f} "
-                f"({meaning}; 0: unrelated)."
+                f"Over {int(known.sum())} certified runs, fit and {outcome} have a rank "
+                f"correlation of {rank:.2f} ({meaning}; 0: unrelated)."
             )
-    had = (
-        f"it has {int(certified.sum())} certified, with different fits: {fit[certified].nunique()}"
+    return (
+        "This study cannot tell: that takes certified runs with three different fits and unequal "
+        f"loops (it has {int(certified.sum())} certified, with different fits: "
+        f"{fit[certified].nunique()})."
     )
-    return f"This study cannot tell: that takes certified runs with three different fits and unequal loops ({had})."
 
 
-def _margin(table: pd.DataFrame) -> tuple[str, ...]:
-    share, said_so = column(table, "stable_fraction"), predicted(table)
+def prediction_question(table: pd.DataFrame) -> str:
+    """The question about the prediction; a log has no plant to ask about."""
+    on_model = text(table, "loop_on") == "identified model"
+    where = "model" if len(table) and on_model.all() else "plant"
+    return f"Does the prediction hold on the {where}?"
+
+
+def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
+    """How many loops settle on either side of the prediction, and what that bounds."""
+    share = column(table, "stable_fraction")
+    stable = predicted(table)
     known = column(table, "predicted_stable").notna() & share.notna()
     if not known.any():
-        return ("No run has both a prediction and a closed loop.",)
-    yes, no = share[known & said_so], share[known & ~said_so]
-    sides = {"Where the loop was predicted to stay stable": yes, "Where it was not": no}
-    told = [
-        f"{said}, every start settles in {int((s >= 1).sum())} of {len(s)} runs."
-        for said, s in sides.items()
-        if len(s)
+        return ()
+    sides = {
+        "Where the loop was predicted to stay stable": share[known & stable],
+        "Where it was not": share[known & ~stable],
+    }
+    sentences = [
+        f"{side}, every start settles in {int((shares >= 1).sum())} of {len(shares)} runs."
+        for side, shares in sides.items()
+        if len(shares)
     ]
-    if len(told) < len(sides):
-        told.append(
+    if len(sentences) < len(sides):
+        sentences.append(
             "All runs are on one side, so this study cannot show where the prediction fails."
         )
-    return (*told, *_by_model(text(table, "stage_bounds_key")[known & said_so], yes))
+    models = text(table, "stage_bounds_key")[known & stable]
+    return (*sentences, *failure_bound(models, share[known & stable]))
 
 
-def _by_model(models: pd.Series, share: pd.Series) -> list[str]:
-    """How often a prediction may fail: loops of one model are not independent, so each model counts
-    once.
+def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:
+    """Upper bound on how often a prediction fails; each model counts once.
 
-    With k of N models wrong the probability is below the p of `P(X <= k) = 0.05`, X binomial
-    (Clopper & Pearson 1934);
-    `1 - 0.05^(1/N)` for none.
+    Loops of one model are not independent. With k of N models wrong the probability is below the p
+    of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.
     """
     wrong = (share < 1).groupby(models[models != ""]).any()
-    count, failed = len(wrong), int(wrong.sum())
+    count = len(wrong)
+    failed = int(wrong.sum())
     if count < 2 or failed == count:
         return []
     bound = scipy.special.betaincinv(failed + 1, count - failed, CONFIDENCE)
     of_them = f"{failed} had" if failed else "none had"
     return [
-        f"Each model counted once: of {count} models {of_them} a predicted loop that does not settle, so with "
-        f"{100 * CONFIDENCE:g} % confidence the share of such models is below {bound:.2g}."
+        f"Each model counted once: of {count} models {of_them} a predicted loop that does not "
+        f"settle, so with {100 * CONFIDENCE:g} % confidence the share of such models is below "
+        f"{bound:.2g}."
     ]
-
-
-def _failed(table: pd.DataFrame) -> tuple[str, ...]:
-    word = verdicts(table)
-    failed, lost, infeasible = (
-        int((word == verdict.word).sum()) for verdict in (FAILED, LOST, INFEASIBLE)
-    )
-    sentences = ["No run ended with an error."]
-    if failed:
-        reasons = text(table[word == FAILED.word], "error_message").value_counts()
-        most = f"{int(reasons.iloc[0])} of them with: {reasons.index[0] or 'no message was left'}"
-        sentences = [f"{failed} of {len(table)} runs ended with an error, {most}"]
-    if lost:
-        runs = f"{lost} certified runs do" if lost > 1 else "1 certified run does"
-        sentences.append(
-            f"{runs} not settle: both certificates hold for the model, yet some start does not settle."
-        )
-    if infeasible:
-        runs = f"{infeasible} runs are" if infeasible > 1 else "1 run is"
-        sentences.append(
-            f"{runs} infeasible, which is a result: the record states the largest feasible rate."
-        )
-    return tuple(sentences)

@@ -178,14 +178,6 @@ def test_a_run_shows_the_controllers_and_the_designs_that_it_compared(opened: An
     assert "Above margin one 2 of 2 bring every start to rest, at or below it 1 of 4" in text
 
 
-def test_the_best_run_of_the_answers_opens_by_its_name(opened: Any) -> None:
-    button = opened.find_element("css selector", "#answers button")
-    name = button.text
-    opened.execute_script("arguments[0].click()", button)
-    wait_for(opened, "!document.getElementById('run').hidden")
-    assert opened.execute_script("return document.getElementById('run-title').textContent") == name
-
-
 def groups_shown(driver: Any) -> dict[str, list[str]]:
     """The cells of each group's row by its label."""
     cells = "row => Array.from(row.children, c => c.textContent)"

@@ -6,15 +6,8 @@ function drawWords() {
   if (RUNS === 1) for (const id of ["compare", "filters", "count", "plots-hint", "beside"]) document.getElementById(id).hidden = true; // nothing to compare
   document.getElementById("swept").textContent = DATA.swept;
   document.getElementById("answers").append(...DATA.answers.map(({ question, sentences }) =>
-    element("article", {}, element("h3", {}, question), ...sentences.map((text) => element("p", {}, ...linked(text))))));
-}
-
-/** A sentence whose run names open their run. */
-function linked(sentence) {
-  return sentence.split(/(\s+)/).flatMap((word) => {
-    const name = word.replace(/[.:,;]+$/, ""), i = name ? COLUMNS.run.indexOf(name) : -1;
-    return i < 0 ? [word] : [element("button", { type: "button", title: name, onclick: () => choose(i) }, shortName(name)), word.slice(name.length)];
-  });
+    element("article", {}, element("h3", {}, question), ...sentences.map((text) => element("p", {}, text)))));
+  document.getElementById("words").hidden = !DATA.answers.length;
 }
 
 function tally(word) {
@@ -99,8 +92,7 @@ function drawFailures() {
     groups.set(key, [...(groups.get(key) || []), i]);
   }
   const box = document.getElementById("failures");
-  const settled = tally("certified, settles") ? ", every request was feasible, and every controller is certified and settles" : "";
-  if (!groups.size) box.append(element("p", {}, `Nothing failed${settled}.`));
+  document.getElementById("failed").hidden = !groups.size;
   const severity = ([key]) => ["failed", "certified", "not certified", "infeasible"].findIndex((word) => key.startsWith(word));
   const ordered = [...groups].sort((a, b) => severity(a) - severity(b) || a[0].localeCompare(b[0]));
   for (const [key, runs] of ordered.slice(0, 40)) {
