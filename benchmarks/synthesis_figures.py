@@ -2,7 +2,7 @@
 
     python benchmarks/synthesis_figures.py     (seconds)
 
-Writes feasibility_map, gain_norm and contraction as PNG and PDF beside their tables.
+Writes feasibility_map, gain_norm and contraction as PNG beside their tables.
 """
 
 import pandas as pd
@@ -128,7 +128,7 @@ FIGURES = {"feasibility_map": feasibility_map, "gain_norm": gain_norm, "contract
 def main() -> None:
     for name, draw in FIGURES.items():
         with style.paper():
-            paths = style.save(draw(pd.read_csv(FOLDER / f"{name}.csv")), FOLDER, name)
+            paths = style.save(draw(pd.read_csv(FOLDER / f"{name}.csv")), FOLDER, name, ("png",))
         print(*paths, sep="\n")
 
 

@@ -84,14 +84,19 @@ def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> No
     axes.legend(shown.values(), shown.keys(), loc="lower left", ncols=columns, **look)
 
 
-def save(figure: "Figure", folder: Path, name: str) -> list[Path]:
-    """`folder/name.png` and `folder/name.pdf`; the same data give the same bytes (no creation
-    date)."""
+def save(
+    figure: "Figure", folder: Path, name: str, kinds: tuple[str, ...] = ("png", "pdf")
+) -> list[Path]:
+    """Write `folder/name.png` and `folder/name.pdf`, or one of them.
+
+    The same data give the same bytes: no creation date is written.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     refuse_link(folder)
-    paths = {folder / f"{name}.png": "Software", folder / f"{name}.pdf": "CreationDate"}
-    for path, left_out in paths.items():
+    dated = {"png": "Software", "pdf": "CreationDate"}
+    paths = [folder / f"{name}.{kind}" for kind in kinds]
+    for path, kind in zip(paths, kinds, strict=True):
         content = io.BytesIO()
-        figure.savefig(content, format=path.suffix[1:], metadata={left_out: None})
+        figure.savefig(content, format=kind, metadata={dated[kind]: None})
         write_atomically(path, content.getvalue(), durable=False)
-    return list(paths)
+    return paths
