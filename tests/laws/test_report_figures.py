@@ -76,8 +76,6 @@ def test_nothing_is_drawn_of_what_a_study_has_not_and_each_reason_is_a_sentence(
 NEEDS_SEVERAL = {
     "robustness",
     "peers",
-    "rates",
-    "fit_against_stability",
     "feasibility_map",
 }  # runs or controllers
 
@@ -148,7 +146,7 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     assert endings._told(told, folder, pictures) == []
 
 
-@pytest.mark.parametrize("name", ["rates", "closed_loop_responses"])
+@pytest.mark.parametrize("name", ["feasibility_map", "closed_loop_responses"])
 def test_the_same_files_give_the_same_bytes(studies: dict[str, Path], name: str) -> None:
     first = [path.read_bytes() for path in figures.draw([name], studies["runs"])]
     assert first == [path.read_bytes() for path in figures.draw([name], studies["runs"])]
