@@ -4,6 +4,8 @@
 from importlib import import_module
 from typing import Any
 
+from ssm_study import renamed
+
 __version__ = "0.2.0"
 __all__ = ["Design", "Model", "control", "fit", "load", "simulate", "study"]
 
@@ -20,3 +22,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return [*globals(), *__all__]
+
+
+renamed.install()

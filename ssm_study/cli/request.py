@@ -15,6 +15,7 @@ from ssm_study.engine.jobs import jobs_of
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
 from ssm_study.refusal import require
+from ssm_study.renamed import bring_up_to_date, present_overrides
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 OPTIONS = {
@@ -46,7 +47,7 @@ def translate(arguments: list[str]) -> list[str]:
     if "--dry-run" in rest:
         rest = [word for word in rest if not word.startswith(LAUNCHER)]
     words = [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
-    return ["--multirun"] * many + quoted(words)
+    return ["--multirun"] * many + quoted(present_overrides(words))
 
 
 def quoted(words: Iterable[str]) -> list[str]:
@@ -62,6 +63,7 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
     request = Command(arguments, folder, name)
+    bring_up_to_date(request.config)
     refuse_foreign_targets(request.config)
     refuse_empty(request)
     refuse_unbounded(OmegaConf.to_container(request.config, resolve=False))

@@ -10,8 +10,11 @@ import numpy as np
 
 from ssm_study.durable import contents, is_locked, sealed, unsealed, write_json_atomically
 from ssm_study.refusal import BadRequest
+from ssm_study.renamed import with_both_columns
 
 RECORD = "record.json"
+VERSION = 2  # of what is written
+READABLE = (1, 2)  # 1: before version 0.2.0; any other is not ours to interpret
 LOCK = ".lock"
 LARGEST = 2**22  # bytes of a record: a real one has 5,000
 # What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the
@@ -26,7 +29,10 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
     """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts
     `inf` and `-inf`."""
     flat = {str(key): storable(str(key), value) for key, value in record.items() if key != "sha256"}
-    write_json_atomically(folder / RECORD, sealed({"record_version": 1} | flat), durable)
+    both = with_both_columns(
+        {name: value for name, value in flat.items() if name != "record_version"}
+    )
+    write_json_atomically(folder / RECORD, sealed({"record_version": VERSION} | both), durable)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -50,9 +56,12 @@ def parse_record(content: bytes) -> dict[str, Any]:
     """The record written as `content`; anything that is not exactly a sealed record has only
     `status = corrupt`."""
     record = unsealed(content)
+    version = None if record is None else record.get("record_version")
+    if type(version) is not int or version not in READABLE:
+        return {"status": CORRUPT}
     if record is None or not isinstance(record.get("status"), str) or not _fits(*record.values()):
         return {"status": CORRUPT}
-    return record
+    return with_both_columns(record)
 
 
 def _fits(*values: Any) -> bool:

@@ -9,7 +9,7 @@ record, to be compared) and `NotChecked` (what cannot be derived of this run, wi
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA, WITHDRAWN
 from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
-from ssm_study.engine.settings import run_name
+from ssm_study.engine.settings import plain, run_name
 from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_facts, withheld
@@ -139,9 +139,11 @@ def requested(run: RunFiles) -> Claims:
         else f"counts as one more run of its study: delete it, or name it {name}"
     )
     yield Checked(claim="folder", holds=alone, found=f"{folder} {told}")
-    configuration = run.specification.configuration
+    # As it was stored: a record names the parts by what they were called then.
+    configuration = plain(run.config)
+    specification = replace(run.specification, configuration=configuration)
     named = [setting_of(name) for name in run.record if FURTHER.covers(name)]
-    asked = STUDY.parameters(run.specification) | further(configuration, named)
+    asked = STUDY.parameters(specification) | further(configuration, named)
     # The record holds the rates of the design, which the theorem may have chosen itself.
     designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()
     yield Derived({name: value for name, value in asked.items() if name not in designed})

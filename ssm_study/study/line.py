@@ -20,6 +20,7 @@ from ssm_study.engine.settings import Settings, entry
 from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.task import Task, folder_of, store_of
 from ssm_study.refusal import require
+from ssm_study.renamed import bring_up_to_date
 from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class Study(Task["Specification"]):
     )
 
     def refuse(self, config: DictConfig) -> None:
+        bring_up_to_date(config)
         refuse_foreign_targets(config)
         for key in map(str, config):
             require(

@@ -19,6 +19,7 @@ from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
+from ssm_study.renamed import bring_up_to_date
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
@@ -62,9 +63,11 @@ class RunFiles:
 
     @cached_property
     def specification(self) -> Specification:
-        """Refuses targets that are not allowed before anything is built."""
-        refuse_foreign_targets(self.config)
-        return Specification.from_config(self.config)
+        """Refuses targets that are not allowed before anything is built; old names are read."""
+        config = self.config.copy()
+        bring_up_to_date(config)
+        refuse_foreign_targets(config)
+        return Specification.from_config(config)
 
     @cached_property
     def data(self) -> DataSet:

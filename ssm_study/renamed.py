@@ -1,0 +1,419 @@
+"""Names of earlier versions, and what each is called today.
+
+Old names are understood where files and arguments are read: in stored configurations, in the words
+of a command, in `import` lines of other people's code, in the methods that their classes override.
+Nowhere else: the package itself uses today's names alone. An old name is read for one version, and
+a warning says so once.
+
+To rename something that strangers rely on, add a line to the table of its kind. To withdraw
+something, add it to `WITHDRAWN_...` with the version and the reason; a test demands that every entry
+leads somewhere, and that no withdrawn name is still there. This module imports nothing of the
+science: `import ssm_study` installs it before anything else is imported.
+"""
+
+import importlib
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+from typing import Any
+
+from ssm_study.refusal import BadRequest
+
+OURS = "ssm_study"
+CHANGELOG = "CHANGELOG.md, version 0.2.0"
+
+
+class OldName(FutureWarning):
+    """An old name was used; it is read for one version."""
+
+
+# Modules, below `ssm_study`. An entry of a package counts for the modules in it as well, except for
+# those that have an entry of their own.
+MODULES: Mapping[str, str] = {
+    "cli.endings": "cli.summary",
+    "cli.explained": "cli.hydra_errors",
+    "data.excitations.own_plant": "data.excitations.user_excitation",
+    "data.excitations.own_signal": "data.excitations.file_signal",
+    "engine.code": "engine.fingerprint",
+    "engine.durable": "durable",
+    "evidence.own_motion": "evidence.autonomous_motion",
+    "study.labels": "study.recording_labels",
+    "study.warm": "study.preload",
+    "synthesis.among_starts": "synthesis.model_selection",
+    "synthesis.area": "synthesis.integrated_error",
+    "synthesis.certificate": "certificates.certificate",
+    "synthesis.commanded": "synthesis.input_inversion",
+    "synthesis.exact": "certificates.exact",
+    "synthesis.frontier": "certificates.frontier",
+    "synthesis.mismatch": "robustness.mismatch",
+    "synthesis.prediction": "robustness.prediction",
+    "synthesis.problem": "certificates.problem",
+    "synthesis.rest": "robustness.return_to_rest",
+    "synthesis.sensitivity": "robustness.sensitivity",
+    "synthesis.theorem": "certificates.theorem",
+    "synthesis.theorems": "certificates.theorems",
+    "synthesis.theorems.guaranteed_cost": "synthesis.guaranteed_cost",
+    "synthesis.theorems.minimum_energy": "synthesis.minimum_energy",
+}
+
+# Classes, functions and constants, by the module in which an import looks for them today.
+NAMES: Mapping[str, str] = {
+    "certificates.theorem.Known": "certificates.theorem.VerificationContext",
+    "data.simulated.trials": "data.simulated.mismatch_records",
+    "data.splits.repeats": "data.splits.periodic_segments",
+    "data.splits.returns": "data.splits.rest_segments",
+    "engine.stages.Kept": "engine.stages.StageOutput",
+    "models.identified.Wired": "models.identified.ScaffoldedModel",
+    "models.spec.Start": "models.spec.Initialisation",
+    "robustness.sensitivity.frequency_response": "bounds.frequency.frequency_response",
+    "robustness.sensitivity.gains": "bounds.frequency.gains",
+    "robustness.sensitivity.hinf_norm": "bounds.frequency.hinf_norm",
+    "study.preload.warm": "study.preload.preload",
+    "study.stages.Simulated": "study.stages.ModelRun",
+    "synthesis.candidates.Found": "synthesis.candidates.GainCandidate",
+    "synthesis.deployed.as_deployed": "synthesis.deployed.with_gain_certificates",
+    "synthesis.design.Request": "synthesis.design.DesignAttempt",
+    "synthesis.design.broken_claims": "synthesis.design.failed_checks",
+    "synthesis.integrated_error.at_rest": "models.structured.at_rest",
+    "synthesis.lmi.aim": "synthesis.objectives.aim",
+    "synthesis.lmi.solved": "certificates.semidefinite.solved",
+    "synthesis.model_selection.FastestCertified": "synthesis.model_selection.LargestCertifiableRate",
+    "synthesis.modes.least_metric": "certificates.riccati.least_metric",
+    "synthesis.modes.solve_riccati": "certificates.riccati.solve_riccati",
+    "synthesis.structured_lmi.largest_mismatch": "certificates.semidefinite.largest_mismatch",
+    "systems.Pair": "systems.Gains",
+    "systems.feed": "systems.error_input_matrix",
+    "training.fit.Starts": "training.fit.InitialStates",
+    "training.levenberg.damped": "training.levenberg.levenberg_marquardt_step",
+    "training.saving.Keeper": "training.saving.BestModelCheckpoint",
+    "training.saving.Line": "training.saving.ProgressLine",
+    "training.structured_problem.descended": "training.structured_problem.minimise",
+}
+
+# Methods by their class: a subclass that defines the old name answers to the new one, and whoever
+# calls the old name reaches the new method.
+METHODS: Mapping[str, Mapping[str, str]] = {
+    "certificates.theorem.Theorem": {"in_floats": "as_floats"},
+    "engine.stages.Stages": {"take": "run_stage", "aside": "unrecorded"},
+    "engine.task.Task": {"warm": "preload"},
+    "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
+    "signals.DataSet": {"undelayed": "shift_out_dead_time"},
+}
+
+# Settings of a configuration and of a command, by their dotted path.
+SETTINGS: Mapping[str, str] = {}
+
+# Columns of the table: records and tables have both for one version.
+COLUMNS: Mapping[str, str] = {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Withdrawn:
+    """What is gone: since which version, and what to do instead. `neutral` is the value of a
+    setting that changed nothing: a stored configuration that has it is read without it."""
+
+    since: str
+    remedy: str
+    neutral: Any = None
+
+    @property
+    def sentence(self) -> str:
+        return f"withdrawn in {self.since}"
+
+
+# Settings by their dotted path, in which `*` stands for any part.
+WITHDRAWN_SETTINGS: Mapping[str, Withdrawn] = {}
+
+# Choices as a command writes them, `model=dynonet`; of a list every member counts.
+WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {}
+
+# Parts of `certificate.json` by the name of their theorem: read past, and not checked.
+WITHDRAWN_THEOREMS: Mapping[str, Withdrawn] = {}
+
+# Columns that records of an earlier version hold: not checked.
+WITHDRAWN_COLUMNS: Mapping[str, Withdrawn] = {}
+
+
+# Names
+
+
+@cache
+def present_module(module: str) -> str:
+    """The module that an import of `module` means today, dotted from `ssm_study`."""
+    inner = module.removeprefix(f"{OURS}.")
+    if inner == module:
+        return module
+    words = inner.split(".")
+    for count in range(len(words), 0, -1):
+        old = ".".join(words[:count])
+        if old in MODULES:
+            return ".".join([OURS, MODULES[old], *words[count:]])
+    return module
+
+
+def present_symbol(module: str, name: str) -> tuple[str, str]:
+    """The module and the name that `from module import name` means today."""
+    as_module = present_module(f"{module}.{name}")
+    dotted = as_module.removeprefix(f"{OURS}.")
+    dotted = NAMES.get(dotted, dotted)
+    present = f"{OURS}.{dotted}" if module.split(".")[0] == OURS else f"{module}.{name}"
+    holder, _, last = present.rpartition(".")
+    return holder, last
+
+
+def present_target(target: Any) -> Any:
+    """The class that a `_target_` names today; whatever is no text is returned as it is."""
+    if not isinstance(target, str) or not target.startswith(f"{OURS}."):
+        return target
+    module, _, name = target.rpartition(".")
+    return ".".join(present_symbol(module, name))
+
+
+def present_theorem(name: str) -> Withdrawn | None:
+    """Why a theorem of this name is no longer there; None for any other."""
+    return WITHDRAWN_THEOREMS.get(name)
+
+
+def warn(old: str, new: str) -> None:
+    """Say once that a name is old."""
+    if old not in _WARNED:
+        _WARNED.add(old)
+        message = f"{old} is now {new}; the old name is read in version 0.2 alone."
+        warnings.warn(message, OldName, stacklevel=3)
+
+
+_WARNED: set[str] = set()
+
+
+# Settings
+
+
+def present_settings(tree: Any, path: str = "") -> Any:
+    """Plain containers of an earlier version under today's names.
+
+    Raises `BadRequest` for a withdrawn setting whose value is not the neutral one.
+    """
+    if isinstance(tree, list):
+        return [present_settings(value, f"{path}[]") for value in tree]
+    if not isinstance(tree, dict):
+        return tree
+    present: dict[Any, Any] = {}
+    for key, value in tree.items():
+        place = f"{path}.{key}".lstrip(".")
+        withdrawn = withdrawn_setting(place)
+        if withdrawn is not None:
+            refuse_withdrawn(place, value, withdrawn)
+            continue
+        name = SETTINGS.get(place, place).rpartition(".")[2]
+        is_target = key == "_target_"
+        present[name] = present_target(value) if is_target else present_settings(value, place)
+    return type(tree)(present)
+
+
+def bring_up_to_date(config: Any) -> None:
+    """Give a composed or stored configuration (`DictConfig`) today's names, in place.
+
+    Raises `BadRequest` as `present_settings` does.
+    """
+    from omegaconf import OmegaConf, open_dict
+
+    tree = OmegaConf.to_container(config, resolve=False)
+    assert isinstance(tree, dict)
+    hydra = tree.pop("hydra", None)
+    del hydra  # its own section, whose targets are its own
+    present = present_settings(tree)
+    with open_dict(config):
+        for key in tree:
+            if key not in present:
+                del config[key]
+        for key, value in present.items():
+            if key not in tree or value != tree[key]:
+                config[key] = value
+
+
+def withdrawn_setting(path: str) -> Withdrawn | None:
+    """The entry of a withdrawn setting; None for any other."""
+    words = path.split(".")
+    for pattern, withdrawn in WITHDRAWN_SETTINGS.items():
+        parts = pattern.split(".")
+        alike = [part in ("*", word) for part, word in zip(parts, words, strict=False)]
+        if len(parts) == len(words) and all(alike):
+            return withdrawn
+    return None
+
+
+def refuse_withdrawn(path: str, value: Any, withdrawn: Withdrawn) -> None:
+    """Raise `BadRequest` unless the value of the withdrawn setting changed nothing."""
+    if value != withdrawn.neutral:
+        problem = f"was {withdrawn.sentence} ({CHANGELOG})"
+        raise BadRequest(path, value, problem, withdrawn.remedy)
+
+
+def present_override(word: str) -> str:
+    """A word of a command, `model.integrated=true`, under today's name.
+
+    Raises `BadRequest` with the line of the changelog for what was withdrawn.
+    """
+    key, equals, value = word.partition("=")
+    path = key.lstrip("+~")
+    marks = key.removesuffix(path)
+    withdrawn = withdrawn_setting(path)
+    if withdrawn is not None and equals:
+        refuse_withdrawn(path, value, withdrawn)
+        return ""
+    for choice in value.strip("[]").split(",") if equals else ():
+        gone = WITHDRAWN_CHOICES.get(f"{path}={choice.strip()}")
+        if gone is not None:
+            problem = f"was {gone.sentence} ({CHANGELOG})"
+            raise BadRequest(path, choice.strip(), problem, gone.remedy)
+    if path in SETTINGS:
+        warn(path, SETTINGS[path])
+        return f"{marks}{SETTINGS[path]}{equals}{value}"
+    return f"{key}={present_target(value)}" if path.endswith("_target_") else word
+
+
+def present_overrides(words: Sequence[str]) -> list[str]:
+    """The words of a command under today's names; those that say nothing any more are left out."""
+    present = [present_override(word) for word in words]
+    return [word for word in present if word]
+
+
+# Columns
+
+
+def with_both_columns(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A record with every renamed column under its old and its new name."""
+    both = dict(record)
+    for old, new in COLUMNS.items():
+        if new in record:
+            both.setdefault(old, record[new])
+        elif old in record:
+            both[new] = record[old]
+    return both
+
+
+# Imports
+
+
+class OldModules(MetaPathFinder):
+    """Finds an old module by its new name, and gives modules their old names and methods."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        del target
+        if not fullname.startswith(f"{OURS}."):
+            return None
+        present = present_module(fullname)
+        if present != fullname:
+            return ModuleSpec(fullname, Alias(present), is_package=True)
+        inner = fullname.removeprefix(f"{OURS}.")
+        if inner not in _renamed_in():
+            return None
+        spec = PathFinder.find_spec(fullname, path)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def exec_module(module: ModuleType) -> None:
+                execute(module)
+                _give_old_names(module, inner)
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+class Alias(Loader):
+    """Loads a module under its old name: the module of the new name itself."""
+
+    def __init__(self, present: str) -> None:
+        self.present = present
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        del spec
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        warn(module.__name__, self.present)
+        # The import takes what stands in sys.modules afterwards.
+        sys.modules[module.__name__] = importlib.import_module(self.present)
+
+
+@cache
+def _renamed_in() -> frozenset[str]:
+    """Modules in which something was renamed."""
+    return frozenset(name.rpartition(".")[0] for name in (*NAMES, *METHODS))
+
+
+def _give_old_names(module: ModuleType, inner: str) -> None:
+    """Let a module, just imported, answer to the old names of what it holds."""
+    holder = f"{inner}."
+    old_names = {
+        old.removeprefix(holder): new
+        for old, new in NAMES.items()
+        if old.rpartition(".")[0] == inner
+    }
+
+    def look_up(name: str) -> Any:
+        if name not in old_names:
+            raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
+        warn(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
+        place, _, present = old_names[name].rpartition(".")
+        return getattr(importlib.import_module(f"{OURS}.{place}"), present)
+
+    if old_names:
+        vars(module).setdefault("__getattr__", look_up)
+    for dotted, methods in METHODS.items():
+        place, _, name = dotted.rpartition(".")
+        if place == inner:
+            accept_old_methods(getattr(module, name), methods)
+
+
+def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
+    """Let a class and all its subclasses answer to old and new names of these methods."""
+    answer_to_both(base, methods)
+    for kind in _subclasses(base):
+        answer_to_both(kind, methods)
+    defined = vars(base).get("__init_subclass__")
+
+    def init_subclass(cls: type, **options: Any) -> None:
+        answer_to_both(cls, methods)
+        if defined is None:
+            super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]
+        else:
+            function: Callable[..., None] = defined.__func__
+            function(cls, **options)
+
+    base.__init_subclass__ = classmethod(init_subclass)  # type: ignore[assignment]
+
+
+def answer_to_both(kind: type, methods: Mapping[str, str]) -> None:
+    """Give each method that the class itself defines its other name as well."""
+    for old, new in methods.items():
+        defined = vars(kind)
+        if old in defined and new not in defined:
+            warn(f"{kind.__name__}.{old}", f"{kind.__name__}.{new}")
+            setattr(kind, new, defined[old])
+        elif new in defined and old not in defined:
+            setattr(kind, old, defined[new])
+
+
+def _subclasses(base: type) -> Iterator[type]:
+    subclasses: list[type] = base.__subclasses__()
+    for kind in subclasses:
+        yield kind
+        yield from _subclasses(kind)
+
+
+def install() -> None:
+    """Make old modules importable; asked once, when the package is imported."""
+    if not any(isinstance(finder, OldModules) for finder in sys.meta_path):
+        sys.meta_path.insert(0, OldModules())
+    for inner in _renamed_in():  # imported before this, by whatever imports the package in parts
+        with suppress(KeyError):
+            _give_old_names(sys.modules[f"{OURS}.{inner}"], inner)
