@@ -1,6 +1,7 @@
 """What a run came to, on one screen: the claim, the numbers that bear it, and where the figures
 lie."""
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -130,12 +131,9 @@ def _proved(
     tolerated = "rest is proved up to {}" if neurons else "{} is proved"
     limited = LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
     yield LIMITS[0], label, limited.replace(f"outputs {MISSING} to {MISSING}", EACH_ITS_OWN)
-    seen = f"the records show {number('mismatch_seen')}"
-    yield (
-        "certified_tolerance",
-        "Mismatch tolerated",
-        f"{tolerated.format(number('certified_tolerance'))}, {seen}",
-    )
+    tolerance = tolerated.format(number("certified_tolerance"))
+    yield "certified_tolerance", "Mismatch tolerated", tolerance
+    yield from _covered(record)
     measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
     more = (record.get("noise_gain_measured") or 0.0) > (
         record.get("noise_gain_model") or float("inf")
@@ -146,6 +144,24 @@ def _proved(
         "Sensor noise",
         f"reaches the model's output {number('noise_gain_model')}-fold at the worst frequency{measured}",
     )
+
+
+def _covered(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Whether the proof covers the mismatch that records show; below one it covers nothing, and no
+    share is printed."""
+    label, coverage = "Model error covered", record.get("coverage")
+    if coverage is None:
+        yield "coverage_reason", label, f"not covered: {record.get('coverage_reason')}"
+        return
+    if coverage < 1:
+        where = record.get("coverage_reference")
+        yield "coverage", label, f"not covered: the records show more than is proved ({where})"
+        return
+    times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
+    covered = f"{times:.2f} times as large as the records show, at every frequency"
+    needed = record.get("coverage_needed")
+    fresh = "" if needed is None else f"; the test record needs {math.ceil(100 * needed) / 100:.2f}"
+    yield "coverage", label, f"{covered}{fresh}"
 
 
 def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:

@@ -257,7 +257,8 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
             ends = ANGLES[[start, min(start + size, len(ANGLES)) - 1]]
             where = f"{ends[0]:.2f} to {ends[1]:.2f} rad/sample"
             lines = (bands >= start) & (bands < start + size)
-            items.append(item(lines, where, doubtful=not sure))
+            unexcited = bool(dark[start : start + size].all())
+            items.append(item(lines, where, doubtful=not sure, unexcited=unexcited))
     return [*items, item(bands >= -1, TOTAL, doubtful=False)]
 
 
@@ -338,7 +339,7 @@ class _Run:
         scored = slice(start_up_samples, None)
         repeated = repetition(record.u[scored])
         return cls(
-            name=record.name,
+            name=f"input of rms {np.sqrt((model.scale.scaled_input(record.u) ** 2).mean()):.2g}",
             u=model.scale.scaled_input(record.u)[scored],
             m=model.scale.scaled_output(simulated)[scored],
             e=((record.y - simulated) / model.scale.output_scale)[scored],

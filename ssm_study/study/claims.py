@@ -33,6 +33,7 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
+from ssm_study.robustness.coverage import measure_premise
 from ssm_study.robustness.mismatch import mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings, trials
@@ -42,6 +43,7 @@ from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_li
 from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.input_inversion import shown_behind
+from ssm_study.synthesis.measured_discs_run import coverage_facts
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
@@ -287,7 +289,21 @@ def certificate(run: RunFiles) -> Claims:
         run.model, kept.records, kept.start_up_samples, run.trials
     )
     facts = design_facts(design, run.model, balls, shown)
+    facts |= coverage_again(run)
     yield Derived(withheld(facts, run.record.get("evidence")))
+
+
+def coverage_again(run: RunFiles) -> dict[str, Any]:
+    """The columns of the coverage, from the run's own recordings: what they need is measured
+    again."""
+    kept, test = run.simulated.validation, run.simulated.test
+    records = kept.records, kept.start_up_samples, run.trials
+    shown = mismatch(run.model, *records)
+    premise = measure_premise(run.model, kept.records, shown, kept.start_up_samples, run.trials)
+    fresh = None
+    if run.specification.plant is None:
+        fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
+    return coverage_facts(run.design, run.model, premise, fresh)
 
 
 def information(part: Theorem | Infeasible) -> list[str]:

@@ -39,6 +39,7 @@ from ssm_study.training.metrics import mean_fit, training_facts
 if TYPE_CHECKING:
     from ssm_study.bounds.reduction import Reduction
     from ssm_study.models.spec import ModelSpec
+    from ssm_study.robustness.coverage import Premise
     from ssm_study.synthesis.design import Synthesis
     from ssm_study.training.training import Training
 
@@ -214,7 +215,9 @@ def compute_synthesis(
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import with_gain_certificates
+    from ssm_study.synthesis.measured_discs_run import with_coverage
 
+    premise = measured_premise(bounded.model, data, shown)
     chosen_by: Any = synthesis
     model, balls, shown = (
         bounded.model,
@@ -232,7 +235,25 @@ def compute_synthesis(
     design = with_gain_certificates(
         chosen_by.design(model, balls, data.validation, shown), model, balls, ends
     )
-    design.save(folder / "certificate.json")
+    with_coverage(design, model, balls, premise).save(folder / "certificate.json")
+
+
+def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
+    """What the records for the mismatch show of it by frequency."""
+    from ssm_study.robustness.coverage import measure_premise
+
+    records = data.mismatch_records
+    return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
+
+
+def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
+    """What the test record of a log shows, which neither fit nor design has seen; None for a
+    simulated plant."""
+    from ssm_study.robustness.coverage import measure_premise
+
+    if data.metadata.get("source") == "simulated":
+        return None
+    return measure_premise(model, data.test, mismatch, data.start_up_samples)
 
 
 def read_design(folder: Path) -> Design:
@@ -244,8 +265,12 @@ def measure_synthesis(
     design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
 ) -> Facts:
     """The columns of the design and of its prediction."""
+    from ssm_study.synthesis.measured_discs_run import coverage_facts
+
     model, balls = bounded.model, certified_balls(bounded.model)
     facts = design_facts(design, model, balls, shown_to(design, model, data, shown))
+    premise = measured_premise(model, data, shown)
+    facts |= coverage_facts(design, model, premise, fresh_premise(model, data, shown))
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 

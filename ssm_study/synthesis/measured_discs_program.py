@@ -31,6 +31,7 @@ FIRST = 14  # angles that are solved first
 MORE = 6  # of the worst violated join at a time
 ROUNDS = 12
 VIOLATED = 1e-9  # a smallest eigenvalue below minus this, where |e|^2 counts one, violates
+SOLVED = 1e-7  # by the solver, where angles may miss by more
 IDLE = 0.1  # a smallest eigenvalue above this decides nothing
 MOST = 1e8  # of a multiplier, in units where its form is of the size of |e|^2
 Forms = Complex[np.ndarray, "A F G G"]
@@ -164,7 +165,9 @@ class ConeProgram:
         """Append `constant + sum_a x_a linear_a >= 0`."""
         self.blocks.append((_triangle(constant[None])[0], _triangle(linear)))
 
-    def minimise(self, cost: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def minimise(
+        self, cost: Float[np.ndarray, "n"], accuracy: float = 1e-8
+    ) -> Float[np.ndarray, "n"]:
         """The solution; raises `NoSolution` with the solver's word where there is none."""
         import clarabel  # slow to load
 
@@ -177,6 +180,8 @@ class ConeProgram:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = 120
+        settings.tol_gap_rel = settings.tol_gap_abs = accuracy
+        settings.tol_feas = accuracy
         quadratic = scipy.sparse.csc_matrix((self.unknowns, self.unknowns))
         matrix = scipy.sparse.csc_matrix(np.concatenate(rows))
         solver = clarabel.DefaultSolver(
@@ -230,7 +235,7 @@ class AngleProgram:
             program.at_least(self.rows, self.bounds)
             for k in chosen:
                 program.positive(self.constant[k], self.linear[:, k])
-            x = program.minimise(-goal)
+            x = program.minimise(-goal, SOLVED if accuracy > SOLVED else VIOLATED)
             lowest = self.smallest_eigenvalues(x)
             violated = _local_minima(lowest, -accuracy)
             fresh = [k for k in violated if k not in chosen][:MORE]

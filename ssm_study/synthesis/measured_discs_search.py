@@ -35,10 +35,12 @@ CENTRES = (-0.25, 0.0)  # of discs, tried in turn; farther ones hold `e = 0` onl
 POLES = (0.5, 0.9)  # of the weights, with as many at zero
 ORDER = 4  # of each weight
 INSIDE = (0.985, 0.96, 0.9, 0.8)  # shares of the largest kappa, in order of trial
+ROOMS = (1e-3, 1e-2)  # margins by frequency, in units of each free signal's own weight
 WIDEST = 2.25  # times what records show, in power: weights are widened up to here
 ROOM = 0.02  # the model lies inside the disc by this share
 NEAR_ZERO = 1e-2  # share of its mean over the circle below which a squared gain never falls
 CEPSTRUM = 2**15  # points of the circle for a spectral factor
+SMALLEST = 1e-4  # of nu: below, nothing is worth a proof
 LARGEST = 1e6  # of nu = kappa^2: beyond it, nothing that e does matters
 SLACKS = (1e-4, 1e-6, 1e-8)  # of the Riccati equation, where each signal's own weight is one
 JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
@@ -378,7 +380,8 @@ class WeightProgram:
         bottom[count - weights : -1, 1 + weights :] = -np.eye(count - weights)
         bottom[-1, 0] = -1.0
         most = np.full(count - weights, -MOST)
-        bounds = [np.zeros(len(seen)), least_xy, np.zeros(count - weights), most, [-LARGEST]]
+        last = np.array([-LARGEST])
+        bounds = [np.zeros(len(seen)), least_xy, np.zeros(count - weights), most, last]
         program = AngleProgram(
             constant=self.grid.centred[self.centre],
             linear=np.concatenate([np.zeros_like(linear[:1]), linear / scale[:, None, None, None]]),
@@ -450,25 +453,43 @@ def largest_coverage(
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
-    """The proof that covers most of what the records show, over all centres; or why there is
-    none."""
-    started = time.perf_counter()
+    """The proof that covers most of what the records show, over all centres; or why there is none.
+
+    Where bands without excitation alone keep it from covering, the proof is that of the other
+    bands: its need of all of them says so.
+    """
     missing = next((reason for c in centres if (reason := premise.missing(c))), None)
     if missing is not None:
         return Coverage(certificate=None, coverage=None, reason=missing)
-    theorem = theorem_of(known)
-    forms = LoopForms.of(theorem, known, centres)
-    grid = forms.at(forms.angles)
+    items = {c: [item for item in premise.items(c) if item.seen > 0] for c in centres}
     basis = basis or WeightBasis()
+    whole = _largest_for(known, items, basis)
+    lit = {c: [item for item in some if not item.dark] for c, some in items.items()}
+    covers = whole.coverage is not None and whole.coverage >= 1
+    if covers or not all(lit.values()) or lit == items:
+        return whole
+    partial = _largest_for(known, lit, basis)
+    return partial if partial.coverage is not None and partial.coverage >= 1 else whole
+
+
+def _largest_for(
+    known: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
+) -> Coverage:
+    started = time.perf_counter()
+    theorem = theorem_of(known)
+    forms = LoopForms.of(theorem, known, tuple(items))
+    grid = forms.at(forms.angles)
     found = list[tuple[float, Any, WeightProgram]]()
-    for centre in centres:
-        items = tuple(item for item in premise.items(centre) if item.seen > 0)
-        program = WeightProgram(forms=forms, grid=grid, centre=centre, items=items, basis=basis)
+    for centre, some in items.items():
+        program = WeightProgram(
+            forms=forms, grid=grid, centre=centre, items=tuple(some), basis=basis
+        )
         try:
             nu, unknowns = program.largest()
         except NoSolution:
             continue
-        found.append((nu, unknowns, program))
+        if nu > SMALLEST:
+            found.append((nu, unknowns, program))
     found.sort(key=lambda one: -one[0])
     for nu, unknowns, program in found:
         if nu >= LARGEST:
@@ -489,7 +510,7 @@ def _proved(
 ) -> Coverage | None:
     for inside in INSIDE:
         scaled = nu * inside**2
-        for room in (1e-2, 1e-3, 1e-4):
+        for room in ROOMS:
             try:
                 chosen = program.widened(scaled, unknowns, room)
                 weights = program.weights_of(scaled, chosen)

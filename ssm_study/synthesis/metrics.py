@@ -11,6 +11,7 @@ from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
 from ssm_study.models.structured import Model
+from ssm_study.robustness.coverage_columns import COLUMNS as COVERAGE_COLUMNS
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import noise_gain
@@ -91,6 +92,7 @@ COLUMNS = (
         "",
         ITERATED,
     ),
+    *COVERAGE_COLUMNS,
     Column(
         "limit_lower",
         "Float64",

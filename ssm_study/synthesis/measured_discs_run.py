@@ -1,0 +1,105 @@
+"""Coverage of a run: the certificate of the deployed gains, and the columns that records derive
+again.
+
+`coverage` is kappa over what the run's own records need at the certificate's weights. Both are
+derived from recordings by `verify`: weights that are stored larger need less and prove less, so no
+stored number is trusted. Source: docs/trust.md, "Covered".
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ssm_study.certificates.certificate import Design, Observer, StateFeedback
+from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.theorem import VerificationContext
+from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.models.structured import Model
+from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.systems import Balls
+
+PART = MeasuredDiscs.part
+INVERTS = "the law undoes the input map, and the theorem does not speak of such laws"
+INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
+UNPROVED = "no proof was found for these gains"
+UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
+
+
+def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) -> Design:
+    """The design with its coverage certificate beside the others; as it is where there is none."""
+    if not design.feasible or excluded(design, model) or premise.missing(0.0) is not None:
+        return design
+    from ssm_study.synthesis import measured_discs_search  # slow to load
+
+    feedback = design.state_feedback
+    assert isinstance(feedback, StateFeedback)
+    known = VerificationContext(
+        system=model.system,
+        controlled=controlled_system(model, feedback),
+        balls=balls,
+        gains=design.gains,
+    )
+    find = partial(measured_discs_search.largest_coverage, known, premise)
+    try:
+        with within_floats():
+            certificate = find().certificate
+    except NoSolution:
+        certificate = None
+    if certificate is None:
+        return design
+    extra = dict(design.extra_certificates) | {PART: certificate}
+    return replace(design, extra_certificates=extra)
+
+
+def excluded(design: Design, model: Model) -> str | None:
+    """Why the theorem does not speak of such a loop; None where it does."""
+    if design.inverts:
+        return INVERTS
+    observer = design.observer
+    injects = isinstance(observer, Observer) and np.any(getattr(observer, "l_z", 0.0))
+    seen = getattr(model.system, "h", np.zeros(1)).any()
+    return INJECTED if injects and seen else None
+
+
+def coverage_facts(
+    design: Design, model: Model, premise: Premise, fresh: Premise | None = None
+) -> dict[str, Any]:
+    """The columns of the coverage; `coverage` is null, with its reason, where nothing is
+    covered."""
+    if not design.feasible:
+        return {}
+    part = design.extra_certificates.get(PART)
+    if not isinstance(part, MeasuredDiscs):
+        missing = excluded(design, model) or premise.missing(0.0) or UNPROVED
+        return {"coverage": None, "coverage_reason": missing}
+    missing = premise.missing(part.centre)
+    if missing is not None:
+        return {"coverage": None, "coverage_reason": missing}
+    weights = weights_of(part)
+    items = premise.items(part.centre)
+    need, where = weights.need(items)
+    facts: dict[str, Any] = {"coverage": part.kappa / need, "coverage_reference": where}
+    if part.kappa < need:
+        facts |= unknown_band(part.kappa, weights, items)
+    if fresh is not None and fresh.missing(part.centre) is None:
+        facts["coverage_needed"] = weights.need(fresh.items(part.centre))[0] / need
+    return facts
+
+
+def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[str, Any]:
+    """Null with the band's name, where only bands without excitation keep the proof from
+    covering."""
+    lit = [item for item in items if not item.dark]
+    if kappa < weights.need(lit)[0]:
+        return {}
+    band = weights.need([item for item in items if item.dark])[1]
+    return {"coverage": None, "coverage_reason": UNKNOWN.format(f"at {band}")}
+
+
+def weights_of(part: MeasuredDiscs) -> Weights:
+    """The weights that a certificate states."""
+    return Weights(floor=part.floor, output=part.weight_output, input=part.weight_input)

@@ -1,0 +1,266 @@
+"""Coverage: what records show by frequency, two ways; plants that must not come out covered; what is
+refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ssm_study.certificates.certificate import Design
+from ssm_study.models.identified import SSM
+from ssm_study.robustness.coverage import (
+    EMPTY,
+    INTEGRATES,
+    NO_MISMATCH,
+    NOT_AT_REST,
+    Premise,
+    Weights,
+    measure_premise,
+    running_sum,
+)
+from ssm_study.robustness.mismatch import mismatch
+from ssm_study.signals import Trajectory
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+from ssm_study.systems import Balls, JacobianBall, StateSpace
+
+ONE, ZERO = np.ones((1, 1)), np.zeros((1, 1))
+UNIT = JacobianBall(alpha=1.0, beta=0.0)
+BALLS = Balls(input=UNIT, output=UNIT)
+PERIOD = 512
+MODEL = StateSpace(
+    a=np.array([[0.9, 0.1], [0.0, 0.6]]),
+    b=np.array([[0.0], [0.4]]),
+    c=np.array([[1.0, 0.0]]),
+    d=ZERO,
+)
+OUTPUT_ALONE = Weights(floor=1.0, output=ZERO, input=ZERO)
+
+
+def period(rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-1, 1, (PERIOD, 1))
+
+
+def records(
+    answer, amplitudes=(0.1, 1.0), noise: float = 0.0, shape: np.ndarray | None = None
+) -> tuple[Trajectory, ...]:
+    """Two periods after one that leads in; `answer` maps an input `(T, 1)` to the output."""
+    rng = np.random.default_rng(1)
+    one = period(rng) if shape is None else shape
+    found = []
+    for amplitude in amplitudes:
+        u = amplitude * np.concatenate([one, one, one, np.zeros((PERIOD, 1))])
+        y = answer(u) + noise * rng.standard_normal(u.shape)
+        found.append(Trajectory(u=u, y=y, step_s=0.01, name=f"at {amplitude}"))
+    return tuple(found)
+
+
+def linear(system: StateSpace):
+    return lambda u: system.simulate(u)[0]
+
+
+def scaled_model(share: float):
+    return lambda u: (1 + share) * MODEL.simulate(u)[0]
+
+
+def premise(answer, **options) -> Premise:
+    model = SSM.of(MODEL, 0.01)
+    made = records(answer, **options)
+    return measure_premise(model, made[:1], mismatch(model, made), 0, made[1:])
+
+
+def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Design:
+    asked = RiccatiSynthesis(
+        rate_controller=0.3, rate_observer=0.3, input_weight=input_weight, output_noise=0.1
+    )
+    made = asked.design(SSM.of(linear_model, 0.01), BALLS)
+    assert made.certified
+    return made
+
+
+def covered(answer, **options) -> dict:
+    known = premise(answer, **options)
+    model = SSM.of(MODEL, 0.01)
+    return coverage_facts(with_coverage(design(), model, BALLS, known), model, known)
+
+
+@pytest.mark.parametrize("share", [0.3, -0.4])
+@pytest.mark.parametrize("centre", [0.0, -0.25])
+def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: float) -> None:
+    items = premise(scaled_model(share)).items(centre)
+    assert len(items) > 100
+    for item in items:
+        if item.model_power.sum() > 1e-9:
+            need, _ = OUTPUT_ALONE.need([item])
+            assert need == pytest.approx(abs(share - centre), rel=1e-6)
+
+
+def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
+    noisy = premise(scaled_model(0.3), noise=0.02)
+    totals = [item for item in noisy.items(0.0) if item.where.endswith("in total")]
+    assert OUTPUT_ALONE.need(totals[1:])[0] == pytest.approx(0.3, rel=0.1)
+    small = [item for item in noisy.items(0.0) if item.where.startswith("input of rms 0.0")]
+    highest = [item for item in small if "around 3.14" in item.where]
+    assert highest[0].seen == 0.0
+
+
+def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
+    rng = np.random.default_rng(2)
+    u = rng.uniform(-1, 1, (2000, 1))
+    model = SSM.of(MODEL, 0.01)
+    needs = []
+    for noise in (0.0, 0.05):
+        y = 1.3 * MODEL.simulate(u)[0] + noise * rng.standard_normal(u.shape)
+        made = (Trajectory(u=u, y=y, step_s=0.01),)
+        known = measure_premise(model, made, mismatch(model, made))
+        assert not known.repeating
+        needs.append(OUTPUT_ALONE.need(known.items(0.0))[0])
+    assert needs[0] == pytest.approx(0.3, rel=1e-6)
+    assert needs[1] > 1.0
+
+
+def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
+    """Parseval, the filters in their steady state: two routes to one number."""
+    weights = Weights(
+        floor=0.2,
+        output=np.array([[0.7, 1.0], [0.2, 0.1]]),
+        input=np.array([[0.5, 1.0], [0.1, 0.05]]),
+    )
+    centre, kappa = -0.25, 1.3
+    one = period(np.random.default_rng(1))
+    u = np.concatenate([one, one, one])
+    m = MODEL.simulate(u)[0]
+    plant = StateSpace(a=MODEL.a, b=MODEL.b, c=np.array([[1.1, 0.2]]), d=ZERO)
+    e = plant.simulate(u)[0] - m
+    sums = running_sum(weights, centre, kappa, u, m, e)
+    growth = sums[3 * PERIOD - 1] - sums[2 * PERIOD - 1]
+    made = premise(linear(plant), amplitudes=(1.0,))
+    total = next(item for item in made.items(centre) if item.where.endswith("in total"))
+    reference = weights.on_output(total.angles) @ total.model_power
+    reference += weights.on_input(total.angles) @ total.input_power
+    assert growth == pytest.approx((total.seen - kappa**2 * reference) / PERIOD, rel=1e-6)
+
+
+def test_a_model_that_is_a_little_wrong_is_covered() -> None:
+    facts = covered(scaled_model(0.1))
+    assert facts["coverage"] > 1
+    assert "rms" in facts["coverage_reference"]
+
+
+def resonance(size: float) -> StateSpace:
+    """A mode of ratio 0.995 a sample at 2.26 rad/sample."""
+    angle, radius = 2.26, 0.995
+    turn = radius * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return StateSpace(a=turn, b=np.array([[size], [0.0]]), c=np.array([[1.0, 0.5]]), d=ZERO)
+
+
+def radius_on(mode: StateSpace) -> float:
+    """Spectral radius of the loop on the plant with that mode: of plant, mode and estimate."""
+    gains = design().gains
+    drive = MODEL.b @ gains["k"]
+    none = np.zeros((2, 2))
+    estimate = MODEL.a + drive + gains["l"] @ MODEL.c
+    rows = [
+        [MODEL.a, none, drive],
+        [none, mode.a, mode.b @ gains["k"]],
+        [-gains["l"] @ MODEL.c, -gains["l"] @ mode.c, estimate],
+    ]
+    return float(np.abs(np.linalg.eigvals(np.block(rows))).max())
+
+
+@pytest.mark.parametrize("size", [-0.8, -0.2, -0.1, -0.05, 0.0, 0.05, 0.8])
+def test_a_lightly_damped_mode_that_loses_the_loop_is_not_covered(size: float) -> None:
+    """The record is broadband; the loop swings at one frequency."""
+    mode = resonance(size)
+    facts = covered(lambda u: 1.001 * MODEL.simulate(u)[0] + mode.simulate(u)[0])
+    if radius_on(mode) >= 1:
+        assert facts["coverage"] is None or facts["coverage"] < 1
+    if size == 0:
+        assert facts["coverage"] > 1
+
+
+def test_the_loop_is_lost_on_some_of_these_modes() -> None:
+    assert radius_on(resonance(-0.05)) > 1 > radius_on(resonance(0.05))
+
+
+def test_a_mode_that_no_record_excites_is_no_coverage() -> None:
+    """The input has no power around the mode, the sensor's noise has: the band is named."""
+    lines = np.fft.rfft(period(np.random.default_rng(1)), axis=0)
+    angles = np.linspace(0, np.pi, len(lines))
+    lines[angles > 1.2] = 0
+    shape = np.fft.irfft(lines, n=PERIOD, axis=0)
+    facts = covered(scaled_model(0.05), shape=shape, noise=0.05)
+    assert facts["coverage"] is None
+    assert "next to no power" in facts["coverage_reason"]
+
+
+def van_der_pol(u: np.ndarray) -> np.ndarray:
+    x = np.array([0.5, 0.0])
+    y = np.empty_like(u)
+    for k in range(len(u)):
+        y[k] = x[0]
+        for _ in range(4):
+            x = x + 0.05 * np.array([x[1], (1 - x[0] ** 2) * x[1] - x[0] + u[k, 0]])
+    return y
+
+
+def test_a_plant_with_a_cycle_of_its_own_is_never_covered() -> None:
+    known = premise(van_der_pol)
+    facts = covered(van_der_pol)
+    assert known.reason == NOT_AT_REST
+    assert facts == {"coverage": None, "coverage_reason": NOT_AT_REST}
+
+
+def test_a_model_that_integrates_has_no_premise() -> None:
+    integrating = StateSpace(a=np.diag([1.0, 0.5]), b=np.ones((2, 1)), c=np.ones((1, 2)), d=ZERO)
+    model = SSM.of(integrating, 0.01)
+    made = records(scaled_model(0.1))
+    shown = replace(mismatch(model, made), left_at_rest=None)
+    assert measure_premise(model, made, shown).missing(0.0) == INTEGRATES
+
+
+def test_an_empty_premise_is_refused() -> None:
+    nothing = Premise(repeating=(), averaged=())
+    assert nothing.missing(0.0) == EMPTY
+    assert premise(scaled_model(0.0)).missing(0.0) == NO_MISMATCH
+    model = SSM.of(MODEL, 0.01)
+    assert with_coverage(design(), model, BALLS, nothing).extra_certificates == {}
+    assert coverage_facts(design(), model, nothing)["coverage"] is None
+
+
+def test_stored_weights_are_not_trusted() -> None:
+    """Ten times the weights at a tenth of kappa are the same proof; at the same kappa they are
+    none, and a premise that is emptied takes the number away."""
+    known = premise(scaled_model(0.1))
+    model = SSM.of(MODEL, 0.01)
+    made = with_coverage(design(), model, BALLS, known)
+    part = made.extra_certificates["coverage"]
+    assert part.holds(**part.numbers)
+
+    def times(weight: np.ndarray, factor: float) -> np.ndarray:
+        scaled = weight.copy()
+        scaled[-1] *= factor
+        return scaled
+
+    wider = replace(
+        part,
+        floor=10 * part.floor,
+        weight_output=times(part.weight_output, 10.0),
+        weight_input=times(part.weight_input, 10.0),
+    )
+    assert not wider.holds(**wider.numbers)
+    same = replace(wider, kappa=part.kappa / 10)
+    forged = replace(made, extra_certificates={"coverage": same})
+    honest = coverage_facts(made, model, known)
+    assert coverage_facts(forged, model, known)["coverage"] == pytest.approx(honest["coverage"])
+    emptied = coverage_facts(made, model, Premise(repeating=(), averaged=()))
+    assert emptied == {"coverage": None, "coverage_reason": EMPTY}
+
+
+def test_a_certificate_reads_back_to_the_same_numbers() -> None:
+    known = premise(scaled_model(0.1))
+    model = SSM.of(MODEL, 0.01)
+    made = with_coverage(design(), model, BALLS, known)
+    again = Design.from_json(made.to_json())
+    assert coverage_facts(again, model, known) == coverage_facts(made, model, known)
+    assert again.to_json() == made.to_json()
