@@ -18,7 +18,12 @@ from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, Infeasible, StateFeedback
 from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
-from ssm_study.certificates.theorems.integral_action import controlled_system, internal_model
+from ssm_study.certificates.theorems.integral_action import (
+    augmented,
+    controlled_system,
+    internal_model,
+    output_gain,
+)
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA, WITHDRAWN
 from ssm_study.data import metrics as data_metrics
@@ -45,6 +50,7 @@ from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.input_inversion import shown_behind
 from ssm_study.synthesis.measured_discs_run import coverage_facts
 from ssm_study.synthesis.metrics import design_facts
+from ssm_study.systems import System
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
@@ -241,9 +247,7 @@ def certificate(run: RunFiles) -> Claims:
     follow from them."""
     design, system, spec = run.design, run.model.system, run.specification.loop
     balls, feedback = certified_balls(run.model), run.design.state_feedback
-    controlled = (
-        controlled_system(run.model, feedback) if isinstance(feedback, StateFeedback) else system
-    )
+    controlled = requested_system(run)
     broken = failed_checks(run.certificate, system, balls, controlled)
     yield entries(run, "certificate.json", design)
     if unfit := [sentence for sentence in broken if sentence.endswith(UNFIT)]:
@@ -304,6 +308,21 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
     if run.specification.plant is None:
         fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
     return coverage_facts(run.design, run.model, premise, fresh)
+
+
+def requested_system(run: RunFiles) -> System:
+    """What the state feedback is certified for, or would be: the model, and the internal model.
+
+    A design without a state feedback states none, so the one that was requested counts.
+    """
+    feedback = run.design.state_feedback
+    if isinstance(feedback, StateFeedback):
+        return controlled_system(run.model, feedback)
+    words = getattr(run.specification.synthesis, "modes", ())
+    if not words:
+        return run.model.system
+    modes = internal_model(words, run.model.step_s, run.model.scale.outputs)
+    return augmented(run.model.system, output_gain(run.model), modes)
 
 
 def information(part: Theorem | Infeasible) -> list[str]:

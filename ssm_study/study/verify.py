@@ -17,6 +17,7 @@ from ssm_study.columns import ADDED, ADDED_COLUMNS, WITHDRAWN, WITHDRAWN_COLUMNS
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
+from ssm_study.study.form import form
 from ssm_study.study.run_files import RunFiles, one_line
 from ssm_study.table.columns import declared
 
@@ -164,7 +165,7 @@ def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
         if str(getattr(error, "field", "")).endswith("_target_"):
             raise  # without `--with` nothing can be derived, which is no lie of the run
         sections = SECTIONS
-    for section in sections:
+    for section in (form, *sections):
         try:
             yield from section(run)
         except Exception as error:

@@ -1,0 +1,120 @@
+"""Claims about the form of a run's files, whatever numbers they hold."""
+
+import codecs
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ssm_study.certificates.certificate import Infeasible
+from ssm_study.columns import Column
+from ssm_study.durable import opened
+from ssm_study.engine.records import READABLE
+from ssm_study.loop.regulation import IdentifiedPlant
+from ssm_study.study.claims import Checked, Claims, NotChecked
+from ssm_study.study.recordings import NOISE_FREE, RecordedCases
+from ssm_study.study.run_files import RunFiles
+from ssm_study.table.columns import declared
+
+ERRORS = ("error_message", "error_type", "failure_transient")
+BEFORE = "fit_test_before_reduction_percent"
+LONGEST_REASON = 400  # characters: ours have 200
+TEXTS = (".json", ".yaml", ".csv")
+INFINITIES = ("inf", "-inf")  # texts in a record, which JSON has no numbers for
+TYPES: dict[str, tuple[type, ...]] = {
+    "string": (str,),
+    "Int64": (int,),
+    "Float64": (float, int),
+    "boolean": (bool,),
+}
+
+
+def form(run: RunFiles) -> Claims:
+    """Files of the run itself, of a known version, with values of their declared kind."""
+    yield from _links(run.path)
+    yield from _byte_order_marks(run.path)
+    version = run.record.get("record_version")
+    is_known = type(version) is int and version in READABLE
+    yield Checked(claim="record_version", holds=is_known, found=f"{version}")
+    for name in ERRORS:
+        if run.record.get(name) is not None:
+            found = "stands in the record of a run that did not fail"
+            yield Checked(claim=name, holds=False, found=found)
+    for name, value in run.record.items():
+        column = declared(name)
+        if column is None or column.is_pattern:  # those of one pattern may differ in kind
+            continue
+        if not has_declared_kind(column, value):
+            found = f"is a {type(value).__name__}, not a {column.kind}"
+            yield Checked(claim=f"{name} kind", holds=False, found=found)
+    yield from _unreduced(run)
+    if run.claims_certificate:
+        yield from _reasons(run)
+    if run.closes_loop:
+        yield from _bands(run)
+
+
+def has_declared_kind(column: Column, value: Any) -> bool:
+    """Whether a value of a record is of the kind that its column declares, or null."""
+    if value is None or column.kind is None:
+        return True
+    if column.kind == "Float64" and value in INFINITIES:
+        return True
+    is_truth = isinstance(value, bool)
+    return is_truth == (column.kind == "boolean") and isinstance(value, TYPES[column.kind])
+
+
+def _links(folder: Path) -> Iterator[Checked]:
+    links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
+    for path in links:
+        name = path.relative_to(folder).as_posix()
+        yield Checked(claim=name, holds=False, found="is a link, and no file of this run")
+
+
+def _byte_order_marks(folder: Path) -> Iterator[Checked]:
+    for path in sorted(folder.rglob("*")):
+        if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
+            continue
+        with opened(path) as stream:
+            begins = stream.read(4)
+        if begins.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            name = path.relative_to(folder).as_posix()
+            yield Checked(claim=name, holds=False, found="begins with a byte order mark")
+
+
+def _unreduced(run: RunFiles) -> Iterator[Checked]:
+    """Where no state was dropped, the fit before the reduction is the fit."""
+    before = run.record.get(BEFORE)
+    requested = run.specification.configuration["model"].get("order")
+    if not run.claims_certificate or run.model.order != requested or before is None:
+        return
+    fit = run.record.get("fit_test_percent")
+    numbers = isinstance(fit, float) and isinstance(before, float)
+    same = numbers and abs(before - fit) <= 1e-6 * max(1.0, abs(fit))
+    yield Checked(claim=BEFORE, holds=same, found=f"nothing was reduced, and the fit is {fit}")
+
+
+def _reasons(run: RunFiles) -> Claims:
+    """The sentence of a missing certificate decides nothing; it is short and of one line."""
+    for label, part in run.design.content.items():
+        if not isinstance(part, Infeasible):
+            continue
+        is_sentence = part.reason.isprintable() and len(part.reason) <= LONGEST_REASON
+        claim = f"certificate.{label} reason"
+        if not is_sentence:
+            yield Checked(claim=claim, holds=False, found="is no sentence of one line")
+        else:
+            yield NotChecked({claim: "words, which decide nothing"})
+
+
+def _bands(run: RunFiles) -> Iterator[Checked]:
+    """The band that counts as settled, in the recordings of the loops on the model, too."""
+    twin = IdentifiedPlant.of(run.model, run.data.inputs, run.data.outputs)
+    for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):
+        path = run.path / name
+        if not path.is_file():
+            continue
+        plant = twin if name == "closed_loop_model.mcap" else run.plant
+        stored = RecordedCases.of(path).settling_band
+        same = abs(stored - plant.settling_band) <= 1e-9 * abs(plant.settling_band)
+        found = f"{stored}, and the plant's is {plant.settling_band}"
+        yield Checked(claim=f"{name} settling_band", holds=same, found=found)

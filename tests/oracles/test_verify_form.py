@@ -1,0 +1,126 @@
+"""`verify` against lies about the form of a run: links, versions, kinds, errors, marks, bands."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ssm_study.cli.main import main
+from ssm_study.columns import Column
+from ssm_study.data.mcap import read_mcap, write_mcap
+from ssm_study.engine.records import read_record, write_record
+from ssm_study.engine.runs import seal_run
+from ssm_study.study.form import has_declared_kind
+from ssm_study.study.verify import verify
+
+Lie = Callable[[Path, dict[str, Any]], None]
+
+
+def make_run(folder: Path, *words: str) -> Path:
+    place = [f"results_dir={folder}", "study=honest", "progress=false"]
+    assert main(["run", "experiment=smoke", *words, *place]) == 0
+    return next(path.parent for path in (folder / "honest").glob("*/record.json"))
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("results"), "synthesis=riccati")
+
+
+def wrong_claims(run: Path) -> set[str]:
+    return {finding.claim for finding in verify(run) if not finding.holds}
+
+
+def told(lie: Lie, run: Path, folder: Path) -> set[str]:
+    """The claims that fail once a copy of the run has been altered and sealed anew."""
+    copy = folder / "honest" / run.name
+    shutil.copytree(run, copy)
+    record = dict(read_record(copy) or {})
+    lie(copy, record)
+    seal_run(copy)
+    write_record(copy, record)
+    return wrong_claims(copy)
+
+
+def link_model(run: Path, _: dict[str, Any]) -> None:
+    elsewhere = run.parents[1] / "model.json"
+    (run / "model.json").rename(elsewhere)
+    (run / "model.json").symlink_to(elsewhere)
+
+
+def mark_model(run: Path, _: dict[str, Any]) -> None:
+    model = (run / "model.json").read_text()
+    (run / "model.json").write_text(model, encoding="utf-8-sig")
+
+
+def shift_band(run: Path, _: dict[str, Any]) -> None:
+    path = run / "closed_loop_model.mcap"
+    groups, about = read_mcap(path)
+    write_mcap(path, tuple(groups), dict(about) | {"settling_band": "100.0"})
+
+
+def set_column(name: str, value: Any) -> Lie:
+    return lambda _, record: record.update({name: value})
+
+
+LIES: dict[str, tuple[Lie, str]] = {
+    "a link out of the folder": (link_model, "model.json"),
+    "a byte order mark": (mark_model, "model.json"),
+    "an error's message": (set_column("error_message", "x"), "error_message"),
+    "an error's type": (set_column("error_type", "x"), "error_type"),
+    "whether an error is transient": (set_column("failure_transient", False), "failure_transient"),
+    "a number as text": (set_column("seconds", "1.0"), "seconds kind"),
+    "a truth value as number": (set_column("git_dirty", 1), "git_dirty kind"),
+    "a number as truth value": (set_column("pid", True), "pid kind"),
+    "a fit before no reduction": (
+        set_column("fit_test_before_reduction_percent", 12.0),
+        "fit_test_before_reduction_percent",
+    ),
+    "the band of the model's loop": (shift_band, "closed_loop_model.mcap settling_band"),
+}
+
+
+@pytest.mark.parametrize("case", LIES)
+def test_a_lie_about_the_form_is_named(case: str, honest: Path, tmp_path: Path) -> None:
+    lie, claim = LIES[case]
+    assert claim in told(lie, honest, tmp_path)
+
+
+def test_the_unaltered_run_is_accepted(honest: Path, tmp_path: Path) -> None:
+    assert told(lambda *_: None, honest, tmp_path) == set()
+    assert json.loads((honest / "record.json").read_text())["record_version"] == 2
+
+
+def test_an_infeasible_design_with_an_internal_model_is_accepted(tmp_path: Path) -> None:
+    """It was accused: its limit is that of the model with the internal model."""
+    run = make_run(tmp_path, "synthesis=auto_integral", "synthesis.rate_controller=0.58")
+    assert (read_record(run) or {})["status"] == "infeasible"
+    assert wrong_claims(run) == set()
+    certificate = json.loads((run / "certificate.json").read_text())
+    certificate["state_feedback"]["reason"] = "proved for every plant\n" * 30
+    (run / "certificate.json").write_text(json.dumps(certificate))
+    assert "certificate.state_feedback reason" in wrong_claims(run)
+
+
+KINDS = [
+    ("Float64", 1.0, True),
+    ("Float64", 1, True),
+    ("Float64", "inf", True),
+    ("Float64", None, True),
+    ("Float64", "1.0", False),
+    ("Float64", True, False),
+    ("Int64", 1, True),
+    ("Int64", 1.0, False),
+    ("boolean", True, True),
+    ("boolean", 0, False),
+    ("string", "a", True),
+    ("string", 1, False),
+]
+
+
+@pytest.mark.parametrize(("kind", "value", "expected"), KINDS)
+def test_kinds_of_columns(kind: Any, value: Any, expected: bool) -> None:
+    assert has_declared_kind(Column("x", kind), value) is expected
