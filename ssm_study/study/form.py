@@ -8,7 +8,6 @@ from typing import Any
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.columns import Column
 from ssm_study.durable import opened
-from ssm_study.engine.records import READABLE
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.study.claims import Checked, Claims, NotChecked
 from ssm_study.study.recordings import NOISE_FREE, RecordedCases
@@ -29,12 +28,9 @@ TYPES: dict[str, tuple[type, ...]] = {
 
 
 def form(run: RunFiles) -> Claims:
-    """Files of the run itself, of a known version, with values of their declared kind."""
+    """Files of the run itself, and a record whose values are of their declared kinds."""
     yield from _links(run.path)
     yield from _byte_order_marks(run.path)
-    version = run.record.get("record_version")
-    is_known = type(version) is int and version in READABLE
-    yield Checked(claim="record_version", holds=is_known, found=f"{version}")
     for name in ERRORS:
         if run.record.get(name) is not None:
             found = "stands in the record of a run that did not fail"
