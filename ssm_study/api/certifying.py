@@ -1,0 +1,217 @@
+"""Certify gains that somebody else designed: the largest provable rate, decided exactly."""
+
+import time
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import scipy
+from jaxtyping import Float
+
+from ssm_study.api.controlling import read_ball
+from ssm_study.api.model import html_table
+from ssm_study.api.systems import read_matrix
+from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.problem import NoSolution, Problem, Solution, within_floats
+from ssm_study.certificates.theorems.deployed_rate import INSIDE, SLACKS, largest_rate
+from ssm_study.certificates.theorems.observer import ObserverOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.refusal import require
+from ssm_study.synthesis.frontier import frontier
+from ssm_study.synthesis.modes import least_metric
+from ssm_study.systems import JacobianBall
+
+SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainCertificate:
+    """What is proved of one gain: the rate, the theorem's certificate, and how much is possible.
+
+    `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
+    there is none; `certificate` holds its matrices. `rate_of_gain` is the supremum for this gain
+    and `rate_limit` that of all gains at these slopes, both in floats.
+    """
+
+    rate: float | None
+    certificate: Side | None
+    rate_of_gain: float
+    rate_limit: float
+    reason: str
+
+    @property
+    def certified(self) -> bool:
+        """Whether a rate is proved in exact arithmetic."""
+        return self.certificate is not None and self.certificate.certified
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Certification:
+    """Certificates of a state feedback, an observer, or both; None for a gain that was not given."""
+
+    controller: GainCertificate | None
+    observer: GainCertificate | None
+
+    @property
+    def certified(self) -> bool:
+        """Whether every gain that was given has a rate proved in exact arithmetic."""
+        gains = [gain for gain in (self.controller, self.observer) if gain is not None]
+        return bool(gains) and all(gain.certified for gain in gains)
+
+    def summary(self) -> pd.Series:
+        """Rate, limit and reason of each gain."""
+        lines: dict[str, str] = {}
+        for name, gain in (("controller", self.controller), ("observer", self.observer)):
+            if gain is None:
+                continue
+            if gain.rate is None:
+                lines[name] = f"nothing is proved: {gain.reason}"
+            else:
+                lines[name] = f"contracts at rate {gain.rate:.6g} per sample, decided exactly"
+            lines[f"{name}, this gain"] = _limit_words(gain.rate_of_gain)
+            lines[f"{name}, any gain"] = _limit_words(gain.rate_limit)
+        return pd.Series(lines, name="certification", dtype=object)
+
+    def __repr__(self) -> str:
+        summary = self.summary()
+        width = max(map(len, summary.index))
+        rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
+        return "\n".join(["Certification", *rows])
+
+    def _repr_html_(self) -> str:
+        return html_table("Certification", self.summary())
+
+
+def _limit_words(rate: float) -> str:
+    """Words for the largest rate that is possible."""
+    return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
+
+
+def certify(
+    A: Any,
+    B: Any = None,
+    C: Any = None,
+    *,
+    K: Any = None,
+    L: Any = None,
+    slopes: tuple[float, float] = (1.0, 1.0),
+    output_slopes: tuple[float, float] = (1.0, 1.0),
+) -> Certification:
+    """Find and prove the largest contraction rate of given gains.
+
+    The state feedback `u = K x` for `x+ = A x + B S_u(u)`, every slope of `S_u` in `slopes`; the
+    observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)`, every slope of `S_y` in `output_slopes`.
+    Either gain may be left out. A rate `rho` means that distances shrink by `sqrt(1 - rho)` or
+    more each sample, however the slopes vary. Source: [Z26] Theorems 1 and 2 at given gains.
+
+    Raises `BadRequest` for matrices that do not fit, and where no gain is given.
+
+    >>> import ssm_study as st
+    >>> proof = st.certify([[1.0]], [[1.0]], K=[[-0.7]], slopes=(0.8, 1.2))
+    >>> print(f"{proof.controller.rate:.3f} of {proof.controller.rate_of_gain:.4f}")
+    0.806 of 0.8064
+    """
+    require(K is not None or L is not None, "K, L", None, "no gain is given", "give one or both")
+    a = read_matrix("A", A, (None, None))
+    n = len(a)
+    a = read_matrix("A", a, (n, n))
+    controller = observer = None
+    if K is not None:
+        require(B is not None, "B", None, "a state feedback needs it", "give the input matrix")
+        b = read_matrix("B", B, (n, None))
+        k = read_matrix("K", K, (b.shape[1], n))
+        controller = certify_gain(a, b, k, read_ball("slopes", slopes), StateFeedbackOfBall)
+    if L is not None:
+        require(C is not None, "C", None, "an observer needs it", "give the output matrix")
+        c = read_matrix("C", C, (None, n))
+        gain = read_matrix("L", L, (n, len(c)))
+        ball = read_ball("output_slopes", output_slopes)
+        observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
+    return Certification(controller=controller, observer=observer)
+
+
+def certify_gain(
+    a: Float[np.ndarray, "n n"],
+    b: Float[np.ndarray, "n m"],
+    k: Float[np.ndarray, "m n"],
+    ball: JacobianBall,
+    theorem: type[Side],
+) -> GainCertificate:
+    """Find a metric near the gain's largest rate and decide the theorem's inequality exactly.
+
+    For an observer the matrices are transposed: `a = A^T, b = C^T, k = L^T`.
+    """
+    a, b, k = (np.ascontiguousarray(matrix) for matrix in (a, b, k))
+    limit = frontier(a, b, ball).rate_limit
+    supremum = largest_rate(a, b, k, ball)
+    if supremum <= 0:
+        slowest = float(np.abs(np.linalg.eigvals(a + ball.alpha * b @ k)).max())
+        reason = f"no rate exists for this gain: its supremum is {supremum:.4g}"
+        if slowest >= 1:
+            reason = f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
+        return GainCertificate(
+            rate=None, certificate=None, rate_of_gain=supremum, rate_limit=limit, reason=reason
+        )
+    problem = Problem(
+        a=a,
+        b=b,
+        ball=ball,
+        rate=max(SMALLEST_RATE, 0.5 * supremum),
+        state_weight=np.eye(len(a)),
+        input_weight=1.0,
+    )
+    for inside, slack in product(INSIDE, SLACKS):
+        rate = supremum * (1 - inside)
+        part = _prove_at(problem.at(rate), k, slack, supremum, limit, theorem)
+        if part is not None and part.certified:
+            return GainCertificate(
+                rate=rate,
+                certificate=part,
+                rate_of_gain=supremum,
+                rate_limit=limit,
+                reason=f"{inside:.1%} inside the supremum {supremum:.6g}",
+            )
+    reason = "floats hold no metric close to the supremum; scale the states"
+    return GainCertificate(
+        rate=None, certificate=None, rate_of_gain=supremum, rate_limit=limit, reason=reason
+    )
+
+
+def _prove_at(
+    problem: Problem,
+    k: Float[np.ndarray, "m n"],
+    slack: float,
+    supremum: float,
+    limit: float,
+    theorem: type[Side],
+) -> Side | None:
+    """The theorem's certificate at the problem's rate; None where floats find no metric."""
+    started = time.perf_counter()
+    factor = float(((1 - supremum) * (1 - problem.rate)) ** 0.25)  # between the two, in log r
+    try:
+        with within_floats():
+            coordinates = _coordinates(problem, k, factor)
+            inverse = np.linalg.inv(coordinates)
+            p = least_metric(problem, k, factor, coordinates, inverse, slack)
+    except NoSolution:
+        return None
+    solution = Solution(p=p, y=p, k=k, sigma=1.0, status="bounded-real equation")
+    numbers = theorem.numbers_of(problem, solution)
+    part: Side = theorem.proved(
+        numbers, rate_limit=limit, method="given", status=solution.status, started=started
+    )
+    return part
+
+
+def _coordinates(
+    problem: Problem, k: Float[np.ndarray, "m n"], factor: float
+) -> Float[np.ndarray, "n n"]:
+    """Cholesky factor of the loop's own Gramian at the mean slope: well-scaled coordinates."""
+    closed = (problem.a + problem.ball.alpha * problem.b @ k) / factor
+    drive = problem.b @ problem.b.T / factor**2
+    size = max(float(np.trace(drive)) / len(drive), np.finfo(float).tiny)
+    gramian = scipy.linalg.solve_discrete_lyapunov(closed, drive + 1e-6 * size * np.eye(len(drive)))
+    lower: Float[np.ndarray, "n n"] = np.linalg.cholesky((gramian + gramian.T) / 2)
+    return lower

@@ -1,0 +1,124 @@
+"""Design a certified controller for a model, or certify gains that somebody else designed."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssm_study.api.design import Design
+from ssm_study.api.model import Model
+from ssm_study.api.parts import Parts
+from ssm_study.api.steps import design_controller
+from ssm_study.api.systems import read_linear_system
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import require
+from ssm_study.systems import JacobianBall
+
+if TYPE_CHECKING:
+    import control as python_control
+
+METHODS = ("auto", "auto_integral", "riccati", "lmi", "closed_form")
+LOOP = {"loop": "regulation"}
+
+
+def control(
+    model: "Model | python_control.StateSpace | tuple[Any, ...]",
+    *overrides: str,
+    rate: float | None = None,
+    observer_rate: float | None = None,
+    method: str | None = None,
+    slopes: tuple[float, float] | None = None,
+    output_slopes: tuple[float, float] | None = None,
+    input_limits: tuple[Any, Any] = (None, None),
+    **settings: Any,
+) -> Design:
+    """Design `u = K xh` with `xh+ = A xh + B S_u(u) + L (yh - y)`, certified for the model.
+
+    `model` is what `fit` returned; rates and weights are then chosen from its records
+    (`method="auto"`), unless `rate` and `observer_rate` ask for some. Or it is a discrete-time
+    linear system: `control.StateSpace`, `control.TransferFunction`, or `(A, B, C, D, step_s)`,
+    behind an input map with `slopes` and before an output map with `output_slopes`; it has no
+    records, so the default is `method="riccati"` with `observer_rate=rate`.
+
+    `method` is a choice of `conf/synthesis`, `settings` are its further fields, `overrides` the
+    same as the command takes them (`"synthesis.input_weight=0.1"`). `input_limits` are the lowest
+    and the highest input, physical; None is what the records visited.
+
+    Where the request is infeasible the design says so, and how much is possible. Raises
+    `BadRequest` for a baseline, and for what the command refuses.
+
+    >>> import control, ssm_study as st
+    >>> plant = control.StateSpace([[0.9, 0.1], [0, 0.8]], [[0], [1]], [[1, 0]], [[0]], 0.1)
+    >>> design = st.control(plant, rate=0.5, slopes=(0.8, 1.2))
+    >>> design.certified
+    True
+    """
+    identified = isinstance(model, Model)
+    chosen = method or ("auto" if identified else "riccati")
+    parts = Parts(LOOP | {"synthesis": chosen}, overrides)
+    if not identified:
+        rate, observer_rate = _rates_of_a_bare_system(parts, rate, observer_rate)
+    parts.set_given("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
+    if isinstance(model, Model):
+        problem = "are bounds of a bare system's maps; this model has its own"
+        given = slopes or output_slopes
+        require(given is None, "slopes", given, problem, "leave them out")
+        return _design_for_identified(model, parts, input_limits, overrides)
+    return _design_for_system(model, parts, slopes, output_slopes, overrides)
+
+
+def _rates_of_a_bare_system(
+    parts: Parts, rate: float | None, observer_rate: float | None
+) -> tuple[float | None, float | None]:
+    """Rates for a system without records. Raises `BadRequest` where they would be chosen by them."""
+    choice = parts.choices["synthesis"]
+    problem = "chooses by a validation record, and there is none"
+    remedy = "use method='riccati' with rate and observer_rate"
+    require(not choice.startswith("auto"), "synthesis", choice, problem, remedy)
+    return rate, rate if observer_rate is None else observer_rate
+
+
+def _design_for_identified(
+    model: Model, parts: Parts, limits: tuple[Any, Any], overrides: tuple[str, ...]
+) -> Design:
+    """Design for a model that has records."""
+    loop = parts.build("loop")
+    lower, upper = limits
+    lower = loop.input_lower if lower is None else lower
+    upper = loop.input_upper if upper is None else upper
+    synthesis = parts.build("synthesis")
+    certificate = design_controller(
+        synthesis, model.ssm, model.data, model.mismatch, model.evidence, (lower, upper)
+    )
+    words = (*model.overrides, *overrides)
+    return Design(certificate=certificate, model=model.ssm, origin=model, overrides=words)
+
+
+def _design_for_system(
+    system: Any,
+    parts: Parts,
+    slopes: tuple[float, float] | None,
+    output_slopes: tuple[float, float] | None,
+    overrides: tuple[str, ...],
+) -> Design:
+    """Design for a bare linear system behind maps of which only the slopes are known."""
+    linear, step_s = read_linear_system(system)
+    model = SSM.of(linear, step_s)
+    balls = certified_balls(model)
+    if slopes is not None:
+        balls = replace(balls, input=read_ball("slopes", slopes))
+    if output_slopes is not None:
+        balls = replace(balls, output=read_ball("output_slopes", output_slopes))
+    certificate = parts.build("synthesis").design(model, balls)
+    return Design(certificate=certificate, model=model, overrides=overrides)
+
+
+def read_ball(name: str, slopes: tuple[float, float]) -> JacobianBall:
+    """Ball of Jacobians of a map whose slopes lie between two numbers of one sign."""
+    pair = np.asarray(slopes, dtype=float)
+    usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
+    remedy = "give (lowest, highest), as in (0.8, 1.2)"
+    require(usable, name, slopes, "are no two numbers", remedy)
+    require(bool(0 < pair[0] <= pair[1]), name, slopes, "are not positive and ascending", remedy)
+    return JacobianBall.from_slopes(float(pair[0]), float(pair[1]))

@@ -1,0 +1,266 @@
+"""A designed controller as Python users hold it: certificates, prediction, loop, export."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Complex, Float
+
+from ssm_study.api.model import Model, Values, html_table
+from ssm_study.api.scratch import new_folder
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design as Certificates
+from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.export import targets
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.refusal import BadRequest, require
+from ssm_study.signals import Channel
+from ssm_study.synthesis.deployed import WithinLimits, within_limits
+from ssm_study.synthesis.metrics import design_facts
+
+if TYPE_CHECKING:
+    import control as python_control
+
+    from ssm_study.plants.plant import Plant
+
+PROVED = {True: "certified in exact arithmetic", False: "not certified"}
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Design:
+    """Controller `u = K xh` with its observer, and the certificates of both.
+
+    `certificate` holds `state_feedback` and `observer` with their gains and matrices; `model` is
+    what is certified. `origin` is the identified model it was designed for, None for a bare system
+    or a design that was loaded. `run_folder` is where a loaded design lies.
+    """
+
+    certificate: Certificates
+    model: SSM | StructuredSSM
+    origin: Model | None = None
+    run_folder: Path | None = None
+    overrides: tuple[str, ...] = ()
+    record: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, folder: Path) -> "Design":
+        """Load the controller of a run folder or of a design that was saved.
+
+        Raises `BadRequest` where the folder has no controller.
+        """
+        targets.load(folder)
+        content = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+        record_file = folder / "record.json"
+        record: dict[str, Any] = {}
+        if record_file.is_file():
+            record = json.loads(record_file.read_text(encoding="utf-8"))
+        model = model_from_json(content)
+        assert isinstance(model, SSM | StructuredSSM)  # `targets.load` refuses every other
+        certificate = Certificates.load(folder / "certificate.json")
+        return cls(certificate=certificate, model=model, run_folder=folder, record=record)
+
+    @cached_property
+    def folder(self) -> Path:
+        """Folder with the files that export reads: a loaded design's own, else a scratch one."""
+        return self.run_folder or self._write_files(new_folder())
+
+    def _write_files(self, folder: Path) -> Path:
+        """Write model, certificates and the ranges of the records into a folder."""
+        content = json.dumps(self.model.to_json(), indent=1, allow_nan=False)
+        (folder / "model.json").write_text(content + "\n", encoding="utf-8")
+        self.certificate.save(folder / "certificate.json")
+        if self.origin is not None:
+            self._write_records(folder)
+        return folder
+
+    def _write_records(self, folder: Path) -> None:
+        """Write the inputs that trained and the outputs that validated, for ranges and names."""
+        assert self.origin is not None
+        data = self.origin.data
+        inputs = [
+            _signal_group(f"/record_{i}/input", record.time_s, data.inputs, record.u)
+            for i, record in enumerate(data.training)
+        ]
+        outputs = [
+            _signal_group(f"/record_{i}/measured", record.time_s, data.outputs, record.y)
+            for i, record in enumerate(data.validation)
+        ]
+        metadata = {"step_s": repr(data.step_s)}
+        write_mcap(folder / "excitation.mcap", tuple(inputs), metadata)
+        write_mcap(folder / "validation.mcap", tuple(outputs), metadata)
+
+    @property
+    def certified(self) -> bool:
+        """Whether both certificates hold in exact arithmetic."""
+        return self.certificate.certified
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """Columns of a run's table that speak of the design: rates, limits, gains, prediction."""
+        if self.origin is None:
+            return dict(self.record)
+        balls = certified_balls(self.model)
+        facts = design_facts(self.certificate, self.model, balls, self.origin.mismatch)
+        evidence = self.origin.evidence
+        if evidence.level == "cannot judge":
+            facts["predicted_stable"] = None
+        facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
+        return facts
+
+    def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:
+        """Eigenvalues at the equilibrium: of the model, under control, and of the estimate's error.
+
+        Per sample, with the slopes of the maps and of the neurons at rest.
+        """
+        from ssm_study.synthesis.integrated_error import at_rest
+
+        linear = at_rest(self.model)
+        gains = self.certificate.pair
+        n = len(linear.a)
+        input_slope = self.model.scaffold_in.jacobian(np.zeros(self.model.scaffold_in.inputs))
+        output_slope = self.model.scaffold_out.jacobian(np.zeros(self.model.scaffold_out.inputs))
+        controlled = linear.a + linear.b @ input_slope @ gains.k[:, :n]
+        observed = linear.a + gains.l @ output_slope @ linear.c
+        return {
+            "model": np.asarray(np.linalg.eigvals(linear.a), dtype=complex),
+            "controlled": np.asarray(np.linalg.eigvals(controlled), dtype=complex),
+            "estimate": np.asarray(np.linalg.eigvals(observed), dtype=complex),
+        }
+
+    def within(self, lower: Values, upper: Values) -> WithinLimits:
+        """What is certified when the input is limited, in physical units.
+
+        Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
+        """
+        if not isinstance(self.model, SSM):
+            problem = "nothing is proved within limits: the theorems on them know no neurons"
+            raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
+        ends = [np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper)]
+        return within_limits(self.model, self.certificate, *ends)
+
+    def simulate(self, y0: Values, *overrides: str, plant: "Plant | None" = None) -> pd.DataFrame:
+        """Simulate the loop from initial outputs; see `ssm_study.simulate`."""
+        from ssm_study.api.simulation import simulate
+
+        return simulate(self, y0, *overrides, plant=plant)
+
+    def to_c(self, path: str | Path, real: str = "double") -> Path:
+        """Write C99: header `path`, and beside it the source and a replay, named as the header.
+
+        `real` is "double" or "float". Raises `BadRequest` with the reason where there is no
+        controller.
+        """
+        path = Path(path)
+        sources = targets.c_sources(self.folder, real=real, prefix=path.stem)
+        for name, text in sources.items():
+            (path.parent / name).write_text(text, encoding="utf-8")
+        return path
+
+    def to_control(self) -> "python_control.NonlinearIOSystem":
+        """The controller as a python-control system from measured outputs to inputs, physical."""
+        return targets.python_control_system(self.folder)
+
+    def save(self, folder: str | Path) -> Path:
+        """Save as a run folder that `ssm-study verify`, `export` and `load` read.
+
+        Raises `BadRequest` for a folder that exists.
+        """
+        folder = Path(folder)
+        require(not folder.exists(), "to", folder, "exists", "name a new folder")
+        if self.run_folder is not None:
+            return Path(shutil.copytree(self.run_folder, folder))
+        if self.origin is None:
+            folder.mkdir(parents=True)
+            return self._write_files(folder)
+        from ssm_study.study.saved_design import save_run
+
+        return save_run(self, folder)
+
+    def summary(self) -> pd.Series:
+        """What is proved and what is predicted of the design, in units."""
+        lines: dict[str, Any] = {}
+        if not self.certificate.feasible:
+            lines["infeasible"] = self.facts.get("infeasible_reason", "no controller was found")
+            return pd.Series(lines, name="design", dtype=object)
+        feedback, observer = self.certificate.parts()
+        for name, part, side in (
+            ("controller", feedback, "state_feedback"),
+            ("observer", observer, "observer"),
+        ):
+            rate = self.certificate.certified_rate(side)
+            value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
+            lines[f"{name}"] = f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"
+            lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
+        slowest = {name: np.abs(poles).max() for name, poles in self.eigenvalues().items()}
+        lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
+        lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
+        if self.origin is not None:
+            lines |= self._prediction_lines()
+        return pd.Series(lines, name="design", dtype=object)
+
+    def _prediction_lines(self) -> dict[str, str]:
+        """What the records let one expect of the plant."""
+        facts = self.facts
+        words = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
+        margin = facts.get("resolved_margin")
+        suffix = "" if margin is None else f" (stability margin {margin:.3g})"
+        return {
+            "predicted for the plant": words[facts.get("predicted_stable")] + suffix,
+            "evidence": str(facts["evidence"]),
+        }
+
+    def __repr__(self) -> str:
+        summary = self.summary()
+        width = max(map(len, summary.index))
+        rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
+        return "\n".join(["Design", *rows])
+
+    def _repr_html_(self) -> str:
+        return html_table("Design", self.summary())
+
+    def plot(self, y0: Values | None = None, *, plant: "Plant | None" = None) -> Any:
+        """Draw outputs and inputs of the loop from initial outputs, beside the open loop.
+
+        By default from one output scale above and below the equilibrium. Returns the Matplotlib
+        figure.
+        """
+        from ssm_study.api.plots import plot_loop
+
+        return plot_loop(self, y0, plant)
+
+    def margin_plot(self) -> Any:
+        """Draw the stability margin at each frequency, line at 1, for every amplitude on record.
+
+        Returns the Matplotlib figure. Raises `BadRequest` for a design without records.
+        """
+        from ssm_study.api.plots import plot_margin
+
+        return plot_margin(self)
+
+    def poles(self) -> Any:
+        """Draw the eigenvalues of model, controlled model and estimate in the unit circle.
+
+        The inner circle is the factor per sample of the certified rate. Returns the Matplotlib
+        figure. The numbers: `eigenvalues`.
+        """
+        from ssm_study.api.plots import plot_poles
+
+        rate = self.certificate.certified_rate("state_feedback")
+        return plot_poles(self.eigenvalues(), rate)
+
+
+def _signal_group(
+    topic: str,
+    time_s: Float[np.ndarray, "T"],
+    channels: Sequence[Channel],
+    values: Float[np.ndarray, "T c"],
+) -> SignalGroup:
+    """Signals of one record under a topic."""
+    return SignalGroup(topic=topic, time_s=time_s, channels=tuple(channels), values=values)

@@ -1,0 +1,88 @@
+"""Identify a model from arrays."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ssm_study.api.model import Model, Values
+from ssm_study.api.parts import Parts
+from ssm_study.api.scratch import new_folder
+from ssm_study.api.steps import identify
+from ssm_study.data.arrays import logged
+from ssm_study.refusal import positive
+
+Signals = Values | Sequence[Values]
+
+
+def fit(
+    u: Signals,
+    y: Signals,
+    step_s: float,
+    *overrides: str,
+    model: str = "structured",
+    order: int | str | None = None,
+    neurons: int | None = None,
+    slopes: tuple[float, float] | None = None,
+    feedthrough: bool | str | None = None,
+    seed: int | None = None,
+    progress: bool = True,
+    results_dir: str | Path | None = None,
+    **settings: Any,
+) -> Model:
+    """Identify a structured state-space model from inputs and outputs.
+
+    `u[k]` is held over `[k, k+1) step_s` and `y[k]` is sampled at `k step_s`, in seconds. Shapes
+    `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the
+    channels), or lists of them, one per experiment. The last 40 % of each record validate and test
+    the model, or blocks of it where its end is unlike its beginning.
+
+    `model` is a choice of `conf/model` ("structured", "ssm", "arx", ...), `slopes` the bounds of
+    the input map's slopes, and `settings` are further fields of the model; a field left at None
+    has the value of its yaml file. `overrides` are settings as the command takes them, such as
+    `"training.max_epochs=10"` or `"data.test_fraction=0.3"`. `results_dir` keeps the log that the
+    arrays become.
+
+    Raises `BadRequest`, before any long work, for whatever `ssm-study run data=recorded` refuses.
+
+    >>> import numpy as np, ssm_study as st
+    >>> rng = np.random.default_rng(0)
+    >>> u = np.repeat(rng.uniform(-3, 3, 100), 8)
+    >>> y = np.zeros(801)
+    >>> for k in range(800): y[k + 1] = 0.9 * y[k] + 0.2 * u[k]
+    >>> model = st.fit(u, y[:800], 0.1, order=2, slopes=(0.5, 1.0), progress=False)
+    >>> model.score(u, y[:800]) > 95
+    True
+    """
+    step_s = float(step_s)
+    positive("step_s", step_s, "give it in seconds")
+    choices = {
+        "data": "recorded",
+        "model": model,
+        "training": "default",
+        "reduction": "balanced",
+    }
+    parts = Parts(choices, overrides)
+    parts.set_given("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
+    if slopes is not None:
+        parts.set_given("model", slope_lower=float(slopes[0]), slope_upper=float(slopes[1]))
+    if seed is not None:
+        parts.numbers["seed"] = seed
+    spec = parts.build("model")
+    training = parts.build("training")
+    reduction = parts.build("reduction")
+
+    folder = new_folder() if results_dir is None else Path(results_dir)
+    paths, inputs, outputs = logged(u, y, folder)
+    parts.set_given("data", path=paths, input=inputs, output=outputs, step_s=step_s)
+    data = parts.build("data").build(parts.numbers["seed"])
+
+    seed = parts.numbers["seed"]
+    trained, identification = identify(spec, training, data, seed, progress=progress)
+    simulator = reduction.reduce(trained) if spec.gives_ssm else trained
+    return Model(
+        simulator=simulator,
+        data=data,
+        identification=identification,
+        seed=seed,
+        overrides=parts.words_for_command(),
+    )

@@ -1,0 +1,304 @@
+"""An identified model as Python users hold it: predictions, scores, poles, and a summary."""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Complex, Float
+
+from ssm_study.api.steps import judge_evidence, measure_mismatch
+from ssm_study.bounds.metrics import bound_facts
+from ssm_study.data.arrays import signal
+from ssm_study.data.metrics import data_facts
+from ssm_study.evidence.metrics import Judgement
+from ssm_study.models.identified import SSM, Simulator
+from ssm_study.models.metrics import Simulation, fit_facts, size_facts
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.refusal import BadRequest, require
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import DataSet, fit_percent
+from ssm_study.synthesis.integrated_error import at_rest
+from ssm_study.training.metrics import mean_fit, training_facts
+
+if TYPE_CHECKING:
+    import control as python_control
+
+    from ssm_study.training.metrics import Identification
+
+Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
+MAX_LAG = 25  # samples over which residuals are correlated
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Model:
+    """Model identified from records, `y = simulate(u)`, in physical units.
+
+    `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
+    records with their parts. `facts` are the columns that a run's table has up to the model
+    (`fit_test_percent`, `input_slope_lower`, ...). `overrides` are the words after `step_s` that
+    it was fitted with.
+    """
+
+    simulator: Simulator
+    data: DataSet
+    identification: "Identification"
+    seed: int = 0
+    overrides: tuple[str, ...] = ()
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """Columns of a run's table that speak of data and model."""
+        data = self.data
+        validation = Simulation.of(self.simulator, data.validation, data.start_up_samples)
+        test = Simulation.of(self.simulator, data.test, data.start_up_samples)
+        training = self.identification
+        facts = dict(data_facts(data))
+        facts |= training_facts(training.seconds, training.ended)
+        facts |= size_facts(self.simulator)
+        facts |= {"fit_train_percent": mean_fit(self.simulator, data.training, data)}
+        facts |= fit_facts(validation, test)
+        if isinstance(self.simulator, SSM | StructuredSSM):
+            facts |= bound_facts(self.simulator)
+        return facts
+
+    @cached_property
+    def mismatch(self) -> Mismatch:
+        """Error of the model at each frequency and amplitude, as the records show it."""
+        return measure_mismatch(self.ssm, self.data)
+
+    @cached_property
+    def evidence(self) -> Judgement:
+        """Judgement of what the records allow to be said of the plant: `level` and `reasons`."""
+        return judge_evidence(self.ssm, self.data, self.mismatch)
+
+    @property
+    def ssm(self) -> SSM | StructuredSSM:
+        """State-space model that can be certified. Raises `BadRequest` for a baseline."""
+        if isinstance(self.simulator, SSM | StructuredSSM):
+            return self.simulator
+        kind = type(self.simulator).__name__
+        problem = "a baseline is scored only, nothing is certified of it"
+        raise BadRequest("model", kind, problem, "fit model=structured or ssm")
+
+    @property
+    def input_names(self) -> list[str]:
+        """Names of the inputs, in order."""
+        return [channel.name for channel in self.data.inputs]
+
+    @property
+    def output_names(self) -> list[str]:
+        """Names of the outputs, in order."""
+        return [channel.name for channel in self.data.outputs]
+
+    def predict(self, u: Values) -> Values:
+        """Simulate from rest at the equilibrium: inputs `(T, m)` or `(T,)` to outputs `(T, p)`.
+
+        A frame or series in gives a frame out, with its index.
+        """
+        y = self.simulator.simulate(signal(u, "u", len(self.data.inputs))[1])
+        if not isinstance(u, pd.DataFrame | pd.Series):
+            return y
+        return pd.DataFrame(y, index=u.index, columns=self.output_names)
+
+    def score(self, u: Values, y: Values) -> float:
+        """Fit of a free run from rest, `100 (1 - ||y - y_hat|| / ||y - mean(y)||)` in percent.
+
+        Raises `BadRequest` where the shapes differ.
+        """
+        measured, predicted = self._measured_and_predicted(u, y)
+        return fit_percent(measured, predicted)
+
+    def simulation_errors(self, u: Values, y: Values) -> pd.DataFrame:
+        """Measured minus simulated outputs of a free run from rest, one column per output."""
+        measured, predicted = self._measured_and_predicted(u, y)
+        return pd.DataFrame(measured - predicted, columns=self.output_names)
+
+    def _measured_and_predicted(
+        self, u: Values, y: Values
+    ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
+        """Outputs measured, and those simulated, of one record."""
+        measured = signal(y, "y")[1]
+        predicted = signal(self.predict(u), "y")[1]
+        problem = f"the model answers with {predicted.shape}"
+        remedy = "give the outputs of this input"
+        require(measured.shape == predicted.shape, "y", measured.shape, problem, remedy)
+        return measured, predicted
+
+    def eigenvalues(self) -> Complex[np.ndarray, "n"]:
+        """Eigenvalues of the model linearised at its equilibrium, per sample."""
+        return np.asarray(np.linalg.eigvals(at_rest(self.ssm).a), dtype=complex)
+
+    def to_control(self) -> "python_control.StateSpace":
+        """Linearise at the equilibrium, as python-control's state space of physical deviations.
+
+        `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
+        within A, B, C, D. Raises `BadRequest` for a baseline, which has no state space.
+        """
+        import control as python_control
+
+        model = self.ssm
+        linear = at_rest(model)
+        input_slope = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
+        output_slope = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
+        inward = input_slope / model.scale.input_scale
+        outward = model.scale.output_scale[:, None] * output_slope
+        b = linear.b @ inward
+        c = outward @ linear.c
+        d = outward @ linear.d @ inward
+        return python_control.StateSpace(linear.a, b, c, d, model.step_s)
+
+    def to_continuous(self) -> "python_control.StateSpace":
+        """Linearise, and undo the sampling: the continuous system whose input is held.
+
+        By the matrix logarithm of `[A B; 0 I]`. Raises `BadRequest` where a pole lies on the
+        negative real axis or at zero, for then no such system of the same order exists.
+        """
+        import control as python_control
+        import scipy
+
+        discrete = self.to_control()
+        poles = np.linalg.eigvals(discrete.A)
+        on_axis = (poles.real <= 0) & (np.abs(poles.imag) < 1e-12)
+        problem = f"a pole at {poles[on_axis][0].real:.3g}" if on_axis.any() else ""
+        remedy = "use the discrete system, to_control()"
+        require(not on_axis.any(), "model", "linearised", problem, remedy)
+        n, m = discrete.B.shape
+        held = np.block([[discrete.A, discrete.B], [np.zeros((m, n)), np.eye(m)]])
+        logarithm = np.real(scipy.linalg.logm(held)) / self.data.step_s
+        a = logarithm[:n, :n]
+        b = logarithm[:n, n:]
+        return python_control.StateSpace(a, b, discrete.C, discrete.D)
+
+    def frequency_response(self, points: int = 200) -> pd.DataFrame:
+        """Frequency response at the equilibrium from each input to each output, physical units.
+
+        Columns `input, output, frequency_rad_s, magnitude, phase_deg`; frequencies up to half the
+        sampling rate.
+        """
+        system = self.to_control()
+        nyquist = np.pi / self.data.step_s
+        omega = np.geomspace(nyquist * 1e-4, nyquist, points)
+        z = np.exp(1j * omega * self.data.step_s)
+        identity = np.eye(len(system.A))
+        resolvent = np.linalg.inv(z[:, None, None] * identity - system.A)
+        response = system.C @ resolvent @ system.B + system.D
+        rows = []
+        for i, output in enumerate(self.output_names):
+            for j, name in enumerate(self.input_names):
+                channel = response[:, i, j]
+                rows.append(
+                    pd.DataFrame(
+                        {
+                            "input": name,
+                            "output": output,
+                            "frequency_rad_s": omega,
+                            "magnitude": np.abs(channel),
+                            "phase_deg": np.rad2deg(np.unwrap(np.angle(channel))),
+                        }
+                    )
+                )
+        return pd.concat(rows, ignore_index=True)
+
+    def summary(self) -> pd.Series:
+        """What is known of the model: class, size, fits, poles, slopes, evidence."""
+        facts = self.facts
+        lines: dict[str, Any] = {
+            "class": type(self.simulator).__name__,
+            "inputs": ", ".join(map(_name_with_unit, self.data.inputs)),
+            "outputs": ", ".join(map(_name_with_unit, self.data.outputs)),
+            "sampling time": f"{self.data.step_s:g} s",
+            "samples": _samples(self.data),
+            "fit on the training records": f"{facts['fit_train_percent']:.1f} %",
+            "fit on the validation records": f"{facts['fit_validation_percent']:.1f} %",
+            "fit on the test records": f"{facts['fit_test_percent']:.1f} %",
+        }
+        if isinstance(self.simulator, SSM | StructuredSSM):
+            slowest = np.abs(self.eigenvalues()).max()
+            lines["states"] = self.simulator.order
+            lines["neurons"] = facts.get("neurons", 0)
+            lines["slowest pole"] = f"{slowest:.4f} per sample"
+            lower, upper = facts.get("input_slope_lower"), facts.get("input_slope_upper")
+            if lower is not None and upper is not None:
+                lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
+            lines["evidence"] = self.evidence.level
+        return pd.Series(lines, name="model", dtype=object)
+
+    def __repr__(self) -> str:
+        width = max(map(len, self.summary().index))
+        rows = [f"  {name:<{width}}  {value}" for name, value in self.summary().items()]
+        return "\n".join(["Model", *rows])
+
+    def _repr_html_(self) -> str:
+        return html_table("Model", self.summary())
+
+    def plot(self) -> Any:
+        """Draw measured and simulated outputs of the test records, residuals below.
+
+        Returns the Matplotlib figure.
+        """
+        from ssm_study.api.plots import plot_free_run
+
+        return plot_free_run(self)
+
+    def bode(self) -> Any:
+        """Draw the frequency response at the equilibrium. Returns the Matplotlib figure."""
+        from ssm_study.api.plots import plot_bode
+
+        return plot_bode(self)
+
+    def residuals(self) -> Any:
+        """Draw the correlations of the test records' residuals with themselves and the input.
+
+        Returns the Matplotlib figure. The numbers: `simulation_errors`.
+        """
+        from ssm_study.api.plots import plot_residual_correlations
+
+        return plot_residual_correlations(self, MAX_LAG)
+
+    def poles(self) -> Any:
+        """Draw the eigenvalues at the equilibrium in the unit circle.
+
+        Returns the Matplotlib figure. The numbers: `eigenvalues`.
+        """
+        from ssm_study.api.plots import plot_poles
+
+        return plot_poles({"model": self.eigenvalues()})
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `model.json`, complete enough to simulate the model without torch.
+
+        Returns the folder. Raises `BadRequest` for a folder that exists.
+        """
+        folder = Path(folder)
+        require(not folder.exists(), "folder", folder, "exists", "name a new folder")
+        folder.mkdir(parents=True)
+        content = json.dumps(self.simulator.to_json(), indent=1, allow_nan=False)
+        (folder / "model.json").write_text(content + "\n", encoding="utf-8")
+        return folder
+
+
+def _name_with_unit(channel: Any) -> str:
+    """Name of a channel, its unit in parentheses where there is one."""
+    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
+
+
+def _samples(data: DataSet) -> str:
+    """Numbers of samples that trained, validated and tested."""
+    parts = ("training", "validation", "test")
+    counts = [sum(len(record) for record in getattr(data, part)) for part in parts]
+    return ", ".join(f"{count} {part}" for count, part in zip(counts, parts, strict=True))
+
+
+def html_table(title: str, summary: pd.Series) -> str:
+    """A summary as a small table for notebooks."""
+    rows = [
+        f"<tr><th style='text-align:left'>{escape(str(name))}</th>"
+        f"<td style='text-align:left'>{escape(str(value))}</td></tr>"
+        for name, value in summary.items()
+    ]
+    return f"<table><caption>{escape(title)}</caption>{''.join(rows)}</table>"

@@ -1,0 +1,206 @@
+"""Parts of a study from the yaml files of `conf/`, composed without Hydra.
+
+The files are the one home of default values: a script and the command begin from the same numbers.
+What Hydra would compose from the same words is compared in `tests/oracles/test_api_parts.py`.
+"""
+
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+from omegaconf import OmegaConf
+
+import ssm_study
+from ssm_study.construction import construct_part
+from ssm_study.extensions import configurations
+from ssm_study.refusal import BadRequest, require
+
+Tree = dict[str, Any]
+SELF = "_self_"
+MISSING = "???"
+PACKAGE = "_global_"
+GROUPS = ("data", "model", "training", "reduction", "synthesis", "loop")
+NUMBERS = ("seed", "loop_seed")
+REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for st.study"
+
+
+def configuration_folders() -> list[Path]:
+    """Folders of yaml files, ours first, then those of trusted packages."""
+    package = Path(ssm_study.__file__).resolve().parent
+    installed = package / "conf"
+    ours = installed if installed.is_dir() else package.parent / "conf"
+    return [ours, *configurations()]
+
+
+def load_tree(group: str, choice: str) -> Tree:
+    """Settings of one choice of a group, its `defaults` merged in.
+
+    Raises `BadRequest` for a choice that no yaml file describes.
+    """
+    folders = [folder / group for folder in configuration_folders()]
+    path = next((f / f"{choice}.yaml" for f in folders if (f / f"{choice}.yaml").is_file()), None)
+    if path is None:
+        files = [file for folder in folders if folder.is_dir() for file in folder.glob("*.yaml")]
+        names = ", ".join(sorted(file.stem for file in files))
+        raise BadRequest(group, choice, "is no choice", f"choose one of {names or 'none'}")
+    content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    assert isinstance(content, dict)
+    own = {str(key): value for key, value in content.items() if key != "defaults"}
+    entries = content.get("defaults") or [SELF]
+    if SELF not in entries:
+        entries = [*entries, SELF]
+    tree: Tree = {}
+    for entry in entries:
+        merge(tree, own if entry == SELF else _load_default(group, entry))
+    return tree
+
+
+def _load_default(group: str, entry: Any) -> Tree:
+    """Settings that one entry of a defaults list brings in."""
+    if isinstance(entry, str):
+        return load_tree(group, entry)
+    ((name, choice),) = entry.items()
+    name = str(name).removeprefix("override ").removeprefix("optional ")
+    if PACKAGE in name:  # a choice of another group, made by the command's `data=recorded`
+        return {}
+    path, _, place = name.partition("@")
+    is_absolute = path.startswith("/")
+    nested = path.removeprefix("/") if is_absolute else f"{group}/{path}"
+    place = place or path.rpartition("/")[2]
+    tree = deepcopy(load_tree(nested, str(choice)))
+    return {place: Replacement(tree)}
+
+
+class Replacement(dict[str, Any]):
+    """A tree that takes the place of another one, where other trees are merged key by key."""
+
+
+def merge(tree: Tree, other: Mapping[str, Any]) -> None:
+    """Merge `other` into `tree`, in place; what is a `Replacement` replaces."""
+    for key, value in other.items():
+        is_merged = isinstance(value, dict) and isinstance(tree.get(key), dict)
+        if is_merged and not isinstance(value, Replacement):
+            merge(tree[key], value)
+        elif isinstance(value, dict):
+            tree[key] = deepcopy(dict(value))
+        else:
+            tree[key] = deepcopy(value)
+
+
+def assign(tree: Tree, path: str, value: Any) -> None:
+    """Set what stands at a dotted path. Raises `BadRequest` where the path leads through a value."""
+    *parents, last = path.split(".")
+    place = tree
+    for name in parents:
+        inner = place.get(name)
+        require(isinstance(inner, dict), path, value, f"there is no part {name}", "check its name")
+        place = inner
+    place[last] = value
+
+
+def read_value(text: str) -> Any:
+    """Value of a setting written as text: a number, true, false, null, a list or a text."""
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text
+    if isinstance(value, str):
+        try:
+            return float(value)  # YAML reads 1e-3 as a text
+        except ValueError:
+            return value
+    return value
+
+
+def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
+    """Keys and values of words such as `model.order=4`. Raises `BadRequest` for other words."""
+    pairs = []
+    for word in words:
+        key, equals, value = str(word).partition("=")
+        usable = bool(equals) and bool(key) and not key.startswith(("-", "~", "hydra"))
+        require(usable, "overrides", word, "is no setting", REMEDY)
+        pairs.append((key.lstrip("+"), value))
+    return pairs
+
+
+class Parts:
+    """Choices and settings of a study's parts; `build` constructs one of them.
+
+    `words` are the command's: `model=ssm`, `model.order=4`, `training/optimiser=adam`,
+    `reference@loop.reference=step`. A value given twice is the later one. Raises `BadRequest` for
+    what is none of them.
+    """
+
+    def __init__(self, choices: Mapping[str, str], words: Iterable[str] = ()) -> None:
+        pairs = split_words(words)
+        self.numbers: dict[str, Any] = {"seed": 0, "loop_seed": 0}
+        self.choices = dict(choices)
+        self.choices |= {key: value for key, value in pairs if key in GROUPS}
+        self.trees = {name: load_tree(name, choice) for name, choice in self.choices.items()}
+        self.details: list[str] = []
+        nested = [(key, value) for key, value in pairs if "@" in key or "/" in key]
+        settings = [(key, value) for key, value in pairs if "@" not in key and "/" not in key]
+        for key, value in nested:
+            self._choose(key, value)
+        for key, value in settings:
+            if key not in GROUPS:
+                self._set(key, value)
+
+    def _choose(self, key: str, choice: str) -> None:
+        """Make a choice inside a part, `scaffold@model.scaffold_in` or `training/optimiser`."""
+        group, _, place = key.partition("@")
+        place = place or group.replace("/", ".")
+        part = place.partition(".")[0]
+        require(part in self.trees, key, choice, "is no part of a model or design", REMEDY)
+        self.details.append(f"{key}={choice}")
+        assign(self.trees, place, load_tree(group, choice))
+
+    def _set(self, key: str, text: str) -> None:
+        """Set one number or one field of a part."""
+        value = read_value(text)
+        if key in NUMBERS:
+            whole = type(value) is int and 0 <= value < 2**32
+            require(whole, key, value, "not a whole number from 0 to 2^32 - 1", "use 0")
+            self.numbers[key] = value
+            return
+        part = key.partition(".")[0]
+        known = part in self.trees and "." in key
+        require(known, key, text, "is no setting of data, model or design", REMEDY)
+        self.details.append(f"{key}={text}")
+        assign(self.trees, key, value)
+
+    def set_given(self, part: str, **settings: Any) -> None:
+        """Set fields of a part, those that are not None."""
+        for name, value in settings.items():
+            if value is not None:
+                assign(self.trees, f"{part}.{name}", value)
+                self.details.append(f"{part}.{name}={write_value(value)}")
+
+    def build(self, part: str) -> Any:
+        """Construct a part. Raises `BadRequest` for missing, unknown or unusable settings."""
+        tree = self.trees[part]
+        missing = next((key for key, value in tree.items() if value == MISSING), None)
+        require(missing is None, f"{part}.{missing}", MISSING, "is missing", "give it a value")
+        return construct_part(part, tree)
+
+    def words_for_command(self) -> tuple[str, ...]:
+        """Choices and settings as words that `ssm-study run` understands, in order."""
+        chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
+        numbers = [f"{name}={value}" for name, value in self.numbers.items()]
+        return (*chosen, *self.details, *numbers)
+
+
+def write_value(value: Any) -> str:
+    """Text of a value as Hydra reads it back."""
+    if isinstance(value, list | tuple):
+        return f"[{','.join(map(write_value, value))}]"
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    escaped = str(value).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"

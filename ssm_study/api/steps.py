@@ -1,0 +1,86 @@
+"""The steps from records to a certified controller, as functions of values: no folders, no cache."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design as Certificates
+from ssm_study.evidence.finding import CANNOT_JUDGE
+from ssm_study.evidence.metrics import Judgement, judge
+from ssm_study.models.metrics import Simulation
+from ssm_study.models.structured import Model as StateSpaceModel
+from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.signals import DataSet, input_limits
+from ssm_study.synthesis.input_inversion import shown_to
+
+if TYPE_CHECKING:
+    from ssm_study.models.spec import ModelSpec
+    from ssm_study.training.metrics import Identification
+    from ssm_study.training.training import Training
+
+Limit = float | list[float] | None
+
+
+def identify(
+    spec: "ModelSpec", training: "Training", data: DataSet, seed: int, *, progress: bool
+) -> tuple[Any, "Identification"]:
+    """Train a model on the training records; returns it with its dead time, and how it was found.
+
+    A model of one layer with a dead time is trained on records shifted by it.
+    """
+    dead_time = getattr(spec, "dead_time", 0)
+    shifted = data.shift_out_dead_time(dead_time) if dead_time else data
+    with TemporaryDirectory(prefix="ssm-study-") as folder:
+        identification = training.identify(spec, shifted, seed, Path(folder), progress)
+    model: Any = identification.model
+    return (model.delayed(dead_time) if dead_time else model), identification
+
+
+def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
+    """Measure how far the plant is from the model, as the validation record and trials show it."""
+    return mismatch(model, data.validation, data.start_up_samples, data.trials)
+
+
+def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
+    """Judge what records and model allow to be said of the plant."""
+    validation = Simulation.of(model, data.validation, data.start_up_samples)
+    test = Simulation.of(model, data.test, data.start_up_samples)
+    return judge(data, model, validation, test, plant_mismatch)
+
+
+def design_controller(
+    synthesis: Any,
+    model: StateSpaceModel,
+    data: DataSet,
+    plant_mismatch: Mismatch,
+    judgement: Judgement,
+    limits: tuple[Limit, Limit],
+) -> Certificates:
+    """Design controller and observer and decide their certificates in exact arithmetic.
+
+    `limits` of the input are physical; None is the range that the records visited. Where the
+    evidence allows no judgement, `auto` takes the largest stability margin.
+    """
+    from ssm_study.synthesis.auto import Auto
+    from ssm_study.synthesis.deployed import with_gain_certificates
+
+    balls = certified_balls(model)
+    relevant_mismatch = shown_to(synthesis, model, data, plant_mismatch)
+    lower, upper = input_limits(*limits, data.applied)
+    if isinstance(synthesis, Auto):
+        if judgement.level == CANNOT_JUDGE:
+            synthesis = synthesis.cautious()
+        synthesis = synthesis.within(scaled(model, lower), scaled(model, upper))
+    design = synthesis.design(model, balls, data.validation, relevant_mismatch)
+    ends = (lower, upper)
+    certified: Certificates = with_gain_certificates(design, model, balls, relevant_mismatch, ends)
+    return certified
+
+
+def scaled(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
+    """Deviation of a physical input from the equilibrium, in the model's units."""
+    return model.scale.scaled_input(u)

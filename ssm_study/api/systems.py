@@ -1,0 +1,86 @@
+"""Linear systems as users have them: python-control's, SciPy's, or a tuple of matrices."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.refusal import BadRequest, require
+from ssm_study.systems import StateSpace
+
+FORMS = "give control.StateSpace, control.TransferFunction, or (A, B, C, D, step_s)"
+
+
+def read_linear_system(system: Any) -> tuple[StateSpace, float]:
+    """Matrices and sampling time in seconds of a discrete-time linear system.
+
+    Raises `BadRequest` for a continuous-time system and for what is no such system.
+    """
+    if isinstance(system, tuple):
+        return _read_tuple(system)
+    if hasattr(system, "num") and hasattr(system, "den"):  # a transfer function
+        system = _state_space_of(system)
+    matrices = [getattr(system, name, None) for name in "ABCD"]
+    kind = type(system).__name__
+    complete = all(matrix is not None for matrix in matrices)
+    require(complete, "model", kind, "is no model and no linear system", FORMS)
+    return _state_space(matrices), read_step(getattr(system, "dt", None))
+
+
+def read_step(step_s: Any) -> float:
+    """Sampling time of a discrete-time system. Raises `BadRequest` for anything else."""
+    is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
+    discrete = is_number and 0 < float(step_s) < np.inf
+    remedy = "sample it: control.c2d(system, step_s)"
+    require(discrete, "system.dt", step_s, "not a sampling time", remedy)
+    return float(step_s)
+
+
+def read_matrix(
+    name: str, values: Any, shape: tuple[int | None, int | None]
+) -> Float[np.ndarray, "r c"]:
+    """A finite matrix of the shape that the others give; None leaves a side free.
+
+    Raises `BadRequest` that names the matrix, its shape and the one that fits.
+    """
+    try:
+        matrix = np.atleast_2d(np.array(values, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        kind = type(values).__name__
+        raise BadRequest(name, kind, "is no matrix of numbers", "give a NumPy array") from error
+    sides = zip(matrix.shape, shape, strict=True) if matrix.ndim == 2 else ()
+    fits = matrix.ndim == 2 and all(wanted in (None, side) for side, wanted in sides)
+    wanted = " by ".join("any" if side is None else str(side) for side in shape)
+    require(fits, f"{name} (shape)", matrix.shape, f"is to be {wanted}", "check the matrices")
+    finite = bool(np.isfinite(matrix).all())
+    require(finite, name, "NaN or infinity", "is not finite", "correct its entries")
+    return matrix
+
+
+def _read_tuple(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
+    """A system given as (A, B, C, D, step_s)."""
+    require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
+    *matrices, step_s = system
+    return _state_space(matrices), read_step(step_s)
+
+
+def _state_space(matrices: list[Any]) -> StateSpace:
+    """The state space of four matrices, their shapes checked."""
+    a = read_matrix("A", matrices[0], (None, None))
+    n = len(a)
+    a = read_matrix("A", a, (n, n))
+    b = read_matrix("B", matrices[1], (n, None))
+    c = read_matrix("C", matrices[2], (None, n))
+    d = read_matrix("D", matrices[3], (len(c), b.shape[1]))
+    return StateSpace(a=a, b=b, c=c, d=d)
+
+
+def _state_space_of(transfer_function: Any) -> Any:
+    """A realisation of a transfer function by python-control."""
+    try:
+        from control import tf2ss
+    except ImportError as error:
+        kind = type(transfer_function).__name__
+        remedy = "pip install 'ssm-study[export]'"
+        raise BadRequest("model", kind, "python-control is not installed", remedy) from error
+    return tf2ss(transfer_function)
