@@ -41,7 +41,7 @@ SHOWN += ["stable_count", "initial_conditions", "settling_time_mean_s", "settlin
 
 def iterations(folder: Path, settings: list[str]) -> list[Path]:
     """The first run and those that `refine` makes of it, in order."""
-    from ssm_study.library import composed
+    from ssm_study.cli.from_python import composed
     from ssm_study.study.line import STUDY
     from ssm_study.study.refine import refine
 

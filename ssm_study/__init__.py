@@ -1,27 +1,53 @@
-"""From input-output data of a nonlinear system to a certified output-feedback controller:
-`ssm_study.library`."""
+"""From input-output data of a nonlinear system to a certified output-feedback controller."""
 
+import os
 from importlib import import_module
 from typing import Any
 
 from ssm_study import renamed
 
 __version__ = "0.2.0"
-__all__ = ["Design", "Model", "control", "fit", "load", "simulate", "study"]
+# Where each public name is defined; importing the package itself loads nothing.
+_PUBLIC = {
+    "BadRequest": "refusal",
+    "Certification": "api.certifying",
+    "Design": "api.design",
+    "Model": "api.model",
+    "certify": "api.certifying",
+    "compare": "api.comparing",
+    "control": "api.controlling",
+    "fit": "api.fitting",
+    "load": "api.loading",
+    "simulate": "api.simulation",
+}
+__all__ = [*_PUBLIC, "study"]
+
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def __getattr__(name: str) -> Any:
-    """Importing the package loads nothing; its names load their room."""
-    if name in __all__[:-1]:
-        import_module("ssm_study.cli.main").limit_threads()
-        return getattr(import_module("ssm_study.library"), name)
-    if name == "study":  # both the room and, called, `library.study`
-        return import_module("ssm_study.study")
-    raise AttributeError(f"module 'ssm_study' has no attribute {name!r}")
+    """Import a public name from the module that defines it."""
+    if name in _PUBLIC:
+        limit_threads()
+        return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+    if name == "study":  # both the room and, called, the function
+        limit_threads()
+        return import_module(f"{__name__}.study")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted(__all__)
+
+
+def limit_threads() -> None:
+    """Let torch and BLAS use one thread, unless the environment says otherwise.
+
+    Before torch is imported: several processes with as many threads as cores are 20 times slower.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads sleep instead of spinning
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
 
 
 renamed.install()

@@ -54,8 +54,8 @@ def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values)
     >>> u = np.repeat(rng.uniform(-3, 3, 100), 8)
     >>> y = np.zeros(801)
     >>> for k in range(800): y[k + 1] = 0.9 * y[k] + 0.2 * u[k]
-    >>> arx = st.fit(u, y[:800], 0.1, model="arx", progress=False)
-    >>> bool(st.compare({"arx": arx}, u, y[:800]).table.loc["arx", "fit_percent"] > 99)
+    >>> model = st.fit(u, y[:800], 0.1, model="linear", order=1, progress=False)
+    >>> st.compare({"linear": model}, u, y[:800]).table.loc["linear", "fit_percent"] > 99
     True
     """
     named = dict(models) if isinstance(models, Mapping) else _name_models(models)

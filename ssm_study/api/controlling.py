@@ -18,8 +18,8 @@ from ssm_study.systems import JacobianBall
 if TYPE_CHECKING:
     import control as python_control
 
-METHODS = ("auto", "auto_integral", "riccati", "lmi", "closed_form")
 LOOP = {"loop": "regulation"}
+OF_THE_MODEL = ("data", "model", "training", "reduction", "seed")
 
 
 def control(
@@ -56,6 +56,7 @@ def control(
     """
     identified = isinstance(model, Model)
     chosen = method or ("auto" if identified else "riccati")
+    refuse_settings_of_the_model(overrides)
     parts = Parts(LOOP | {"synthesis": chosen}, overrides)
     if not identified:
         rate, observer_rate = _rates_of_a_bare_system(parts, rate, observer_rate)
@@ -64,8 +65,23 @@ def control(
         problem = "are bounds of a bare system's maps; this model has its own"
         given = slopes or output_slopes
         require(given is None, "slopes", given, problem, "leave them out")
-        return _design_for_identified(model, parts, input_limits, overrides)
+        return _design_for_identified(model, parts, input_limits)
     return _design_for_system(model, parts, slopes, output_slopes, overrides)
+
+
+def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
+    """Raise `BadRequest` for a setting that would make another model."""
+    for word in overrides:
+        key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
+        part = key.replace("/", ".").partition(".")[0]
+        remedy = "give it to fit"
+        require(
+            part not in OF_THE_MODEL,
+            "overrides",
+            word,
+            f"changes {part}, and with it the model",
+            remedy,
+        )
 
 
 def _rates_of_a_bare_system(
@@ -79,19 +95,21 @@ def _rates_of_a_bare_system(
     return rate, rate if observer_rate is None else observer_rate
 
 
-def _design_for_identified(
-    model: Model, parts: Parts, limits: tuple[Any, Any], overrides: tuple[str, ...]
-) -> Design:
+def _design_for_identified(model: Model, parts: Parts, limits: tuple[Any, Any]) -> Design:
     """Design for a model that has records."""
-    loop = parts.build("loop")
     lower, upper = limits
-    lower = loop.input_lower if lower is None else lower
-    upper = loop.input_upper if upper is None else upper
+    parts.set_given("loop", input_lower=lower, input_upper=upper)
+    loop = parts.build("loop")
     synthesis = parts.build("synthesis")
     certificate = design_controller(
-        synthesis, model.ssm, model.data, model.mismatch, model.evidence, (lower, upper)
+        synthesis,
+        model.ssm,
+        model.data,
+        model.mismatch,
+        model.evidence,
+        (loop.input_lower, loop.input_upper),
     )
-    words = (*model.overrides, *overrides)
+    words = (*model.overrides, *parts.words_for_command())
     return Design(certificate=certificate, model=model.ssm, origin=model, overrides=words)
 
 

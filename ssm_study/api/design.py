@@ -19,7 +19,7 @@ from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.export import targets
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.models.structured import StructuredSSM, at_rest, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
@@ -119,8 +119,6 @@ class Design:
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
-        from ssm_study.synthesis.integrated_error import at_rest
-
         linear = at_rest(self.model)
         gains = self.certificate.pair
         n = len(linear.a)
@@ -179,7 +177,7 @@ class Design:
         if self.origin is None:
             folder.mkdir(parents=True)
             return self._write_files(folder)
-        from ssm_study.study.saved_design import save_run
+        from ssm_study.cli.from_python import save_run
 
         return save_run(self, folder)
 

@@ -1,15 +1,19 @@
 """Identify a model from arrays."""
 
 from collections.abc import Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from ssm_study.api.model import Model, Values
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import new_folder
 from ssm_study.api.steps import identify
 from ssm_study.data.arrays import logged
-from ssm_study.refusal import positive
+from ssm_study.refusal import BadRequest, positive
 
 Signals = Values | Sequence[Values]
 
@@ -53,8 +57,7 @@ def fit(
     >>> model.score(u, y[:800]) > 95
     True
     """
-    step_s = float(step_s)
-    positive("step_s", step_s, "give it in seconds")
+    step_s = read_sampling_time(step_s)
     choices = {
         "data": "recorded",
         "model": model,
@@ -86,3 +89,16 @@ def fit(
         seed=seed,
         overrides=parts.words_for_command(),
     )
+
+
+def read_sampling_time(step_s: Any) -> float:
+    """Seconds of a number or a time difference. Raises `BadRequest` for what is none."""
+    remedy = "give it in seconds"
+    if isinstance(step_s, timedelta | np.timedelta64):
+        step_s = pd.Timedelta(step_s).total_seconds()
+    try:
+        seconds = float(step_s)
+    except (TypeError, ValueError) as error:
+        raise BadRequest("step_s", step_s, "is no sampling time", remedy) from error
+    positive("step_s", seconds, remedy)
+    return seconds

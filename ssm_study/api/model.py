@@ -18,11 +18,10 @@ from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
-from ssm_study.models.structured import StructuredSSM
+from ssm_study.models.structured import StructuredSSM, at_rest
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, fit_percent
-from ssm_study.synthesis.integrated_error import at_rest
 from ssm_study.training.metrics import mean_fit, training_facts
 
 if TYPE_CHECKING:
@@ -111,6 +110,9 @@ class Model:
         Raises `BadRequest` where the shapes differ.
         """
         measured, predicted = self._measured_and_predicted(u, y)
+        moves = bool(np.ptp(measured, axis=0).any())
+        problem = "is constant, and the score compares the error with its deviation from the mean"
+        require(moves, "y", "one value", problem, "score a record in which it moves")
         return fit_percent(measured, predicted)
 
     def simulation_errors(self, u: Values, y: Values) -> pd.DataFrame:
@@ -139,8 +141,7 @@ class Model:
         `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
         within A, B, C, D. Raises `BadRequest` for a baseline, which has no state space.
         """
-        import control as python_control
-
+        python_control = import_python_control("to_control")
         model = self.ssm
         linear = at_rest(model)
         input_slope = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
@@ -158,9 +159,9 @@ class Model:
         By the matrix logarithm of `[A B; 0 I]`. Raises `BadRequest` where a pole lies on the
         negative real axis or at zero, for then no such system of the same order exists.
         """
-        import control as python_control
         import scipy
 
+        python_control = import_python_control("to_continuous")
         discrete = self.to_control()
         poles = np.linalg.eigvals(discrete.A)
         on_axis = (poles.real <= 0) & (np.abs(poles.imag) < 1e-12)
@@ -280,6 +281,16 @@ class Model:
         content = json.dumps(self.simulator.to_json(), indent=1, allow_nan=False)
         (folder / "model.json").write_text(content + "\n", encoding="utf-8")
         return folder
+
+
+def import_python_control(function: str) -> Any:
+    """Import python-control. Raises `BadRequest` where it is not installed."""
+    try:
+        import control
+    except ImportError as error:
+        remedy = "pip install 'ssm-study[export]'"
+        raise BadRequest(function, "control", "is not installed", remedy) from error
+    return control
 
 
 def _name_with_unit(channel: Any) -> str:

@@ -4,6 +4,7 @@ The files are the one home of default values: a script and the command begin fro
 What Hydra would compose from the same words is compared in `tests/oracles/test_api_parts.py`.
 """
 
+import re
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -202,5 +203,6 @@ def write_value(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
-    escaped = str(value).replace("\\", "\\\\").replace("'", "\\'")
+    before_quotes = re.sub(r"(\\*)'", r"\1\1\\'", str(value))
+    escaped = re.sub(r"(\\+)$", r"\1\1", before_quotes)  # elsewhere a backslash stands for itself
     return f"'{escaped}'"

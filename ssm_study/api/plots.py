@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from ssm_study.models.metrics import Simulation
 from ssm_study.report import style
@@ -192,7 +192,7 @@ def correlate(
     lags: int,
     *,
     one_sided: bool,
-) -> tuple[Float[np.ndarray, "L"], Float[np.ndarray, "L"]]:
+) -> tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]]:
     """Correlation of `first[k]` with `second[k - lag]`, all records together, means removed.
 
     Returns lags and coefficients; divided so that a signal with itself has one at lag zero.
@@ -239,7 +239,7 @@ def _mark_start_up(panels: Any, time_s: Float[np.ndarray, "T"], samples: int) ->
 
 def _draw_correlation(
     axes: "Axes",
-    correlation: tuple[Float[np.ndarray, "L"], Float[np.ndarray, "L"]],
+    correlation: tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]],
     bound: float,
     title: str,
 ) -> None:

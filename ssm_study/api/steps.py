@@ -42,7 +42,7 @@ def identify(
 
 def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
     """Measure how far the plant is from the model, as the validation record and trials show it."""
-    return mismatch(model, data.validation, data.start_up_samples, data.trials)
+    return mismatch(model, data.validation, data.start_up_samples, data.mismatch_records)
 
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:

@@ -12,14 +12,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ssm_study import __version__
+from ssm_study import __version__, limit_threads
 from ssm_study.extensions import taken_from
 from ssm_study.refusal import BadRequest, at_least, require
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
 Command = Callable[[argparse.Namespace], int | None]
 TEMPLATE = Path(__file__).with_name("study_folder")  # what `new` writes
-COUNTS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -84,16 +83,6 @@ def _reader_is_gone() -> bool:
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     return bool(poll.poll(0))
-
-
-def limit_threads() -> None:
-    """Before torch is imported: one thread, unless the environment says otherwise (two processes
-    with as many threads
-    as cores each are 20 times slower). Single runs and Hydra's basic launcher work in this very
-    process."""
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads sleep instead of spinning
-    for variable in COUNTS:
-        os.environ.setdefault(variable, "1")
 
 
 def _parser() -> argparse.ArgumentParser:

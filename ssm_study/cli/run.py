@@ -15,8 +15,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from ssm_study import THREADS, limit_threads
 from ssm_study.cli.hydra_errors import advised, refuse_dashes
-from ssm_study.cli.main import COUNTS, DONE, SOME_FAILED, full_or_forbidden, limit_threads
+from ssm_study.cli.main import DONE, SOME_FAILED, full_or_forbidden
 from ssm_study.cli.request import JUST_ASKING, check_request, checked, translate
 from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, forget
@@ -30,7 +31,7 @@ def refuse_more_threads_than_cores() -> None:
     process may use."""
     limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
-    for variable in COUNTS:
+    for variable in THREADS:
         asked = os.environ[variable]
         fits = asked.isdigit() and 1 <= int(asked) <= cores
         require(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.cli.run import configuration_folder
-from ssm_study.engine.settings import plain
 from ssm_study.extensions import configurations
 
 
@@ -29,7 +28,7 @@ def choices(group: str) -> list[str]:
 @cache
 def part(group: str, choice: str) -> Any:
     """The object a study would get for `group=choice`."""
-    from ssm_study import library
+    from ssm_study.api.parts import load_tree
     from ssm_study.construction import construct_part
 
-    return construct_part(group, plain(library.composed([f"{group}={choice}"]))[group])
+    return construct_part(group, load_tree(group, choice))

@@ -1,5 +1,5 @@
 """The line from data to record, and what is checked of its runs afterwards; called, it is
-`library.study`."""
+`cli.from_python.study`."""
 
 import sys
 from importlib import import_module
@@ -12,7 +12,7 @@ class _Room(ModuleType):
     name."""
 
     def __call__(self, *overrides: str) -> Any:
-        return import_module("ssm_study.library").study(*overrides)
+        return import_module("ssm_study.cli.from_python").study(*overrides)
 
 
 sys.modules[__name__].__class__ = _Room

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from plants_cases import choices, from_yaml
 
+from ssm_study.cli.from_python import composed
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
 from ssm_study.data.simulated import TrainingAlone, mismatch_records
-from ssm_study.library import composed
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
 

@@ -33,7 +33,7 @@ def test_files_and_functions_stay_short(path: Path) -> None:
 
 
 def test_a_class_has_its_name_alone() -> None:
-    """`library.Design` is what `certificate.Design` is to users of the library; no other name
+    """`api.design.Design` is what `certificate.Design` is to users of the library; no other name
     stands for two things."""
     found = [
         node.name

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ssm_study.library import composed
+from ssm_study.cli.from_python import composed
 from ssm_study.loop.peers.pi import PI
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop

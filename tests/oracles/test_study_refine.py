@@ -11,10 +11,10 @@ from omegaconf import DictConfig, open_dict
 
 import ssm_study as st
 from benchmarks.adversarial.plants.peaking_gain import PeakingGain
+from ssm_study.cli.from_python import composed
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
 from ssm_study.engine.runs import seal_run
-from ssm_study.library import composed
 from ssm_study.refusal import BadRequest
 from ssm_study.study import allow_list
 from ssm_study.study.line import STUDY

@@ -12,12 +12,12 @@ import pytest
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
+from ssm_study.cli.from_python import composed
 from ssm_study.cli.hydra_errors import meant
 from ssm_study.cli.main import main
 from ssm_study.cli.run import _warned, configuration_folder
 from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
-from ssm_study.library import composed
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import STUDY
 from ssm_study.table.folders import run_folder, study_folder

@@ -1,0 +1,365 @@
+"""`import ssm_study as st`: the same runs, numbers and refusals as the command, from arrays."""
+
+import doctest
+import json
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from matplotlib.figure import Figure
+
+import ssm_study as st
+from ssm_study.api import parts
+from ssm_study.api.design import Design
+from ssm_study.cli.from_python import composed
+from ssm_study.cli.main import main
+from ssm_study.refusal import BadRequest
+from ssm_study.study.verify import verify
+
+STEP_S = 0.1
+QUICK = (
+    "model.order=2",
+    "model.slope_lower=0.5",
+    "model=ssm",
+    "model.hidden_width=4",
+    "training.max_epochs=3",
+)
+GIVEN = ("synthesis=riccati", "synthesis.rate_controller=0.3", "synthesis.rate_observer=0.5")
+
+
+@pytest.fixture(scope="module")
+def log() -> pd.DataFrame:
+    u = np.repeat(np.random.default_rng(0).uniform(-3, 3, 60), 8)
+    y = np.zeros_like(u)
+    for k in range(len(u) - 1):
+        y[k + 1] = 0.9 * y[k] + 0.2 * np.tanh(u[k])
+    return pd.DataFrame({"valve's voltage": u, "air, temperature": y})
+
+
+@pytest.fixture(scope="module")
+def design(log: pd.DataFrame, tmp_path_factory: pytest.TempPathFactory) -> Design:
+    folder = tmp_path_factory.mktemp("library") / "res'ults"
+    model = st.fit(
+        log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK, results_dir=folder
+    )
+    return st.control(model, *GIVEN)
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    told = "import sys, ssm_study; print(sorted({'torch', 'numpy', 'hydra', 'pandas'} & set(sys.modules)))"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", told], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )
+    with pytest.raises(AttributeError, match="no attribute 'regulate'"):
+        _ = st.regulate
+
+
+def test_what_a_stored_model_needs_loads_no_torch() -> None:
+    told = "import sys; from ssm_study.models import structured, structured_spec; "
+    told += "from ssm_study.models.baselines import solved; print('torch' in sys.modules)"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", told], capture_output=True, text=True, check=True
+        ).stdout
+        == "False\n"
+    )
+
+
+MODULES = ("certifying", "comparing", "controlling", "fitting")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_docstrings_run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The examples hold as they stand; the trainings in them are shortened."""
+    whole = parts.Parts.__init__
+
+    def shortened(self: parts.Parts, choices: dict[str, str], words: tuple[str, ...] = ()) -> None:
+        short = ("training.max_epochs=10", "model.starts=1", "model.draws=1")
+        is_structured = choices.get("model") == "structured"
+        whole(self, choices, (*short, *words) if is_structured else words)
+
+    monkeypatch.setattr(parts.Parts, "__init__", shortened)
+    result = doctest.testmod(import_module(f"ssm_study.api.{name}"))
+    assert result.failed == 0
+    assert result.attempted > 0
+
+
+def test_a_saved_design_is_the_run_of_the_command(design: Design, tmp_path: Path) -> None:
+    """The words of a design make the same run by the command: same model, same gains."""
+    saved = design.save(tmp_path / "saved")
+    assert main(["run", *design.overrides, f"results_dir={tmp_path}", "study=again"]) == 0
+    (again,) = (path.parent for path in (tmp_path / "again").glob("*/record.json"))
+    for name in ("model.json", "certificate.json"):
+        ours, theirs = (json.loads((folder / name).read_text()) for folder in (saved, again))
+        for content in (ours, theirs):
+            for part in content.values():
+                if isinstance(part, dict):
+                    for timing in ("seconds", "digest"):
+                        part.pop(timing, None)
+        assert ours == theirs
+
+
+def test_a_saved_design_verifies_and_loads(design: Design, tmp_path: Path) -> None:
+    saved = design.save(tmp_path / "mine")
+    assert [finding for finding in verify(saved) if not finding.holds] == []
+    assert st.load(saved).certificate.certified
+    assert "controller_step" in design.to_c(tmp_path / "controller.h").read_text()
+    with pytest.raises(BadRequest, match="exists; name a new folder"):
+        design.save(tmp_path / "mine")
+
+
+def test_python_control_takes_model_and_controller(design: Design, log: pd.DataFrame) -> None:
+    """The linearised pair in python-control's hands settles as fast as `simulate` says of small
+    deviations."""
+    model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
+    inner, controller = model.to_control(), design.to_control()
+    assert inner.dt == controller.dt == STEP_S
+    from_rest = log[["valve's voltage"]] * 0 + design.model.scale.input_equilibrium[0] + 1e-6
+    output = (model.predict(from_rest).to_numpy() - design.model.scale.output_equilibrium)[:100]
+    linear = control.forced_response(inner, inputs=np.full((1, 100), 1e-6)).outputs[:, None]
+    assert np.abs(output - linear).max() < 1e-6 * np.abs(linear).max() + 1e-15
+    loop = st.simulate(design, [0.0, 0.2], "loop.horizon_s=6")
+    assert set(loop) == {"case", "time_s", "u", "y"}
+    ends = loop.groupby("case")["y"].last() - design.model.scale.output_equilibrium[0]
+    assert np.abs(ends).max() < 1e-3
+
+
+def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
+    later = log.set_index(pd.RangeIndex(5, 5 + len(log)))
+    model = st.fit(log[["valve's voltage"]], log[["air, temperature"]], STEP_S, *QUICK)
+    predicted = model.predict(later[["valve's voltage"]])
+    assert list(predicted) == ["air_temperature"]
+    assert predicted.index[0] == 5
+    score = model.score(log["valve's voltage"], log["air, temperature"])
+    assert 60 < score < 100
+    half = len(log) // 2
+    parts = [log.iloc[:half], log.iloc[half:]]
+    u, y = ([part[name] for part in parts] for name in log)
+    assert len(st.fit(u, y, STEP_S, *QUICK).data.training) == 2
+
+
+def test_other_channels_than_were_fitted_are_refused(design: Design, log: pd.DataFrame) -> None:
+    model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
+    u, y = np.zeros((50, 1)), np.zeros((50, 1))
+    for refused, said in (
+        (
+            lambda: model.predict(np.zeros((50, 2))),
+            r"u = \(50, 2\): needs one column per channel: 1",
+        ),
+        (
+            lambda: model.score(u, np.zeros((50, 2))),
+            r"y = \(50, 2\): the model answers with \(50, 1\)",
+        ),
+        (lambda: model.score(u, y[1:]), r"y = \(49, 1\): the model answers with \(50, 1\)"),
+        (lambda: st.simulate(model, np.zeros((50, 2))), r"u = \(50, 2\): needs one column"),
+        (
+            lambda: st.simulate(design, np.zeros((3, 2))),
+            r"y0 = \(3, 2\): needs one column per channel: 1",
+        ),
+    ):
+        with pytest.raises(BadRequest, match=said):
+            refused()
+
+
+def test_study_gives_its_table(tmp_path: Path) -> None:
+    words = ("experiment=smoke", f"results_dir={tmp_path}", "study=mine", "progress=false")
+    table = st.study(*words)
+    assert list(table["status"]) == ["ok"]
+    assert not HydraConfig.initialized()  # the next run here would keep these words as its own
+    with pytest.raises(BadRequest, match="a contraction rate lies in"):
+        st.study(*words, "synthesis=riccati", "synthesis.rate_controller=2")
+
+
+def test_a_program_needs_no_environment(tmp_path: Path) -> None:
+    told = f"import ssm_study as st; st.study('results_dir={tmp_path}', 'seed=-1')"
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    said = subprocess.run(
+        [sys.executable, "-c", told], env=clean, capture_output=True, text=True
+    ).stderr
+    assert "KeyError" not in said
+    assert "BadRequest: seed = -1" in said
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "words", "said"),
+    [
+        (np.ones(100), np.ones(99), (), "differ in length; cut both"),
+        ([np.ones(100)], [np.ones(100)] * 2, (), "not as many experiments"),
+        (np.ones((5, 2, 2)), np.ones(5), (), "not a signal"),
+        (pd.DataFrame({"u": ["a"]}), np.ones(1), (), "not a table of numbers"),
+        (np.ones(100), np.full(100, np.nan), (), "NaN|no number"),
+        (np.ones(200), np.arange(200.0), (), "constant over the training records"),
+        (np.arange(100.0), np.arange(100.0), ("model.ordr=3",), "ordr"),
+        (np.arange(100.0), np.arange(100.0), ("model.order=0",), "at least 1"),
+    ],
+)
+def test_fit_refuses_as_the_command_does(
+    u: object, y: object, words: tuple[str, ...], said: str
+) -> None:
+    with pytest.raises(BadRequest, match=said):
+        st.fit(u, y, 0.1, *words)
+
+
+def test_control_refuses(log: pd.DataFrame) -> None:
+    u, y = log.to_numpy().T
+    with pytest.raises(BadRequest, match="must be positive"):
+        st.fit(u, y, 0.0)
+    model = st.fit(u, y, STEP_S, *QUICK)
+    with pytest.raises(BadRequest, match="changes model, and with it the model; give it to fit"):
+        st.control(model, "model.order=3")
+    infeasible = st.control(model, *GIVEN[:1], "synthesis.rate_controller=0.999", GIVEN[2])
+    with pytest.raises(
+        BadRequest, match=r"rate 0\.999 is infeasible: the slopes allow only rates below"
+    ):
+        infeasible.to_c("never.h")
+    with pytest.raises(BadRequest, match="a baseline is scored only"):
+        st.control(st.fit(u, y, STEP_S, "model=gru", "training.max_epochs=1"))
+    plant = control.StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    with pytest.raises(BadRequest, match="chooses by a validation record, and there is none"):
+        st.control(plant)
+    with pytest.raises(BadRequest, match="not a sampling time"):
+        st.control(control.StateSpace([[-0.9]], [[1.0]], [[1.0]], [[0.0]]), *GIVEN)
+
+
+def test_a_hydra_program_may_compose_with_us() -> None:
+    """Whoever calls this from a program of Hydra's own finds the program's composition as it
+    was."""
+    folder = str(Path(__file__).parents[2] / "conf")
+    with initialize_config_dir(folder, version_base="1.3"):
+        theirs = GlobalHydra.instance().hydra
+        assert composed(["study=library"]).study == "library"
+        with pytest.raises(BadRequest, match="modle"):
+            composed(["modle.order=2"])
+        assert GlobalHydra.instance().hydra is theirs
+
+
+def test_science_alone_goes_from_arrays_to_c(tmp_path: Path) -> None:
+    """The example needs neither Hydra nor the command, the study, the table or the page."""
+    script = Path(__file__).parents[2] / "examples" / "arrays_to_controller.py"
+    rooms = (
+        "'hydra', 'ssm_study.study', 'ssm_study.cli', 'ssm_study.table', 'ssm_study.report.page'"
+    )
+    program = f"""
+import runpy, sys
+sys.argv = ["example", {str(tmp_path)!r}]
+runpy.run_path({str(script)!r})
+print([name for name in sys.modules if name in ({rooms})])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "certified in exact arithmetic" in done.stdout
+    assert (tmp_path / "controller.h").is_file()
+
+
+def test_models_and_designs_say_what_they_are(design: Design) -> None:
+    """Ten lines or so with numbers and units, in a notebook a table; pictures are figures."""
+    model = design.origin
+    assert model is not None
+    for subject in (model, design):
+        assert 3 <= len(repr(subject).splitlines()) <= 16
+        assert "<table>" in subject._repr_html_()
+    assert "fit on the test records" in repr(model)
+    figures = [model.plot(), model.bode(), model.residuals(), model.poles()]
+    figures += [design.plot(), design.poles()]
+    for figure in figures:
+        assert isinstance(figure, Figure)
+
+
+def test_the_continuous_model_is_what_was_sampled(design: Design) -> None:
+    """Sampling the continuous system with a hold gives the linearised model back."""
+    model = design.origin
+    assert model is not None
+    discrete = model.to_control()
+    again = control.c2d(model.to_continuous(), STEP_S)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(again, name), getattr(discrete, name), atol=1e-9)
+
+
+def test_the_frequency_response_is_python_controls(design: Design) -> None:
+    model = design.origin
+    assert model is not None
+    response = model.frequency_response(20)
+    values = model.to_control()(np.exp(1j * response.frequency_rad_s.to_numpy() * STEP_S))
+    np.testing.assert_allclose(response.magnitude, np.abs(values), rtol=1e-9)
+
+
+def test_certify_proves_what_sampled_slopes_do() -> None:
+    """Sampled contraction never beats the proved rate; a gain too large is refused."""
+    rng = np.random.default_rng(3)
+    a = np.array([[0.9, 0.2], [0.0, 0.7]])
+    b = np.array([[0.3], [1.0]])
+    k = np.array([[-0.1, -0.2]])
+    proof = st.certify(a, b, K=k, slopes=(0.6, 1.4))
+    assert proof.certified
+    controller = proof.controller
+    assert controller is not None
+    metric = np.linalg.inv(controller.certificate.p)
+    factor = np.linalg.cholesky(metric).T
+    inverse = np.linalg.inv(factor)
+    worst = 0.0
+    for slope in rng.uniform(0.6, 1.4, 200):
+        step = factor @ (a + slope * b @ k) @ inverse
+        worst = max(worst, np.linalg.norm(step, 2))
+    assert worst <= np.sqrt(1 - controller.rate) + 1e-12
+    refused = st.certify(a, b, K=20 * k, slopes=(0.6, 1.4))
+    assert not refused.certified
+    assert "unstable" in refused.controller.reason
+
+
+def test_certify_agrees_with_the_deployed_rate(design: Design) -> None:
+    """Two routes to one number: the design's own largest rate, and gains given from outside."""
+    feedback, observer = design.certificate.parts()
+    lower, upper = feedback.alpha - feedback.beta, feedback.alpha + feedback.beta
+    proof = st.certify(feedback.a, feedback.b, observer.c, K=feedback.k, L=observer.l,
+                       slopes=(lower, upper))  # fmt: skip
+    rates = (proof.controller.rate, proof.observer.rate)
+    sides = ("state_feedback", "observer")
+    stored = [design.certificate.certified_rate(side) for side in sides]
+    np.testing.assert_allclose(rates, stored, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"A": np.eye(2), "B": np.ones((2, 1))}, "no gain is given"),
+        ({"A": np.eye(2), "K": np.ones((1, 2))}, "a state feedback needs it"),
+        ({"A": np.ones((2, 3)), "K": np.ones((1, 2)), "B": np.ones((2, 1))}, "is to be 2 by 2"),
+        ({"A": np.eye(2), "B": np.ones((2, 1)), "K": np.ones((1, 3))}, "is to be 1 by 2"),
+        ({"A": np.eye(2) * np.nan, "B": np.ones((2, 1)), "K": np.ones((1, 2))}, "is not finite"),
+        (
+            {"A": np.eye(1), "B": np.eye(1), "K": -np.eye(1), "slopes": (-1.0, 1.0)},
+            "are not positive and ascending",
+        ),
+    ],
+)
+def test_certify_refuses(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadRequest, match=message):
+        st.certify(**arguments)
+
+
+def test_compare_ranks_models_on_one_record(log: pd.DataFrame) -> None:
+    u = log[["valve's voltage"]]
+    y = log["air, temperature"]
+    good = st.fit(u, y, STEP_S, *QUICK)
+    poor = st.fit(u, y, STEP_S, "model=linear", "model.order=1", "training.max_epochs=1")
+    comparison = st.compare({"poor": poor, "good": good}, u, y)
+    assert list(comparison.table.index) == ["good", "poor"]
+    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(good.score(u, y))
+    assert isinstance(comparison.plot(), Figure)
+    with pytest.raises(BadRequest, match="nothing to compare"):
+        st.compare([], u, y)

@@ -1,0 +1,65 @@
+"""Parts composed without Hydra are those that Hydra composes from the same words."""
+
+from pathlib import Path
+
+import pytest
+
+from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_tree
+from ssm_study.cli.from_python import composed
+from ssm_study.engine.settings import plain
+from ssm_study.refusal import BadRequest
+
+CONF = Path(__file__).parents[2] / "conf"
+CHOICES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
+WORDS = (
+    ("model=ssm", "model.order=4", "scaffold@model.scaffold_in=monotone"),
+    ("model=structured", "model.ridge=1e-3", "model.kinds=[tanh,relu]"),
+    ("training/optimiser=adam", "training.max_epochs=7"),
+    ("synthesis=riccati", "synthesis.rate_controller=0.2"),
+    ("reference@loop.reference=step", "loop.horizon_s=3"),
+)
+
+
+def test_the_folder_is_ours() -> None:
+    assert configuration_folders()[0] == CONF
+
+
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
+    theirs = plain(composed([f"{group}={choice}", "study=any"]))[group]
+    assert load_tree(group, choice) == dict(theirs)
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
+    defaults = {
+        "model": "ssm", "training": "default", "synthesis": "auto", "loop": "regulation",
+    }  # fmt: skip
+    parts = Parts(defaults, words)
+    theirs = plain(composed([*words, "study=any"]))
+    for name, tree in parts.trees.items():
+        assert tree == dict(theirs[name])
+    again = plain(composed([*parts.words_for_command(), "study=any"]))
+    for name in parts.trees:
+        assert again[name] == theirs[name]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("model=none",), "is no choice"),
+        (("order=4",), "is no setting"),
+        (("-m",), "is no setting"),
+        (("model.order.deep=4",), "there is no part order"),
+        (("seed=-1",), "not a whole number"),
+        (("scaffold@plant.scaffold=mlp",), "is no part of a model"),
+    ],
+)
+def test_other_words_are_refused(words: tuple[str, ...], message: str) -> None:
+    with pytest.raises(BadRequest, match=message):
+        Parts({"model": "ssm"}, words)
+
+
+def test_a_missing_value_is_named() -> None:
+    with pytest.raises(BadRequest, match=r"data\.path = \?\?\?: is missing"):
+        Parts({"data": "recorded"}).build("data")
