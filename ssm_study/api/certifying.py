@@ -14,12 +14,12 @@ from ssm_study.api.controlling import read_ball
 from ssm_study.api.model import html_table
 from ssm_study.api.systems import read_matrix
 from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution, within_floats
 from ssm_study.certificates.theorems.deployed_rate import INSIDE, SLACKS, largest_rate
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import require
-from ssm_study.synthesis.frontier import frontier
 from ssm_study.synthesis.modes import least_metric
 from ssm_study.systems import JacobianBall
 

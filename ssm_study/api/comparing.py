@@ -16,7 +16,7 @@ from ssm_study.signals import fit_percent, rmse
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Comparison:
+class ModelComparison:
     """Free runs of several models on one record, and their scores.
 
     `table` has one row per model: fit in percent of each output and in total, root mean square
@@ -43,7 +43,7 @@ class Comparison:
         return plot_overlay(self)
 
 
-def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values) -> Comparison:
+def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values) -> ModelComparison:
     """Simulate models on one record, from rest, and score them.
 
     `models` is a list, or a mapping from names to models. Best fit first. Raises `BadRequest` for
@@ -74,7 +74,7 @@ def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values)
     table.index.name = "model"
     first = next(iter(named.values()))
     time_s = np.arange(len(measured)) * first.data.step_s
-    return Comparison(
+    return ModelComparison(
         table=table,
         measured=measured,
         simulated=simulated,

@@ -143,12 +143,6 @@ class Design:
         ends = [np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper)]
         return within_limits(self.model, self.certificate, *ends)
 
-    def simulate(self, y0: Values, *overrides: str, plant: "Plant | None" = None) -> pd.DataFrame:
-        """Simulate the loop from initial outputs; see `ssm_study.simulate`."""
-        from ssm_study.api.simulation import simulate
-
-        return simulate(self, y0, *overrides, plant=plant)
-
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Write C99: header `path`, and beside it the source and a replay, named as the header.
 

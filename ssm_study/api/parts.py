@@ -93,7 +93,7 @@ def merge(tree: Tree, other: Mapping[str, Any]) -> None:
 def assign(tree: Tree, path: str, value: Any) -> None:
     """Set what stands at a dotted path. Raises `BadRequest` where the path leads through a value."""
     *parents, last = path.split(".")
-    place = tree
+    place: Any = tree
     for name in parents:
         inner = place.get(name)
         require(isinstance(inner, dict), path, value, f"there is no part {name}", "check its name")

@@ -6,14 +6,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from ssm_study.bounds.frequency import frequency_response
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.metrics import Simulation
 from ssm_study.report import style
+from ssm_study.robustness.mismatch import ANGLES
+from ssm_study.robustness.sensitivity import ends, sensitivity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ssm_study.api.comparing import Comparison
+    from ssm_study.api.comparing import ModelComparison
     from ssm_study.api.design import Design
     from ssm_study.api.model import Model, Values
     from ssm_study.plants.plant import Plant
@@ -49,7 +53,7 @@ def plot_free_run(model: "Model") -> "Figure":
     return figure
 
 
-def plot_overlay(comparison: "Comparison") -> "Figure":
+def plot_overlay(comparison: "ModelComparison") -> "Figure":
     """Draw the free runs of several models over one record, residuals below."""
     outputs = comparison.measured.shape[1]
     with style.paper():
@@ -59,8 +63,8 @@ def plot_overlay(comparison: "Comparison") -> "Figure":
             _draw_measured(axes[0, j], comparison.time_s, comparison.measured[:, j])
             for i, (label, simulated) in enumerate(comparison.simulated.items()):
                 color = style.CYCLE[i % len(style.CYCLE)]
-                fit = comparison.table.loc[label, "fit_percent"]
-                words = f"{label} ({fit:.1f} %)"
+                fit: Any = comparison.table["fit_percent"][label]
+                words = f"{label} ({float(fit):.1f} %)"
                 error = comparison.measured[:, j] - simulated[:, j]
                 axes[0, j].plot(comparison.time_s, simulated[:, j], color=color, label=words)
                 axes[1, j].plot(comparison.time_s, error, color=color, linewidth=0.8)
@@ -80,9 +84,9 @@ def plot_bode(model: "Model") -> "Figure":
     with style.paper():
         figure = style.canvas(style.PAGE_IN, 3.4)
         magnitude, phase = figure.subplots(2, 1, sharex=True)
-        for i, ((output, name), rows) in enumerate(response.groupby(["output", "input"])):
+        for i, (pair, rows) in enumerate(response.groupby(["output", "input"])):
             color = style.CYCLE[i % len(style.CYCLE)]
-            label = f"{name} to {output}"
+            label = " from ".join(map(str, pair))
             magnitude.loglog(rows.frequency_rad_s, rows.magnitude, color=color, label=label)
             phase.semilogx(rows.frequency_rad_s, rows.phase_deg, color=color)
         if len(model.data.inputs) == len(model.data.outputs) == 1:
@@ -138,7 +142,7 @@ def plot_poles(
             circle = radius * np.exp(1j * angles)
             axes.plot(circle.real, circle.imag, color=style.GREY, linestyle="--", label=label)
         for i, (name, poles) in enumerate(groups.items()):
-            look = {"color": style.CYCLE[i], "marker": markers[i % len(markers)]}
+            look: dict[str, Any] = {"color": style.CYCLE[i], "marker": markers[i % len(markers)]}
             axes.plot(poles.real, poles.imag, linestyle="", fillstyle="none", label=name, **look)
         axes.set_aspect("equal")
         axes.set_xlabel("real part, per sample")
@@ -152,7 +156,7 @@ def plot_loop(design: "Design", y0: "Values | None", plant: "Plant | None") -> "
 
     Without noise; the controlled outputs in blue, the range of recorded inputs dashed.
     """
-    from ssm_study.api.simulation import close_loop, identified_plant
+    from ssm_study.api.loops import close_loop, identified_plant
     from ssm_study.loop.controller import Uncontrolled
 
     on = plant or identified_plant(design)
@@ -177,6 +181,52 @@ def plot_loop(design: "Design", y0: "Values | None", plant: "Plant | None") -> "
         where = "the simulated plant" if plant else "the identified model"
         figure.suptitle(f"Loop on {where}; the open loop in grey")
     return figure
+
+
+def plot_margin(design: "Design") -> "Figure":
+    """Draw the small-gain margin at each frequency, one line per recorded amplitude, line at 1.
+
+    `1 / (g(w) |T_ue(w)|)`: how much larger the recorded model error could be at that frequency
+    alone before small gain fails. The design's own margin, in the title, also uses the error's
+    phase where the record shows it, so it may be larger. Raises `BadRequest` without records.
+    """
+    from ssm_study.refusal import require
+
+    origin = design.origin
+    require(origin is not None, "design", "loaded or bare", "has no records", "use st.fit first")
+    assert origin is not None
+    sizes = loop_sizes(design)
+    with style.paper():
+        figure = style.canvas(style.PAGE_IN, 2.8)
+        axes = figure.subplots()
+        omega = ANGLES / design.model.step_s
+        for i, view in enumerate(origin.mismatch.views):
+            gain = view.by_frequency * sizes
+            shown = gain > 0
+            color = style.CYCLE[i % len(style.CYCLE)]
+            label = f"input rms {view.amplitude:.2g}"
+            axes.semilogy(omega[shown], 1 / gain[shown], color=color, label=label)
+        axes.axhline(1, color=style.INK, linewidth=1.2)
+        axes.set_xlabel("frequency (rad/s)")
+        axes.set_ylabel("small-gain margin")
+        axes.legend(loc="upper left", ncols=2)
+        margin = design.facts.get("resolved_margin")
+        words = "" if margin is None else f"; the design's margin, with phase: {margin:.3g}"
+        figure.suptitle(f"Below 1 small gain fails{words}")
+    return figure
+
+
+def loop_sizes(design: "Design") -> Float[np.ndarray, "F"]:
+    """Largest gain from output error to input at each angle, over the ends of the slopes."""
+    balls = certified_balls(design.model)
+    sizes = np.zeros(len(ANGLES))
+    for linear, gains, slope_in, slope_out in ends(
+        design.model.system, design.certificate.pair, balls
+    ):
+        response = frequency_response(sensitivity(linear, gains, slope_in, slope_out), ANGLES)
+        largest = np.linalg.svd(response, compute_uv=False)[:, 0]
+        sizes = np.maximum(sizes, largest)
+    return sizes
 
 
 def label_of(channel: Any) -> str:
@@ -204,7 +254,7 @@ def correlate(
         x = a[:, i] - a[:, i].mean()
         z = b[:, j] - b[:, j].mean()
         powers += [float(x @ x), float(z @ z)]
-        for k, lag in enumerate(range_of_lags):
+        for k, lag in enumerate(map(int, range_of_lags)):
             later = x[max(lag, 0) : len(x) + min(lag, 0)]
             earlier = z[max(-lag, 0) : len(z) + min(-lag, 0)]
             sums[k] += float(later @ earlier)
@@ -216,7 +266,7 @@ def _draw_measured(
     axes: "Axes", time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T"]
 ) -> None:
     """Draw a measured signal as small dots."""
-    look = {"marker": ".", "markersize": 2, "linestyle": "", "color": style.GREY}
+    look: dict[str, Any] = {"marker": ".", "markersize": 2, "linestyle": "", "color": style.GREY}
     axes.plot(time_s, values, label="measured", **look)
 
 
@@ -280,6 +330,6 @@ def _draw_estimated_response(magnitude: "Axes", phase: "Axes", model: "Model") -
     excited = (power > 0.01 * power.mean()) & (frequency > 0)
     estimate = cross[excited] / power[excited]
     omega = 2 * np.pi * frequency[excited]
-    look = {"marker": ".", "markersize": 3, "linestyle": "", "color": style.GREY}
+    look: dict[str, Any] = {"marker": ".", "markersize": 3, "linestyle": "", "color": style.GREY}
     magnitude.loglog(omega, np.abs(estimate), label="validation record", **look)
     phase.semilogx(omega, np.rad2deg(np.unwrap(np.angle(estimate))), **look)

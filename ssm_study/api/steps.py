@@ -76,9 +76,7 @@ def design_controller(
             synthesis = synthesis.cautious()
         synthesis = synthesis.within(scaled(model, lower), scaled(model, upper))
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
-    ends = (lower, upper)
-    certified: Certificates = with_gain_certificates(design, model, balls, relevant_mismatch, ends)
-    return certified
+    return with_gain_certificates(design, model, balls, (lower, upper))
 
 
 def scaled(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -66,18 +67,17 @@ def save_run(design: "Design", folder: Path) -> Path:
     Model and gains are computed again, with everything that a run's record says beside them.
     Raises `BadRequest` where the run's certificate differs from the design's.
     """
-    from ssm_study.api.scratch import new_folder
-
-    place = (f"results_dir='{new_folder()}'", "study=saved", "progress=false")
-    outcome = line.STUDY.job(composed((*design.overrides, *place)))
-    if outcome.status == FAILED:
-        raise RuntimeError(f"{outcome.message} (its traceback is in {outcome.folder})")
-    gather(outcome.folder.parent)
-    saved = _gains(outcome.folder)
-    same = saved == {name: gain.tolist() for name, gain in design.certificate.gains.items()}
-    problem = "the command designs other gains from the same words"
-    require(same, "design", folder, problem, "report this, please")
-    return Path(shutil.copytree(outcome.folder, folder))
+    with TemporaryDirectory(prefix="ssm-study-") as results:
+        place = (f"results_dir='{results}'", "study=saved", "progress=false")
+        outcome = line.STUDY.job(composed((*design.overrides, *place)))
+        if outcome.status == FAILED:
+            raise RuntimeError(f"{outcome.message} (its traceback is in {outcome.folder})")
+        gather(outcome.folder.parent)
+        saved = _gains(outcome.folder)
+        same = saved == {name: gain.tolist() for name, gain in design.certificate.gains.items()}
+        problem = "the command designs other gains from the same words"
+        require(same, "design", folder, problem, "report this, please")
+        return Path(shutil.copytree(outcome.folder, folder))
 
 
 def _gains(folder: Path) -> dict[str, Any]:

@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ssm_study.api.fitting import read_sampling_time as sampling_time
+from ssm_study.api.parts import write_value as _quoted
 from ssm_study.cli.main import WRONG_REQUEST, main
 from ssm_study.data.recording import plain_name
-from ssm_study.library import _quoted, sampling_time
 from ssm_study.refusal import BadRequest
 
 WRONG = {
