@@ -45,7 +45,7 @@ CHAPTERS = {
             "your_own_data",
         )
     ],
-    "Inside": ["maintainers.md", "report_page.md"],
+    "Inside": ["architecture.md", "maintainers.md", "report_page.md"],
 }
 PICTURES = ROOT / "results" / "reference"
 ROOMS = sorted(path.parent.name for path in (ROOT / "ssm_study").glob("*/__init__.py"))
