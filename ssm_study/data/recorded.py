@@ -1,7 +1,9 @@
 """Data from files: one or several logs, each cut into training, validation and test."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,8 @@ from ssm_study.data.splits import (
 )
 from ssm_study.refusal import at_least, one_of, require
 from ssm_study.signals import DataSet, Trajectory
+
+Splitter = Callable[[Trajectory], Pieces]
 
 
 class RecordedSource(ABC):
@@ -192,64 +196,120 @@ class RecordedData(Columns, AroundRest):
         return paths
 
     def build(self, seed: int) -> DataSet:
-        logs, share = self._known_loop("path", "output_path")
-        logs = [replace(log, log=k) for k, log in enumerate(logs, start=1)]
-        cuts, split = self._split(logs)
+        logs = self._read_logs("path", "output_path")
+        cuts, split = self._split([log.pieces for log in logs])
         training, validation, test = (
             [piece for pieces in cuts for piece in pieces[k]] for k in range(3)
         )
         if self.test_path is not None:
-            test = self._known_loop("test_path", "test_output_path")[0]
+            tested = self._read_logs("test_path", "test_output_path")
+            test = [piece for log in tested for piece in log.pieces]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
+        about["reading"] = ". ".join(dict.fromkeys(log.remark for log in logs))
+        share = logs[0].share_by_set_point
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
-        found = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
-        repeated = [splits.periodic_segments(log, self.start_up_samples) for log in logs]
-        kept = [*map(splits.rest_segments, logs), *(repeated if all(repeated) else [])]
-        return replace(found, mismatch_records=tuple(piece for pieces in kept for piece in pieces))
+        data = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
+        return replace(data, mismatch_records=self._mismatch_records(logs))
 
-    def _logs(self, field: str, outputs: str) -> list[Trajectory]:
-        """Every log; two files of which one has the inputs and the other the outputs are one
-        log."""
-        logs = self.files_of(field, outputs)
-        if len(logs) == 2 and not self.apart:
-            (first,), (second,) = logs
-            alone = has_columns(first, listed(self.output)) or not has_columns(
-                first, listed(self.input)
-            )
-            logs = (
-                logs if alone or not has_columns(second, listed(self.output)) else [(first, second)]
-            )
-        return [self.read_from(*log) for log in logs]
+    def _mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
+        """The rests of whole logs, and periods that repeat where every log is made of such."""
+        pieces = [piece for log in logs for piece in log.pieces]
+        rests = [splits.rest_segments(piece) for piece in pieces]
+        periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]
+        segments = [*rests, *(periodic if all(periodic) else [])]
+        return tuple(segment for found in segments for segment in found)
 
-    def _known_loop(self, field: str, outputs: str) -> tuple[list[Trajectory], float | None]:
-        """The logs; with the input that the set point makes, and its share, where set point or PI
+    def _paths(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
+        """The files of every log; two files of which one has the inputs and the other the outputs
+        are one log."""
+        files = self.files_of(field, outputs)
+        if len(files) != 2 or self.apart:
+            return files
+        (first,), (second,) = files
+        settings = self.text_settings
+        inputs, measured = listed(self.input), listed(self.output)
+        alone = has_columns(first, measured, settings) or not has_columns(first, inputs, settings)
+        apart = not alone and has_columns(second, measured, settings)
+        return [(first, second)] if apart else files
+
+    def _read_logs(self, field: str, outputs: str) -> "list[_Log]":
+        """Every log; with the input that the set point makes, and its share, where set point or PI
         are known."""
-        logs = self._logs(field, outputs)
+        source = self
+        if self.reference is not None:
+            columns = [*listed(self.input), *listed(self.reference)]
+            source = replace(self, input=columns, input_unit="", reference=None)
+        logs = []
+        for number, files in enumerate(self._paths(field, outputs), start=1):
+            pieces, remark = source.read_pieces(*files)
+            numbered = [replace(piece, log=number) for piece in pieces]
+            logs.append(_Log(pieces=numbered, remark=remark))
+        if self.reference is None and self.controller is None:
+            return logs
+        return self._by_set_point(logs)
+
+    def _by_set_point(self, logs: "list[_Log]") -> "list[_Log]":
+        """The logs with the input that the set point alone would make."""
+        pieces = [piece for log in logs for piece in log.pieces]
+        count = len(self.inputs)
         if self.controller is not None:
             gain, integral_s = self.controller
-            return from_set_points(logs, [set_point_of_pi(log, gain, integral_s) for log in logs])
-        if self.reference is None:
-            return logs, None
-        known = replace(self, input=self.reference, input_unit="", reference=None)
-        return from_set_points(logs, [log.u for log in known._logs(field, outputs)])
+            references = [set_point_of_pi(piece, gain, integral_s) for piece in pieces]
+        else:
+            references = [piece.u[:, count:] for piece in pieces]
+            pieces = [replace(piece, u=piece.u[:, :count]) for piece in pieces]
+        made, share = from_set_points(pieces, references)
+        return [
+            _Log(
+                pieces=[piece for piece in made if piece.log == number],
+                remark=log.remark,
+                share_by_set_point=share,
+            )
+            for number, log in enumerate(logs, start=1)
+        ]
 
-    def _split(self, logs: list[Trajectory]) -> tuple[list[Pieces], str]:
-        """The pieces of every log, and in words how they were cut."""
+    def _split(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
+        """The parts of every log, and in words how they were cut."""
+        splitter, words = self._splitter(logs)
+        cuts = [self._cut(log, splitter) for log in logs]
+        samples = sum(len(piece) for log in logs for piece in log)
+        taken = sum(len(record) for cut in cuts for part in cut for record in part)
+        short = f"; {samples - taken} samples in stretches that are too short are left out"
+        return cuts, words + (short if taken < samples else "")
+
+    def _cut(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
+        return splits.over_pieces(log, splitter, self.start_up_samples + 2)
+
+    def _splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
+        """How a log is cut into three parts, and the same in words."""
         if self.validation is not None:
             named = {"validation": self.validation, "test": self.test or []}
-            return [by_intervals(log, named) for log in logs], "into named intervals"
+            return partial(by_intervals, named=named), "into named intervals"
         if self.fold is not None:
-            said = f"into {self.folds} folds, of which number {self.fold} tests and the one before it validates"
-            return [by_fold(log, self.fold, self.folds) for log in logs], said
+            said = (
+                f"into {self.folds} folds, of which number {self.fold} tests "
+                "and the one before it validates"
+            )
+            return partial(by_fold, fold=self.fold, folds=self.folds), said
         own_test = self.test_path is None
-        in_time = [
-            by_time(log, self.validation_fraction, self.test_fraction if own_test else 0.0)
-            for log in logs
-        ]
+        test = self.test_fraction if own_test else 0.0
+        in_time = partial(by_time, validation=self.validation_fraction, test=test)
         if self.split == "time" or not own_test:
             return in_time, "in the order of time"
-        able = all(len(log) // BLOCKS >= self.start_up_samples + FEWEST for log in logs)
-        if self.split == "auto" and not (able and any(map(end_is_unlike, in_time))):
-            return in_time, "in the order of time"
+        if self.split == "auto":
+            shortest = self.start_up_samples + FEWEST
+            able = all(sum(map(len, log)) // BLOCKS >= shortest for log in logs)
+            if not able or not any(end_is_unlike(self._cut(log, in_time)) for log in logs):
+                return in_time, "in the order of time"
         why = "" if self.split == "blocks" else ", because its end is unlike its beginning"
-        return [in_blocks(log) for log in logs], f"in {BLOCKS} interleaved blocks{why}"
+        return in_blocks, f"in {BLOCKS} interleaved blocks{why}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Log:
+    """The pieces of one log, how it was read, and the share of its input that the set point
+    makes."""
+
+    pieces: list[Trajectory]
+    remark: str
+    share_by_set_point: float | None = None

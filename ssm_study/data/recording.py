@@ -2,20 +2,28 @@
 
 import re
 import unicodedata
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.readers.reader import read_table
+from ssm_study.data.clock import (
+    Pieces,
+    clock_seconds,
+    counts_rows,
+    find_clock,
+    is_clock_name,
+    on_even_clock,
+    without_missing,
+)
+from ssm_study.data.readers.reader import Reader, Table, read_table, reader_for
+from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
 
 Names = str | int | list[str] | list[int] | tuple[str, ...]
-AGREEMENT = (
-    1e-3  # relative difference allowed between the claimed sampling time and the one the times show
-)
+LOOK = "`ssm-study look {}` shows what is in the file"
 
 
 def listed(names: Names) -> tuple[str, ...]:
@@ -28,11 +36,11 @@ class Columns:
     """Columns `input` and `output` of a file, or of a file each, and the clock of their rows
     (docs/data.md).
 
-    `decimate` n keeps every n-th output and the mean input of the n samples from there on: what a
-    hold would have
-    applied. `differentiate` turns a position into the velocity `y[k] = (q[k] - q[k-1]) / step_s`,
-    whose running sum
-    times `step_s` is the position again, exactly; the first sample is spent on it.
+    Without `time` the clock is found by its name, or as the nameless first column. `separator`,
+    `decimal` and `header` state what is otherwise found in a text. `decimate` n keeps every n-th
+    output and the mean input of the n samples from there on: what a hold would have applied.
+    `differentiate` turns a position into the velocity `y[k] = (q[k] - q[k-1]) / step_s`, whose
+    running sum times `step_s` is the position again, exactly; the first sample is spent on it.
     """
 
     input: Names
@@ -41,6 +49,9 @@ class Columns:
     time: str | int | None = None
     input_unit: Names = ""
     output_unit: Names = ""
+    separator: str | None = None
+    decimal: str | None = None
+    header: bool | None = None
     jitter_tolerance: float = 0.05
     resample: bool = False
     decimate: int = 1
@@ -51,22 +62,33 @@ class Columns:
         at_least(1, "data.decimate", self.decimate, "use 1 to keep every sample")
         jitter = self.jitter_tolerance
         require(0 <= jitter < 1, "data.jitter_tolerance", jitter, "not in [0, 1)", "use 0.05")
+        _ = self.text_settings  # refuses what is no separator or decimal mark
         for field, names in (("data.input", self.input), ("data.output", self.output)):
-            require(
-                len(listed(names)) > 0 and all(listed(names)),
-                field,
-                names,
-                "names no column",
-                "name at least one",
-            )
+            asked = listed(names)
+            named = len(asked) > 0 and all(asked)
+            require(named, field, names, "names no column", "name at least one")
+            twice = [name for name in asked if asked.count(name) > 1]
+            require(not twice, field, twice[:1], "the same column twice", "name each column once")
+            clock = self.time is not None and str(self.time) in asked
+            require(not clock, field, self.time, "is the clock (data.time)", "name a signal")
         both = set(listed(self.input)) & set(listed(self.output))
         remedy = "name other columns, or data.output_path"
         require(self.apart or not both, "data.output", sorted(both), "is an input too", remedy)
 
     @property
+    def text_settings(self) -> TextSettings:
+        """What is stated of the layout of a text."""
+        return TextSettings(separator=self.separator, decimal=self.decimal, header=self.header)
+
+    @property
     def apart(self) -> bool:
         """Whether the outputs stand in files of their own."""
         return False
+
+    @property
+    def searches_clock(self) -> bool:
+        """Whether a clock that is not named is looked for among the columns."""
+        return True
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
@@ -94,71 +116,60 @@ class Columns:
         """Samples `first` to before `last`, in physical units, outputs from `output_path` where it
         is given.
 
-        Raises `BadRequest`, always in one sentence.
+        Raises `BadRequest`, always in one sentence; also for a log with holes, which is several.
         """
-        time_s, u, y = self._read(path, output_path or path)
-        values, step_s = self._on_clock(time_s, np.hstack([u, y]), path.name)
-        end, problem = (
-            len(values) if last is None else last,
-            f"no such samples, {path.name} has {len(values)}",
-        )
-        require(
-            first < end <= len(values),
-            "data.first, data.last",
-            (first, end),
-            problem,
-            "count from 0",
-        )
-        at_least(2 * self.decimate + 1, "samples", end - first, "use a longer record")
-        u, y = np.split(values[first:end], [len(self.inputs)], axis=1)
+        pieces, remark = self.read_pieces(path, output_path, first=first, last=last)
+        remedy = "cut the file there, or name it data.path alone"
+        one = len(pieces) == 1
+        require(one, f"{path.name} (pieces)", len(pieces), f"{remark}: not one record", remedy)
+        return replace(pieces[0], first=0)
+
+    def read_pieces(
+        self,
+        path: Path,
+        output_path: Path | None = None,
+        *,
+        first: int = 0,
+        last: int | None = None,
+    ) -> tuple[list[Trajectory], str]:
+        """The stretches of a log between its holes and missing values, and how it was read.
+
+        Each piece says at which sample of the log it begins. A refusal of what the file holds ends
+        with the command that shows it.
+        """
+        try:
+            pieces, remarks = self._on_clock(path, output_path or path)
+        except BadRequest as error:
+            raise with_look(error, path) from error
+        whole = range(first, pieces_end(pieces) if last is None else last)
+        problem = f"no such samples, {path.name} has {pieces_end(pieces)}"
+        inside = first < whole.stop <= pieces_end(pieces)
+        require(inside, "data.first, data.last", (first, whole.stop), problem, "count from 0")
+        records = []
+        for values, start in zip(pieces.values, pieces.starts, strict=True):
+            a = max(whole.start - start, 0)
+            b = min(whole.stop - start, len(values))
+            enough = b - a >= 2 * self.decimate + 1
+            if enough or len(pieces.values) == 1:
+                at_least(2 * self.decimate + 1, "samples", b - a, "use a longer record")
+                at = (start + a) // self.decimate
+                records.append(replace(self._record(values[a:b], pieces.step_s, path), first=at))
+        require(records, "samples", 0, "no stretch without holes is long enough", "log on")
+        return records, "; ".join(remarks)
+
+    def _record(self, values: Float[np.ndarray, "T c"], period_s: float, path: Path) -> Trajectory:
+        """Rows on an even clock as one experiment, decimated and differentiated."""
+        u, y = np.split(values, [len(self.inputs)], axis=1)
         u, y = decimated(u, y, self.decimate)
-        step_s *= self.decimate
+        step_s = period_s * self.decimate
         if self.differentiate:
-            u, y = u[1:], np.diff(y, axis=0) / step_s
+            u = u[1:]
+            y = np.diff(y, axis=0) / step_s
         return Trajectory(u=u, y=y, step_s=step_s, name=path.name)
 
-    def _read(
-        self, path: Path, output_path: Path
-    ) -> tuple[Float[np.ndarray, "T"] | None, Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-        """Times, inputs and outputs; each file is read once, and the rows of two must go
-        together."""
-        sides = [
-            (path, listed(self.input), self.inputs),
-            (output_path, listed(self.output), self.measured),
-        ]
-        wanted: dict[Path, dict[str, str]] = {}
-        for file, names, channels in sides:
-            clock = {} if self.time is None else {str(self.time): "s"}
-            wanted.setdefault(file, clock).update(
-                zip(names, (c.unit for c in channels), strict=True)
-            )
-        tables = {file: read_table(file, units) for file, units in wanted.items()}
-        u, y = (
-            np.stack([tables[file].columns[name] for name in names], axis=1)
-            for file, names, _ in sides
-        )
-        found = [
-            t.time_s if self.time is None else t.columns[str(self.time)] for t in tables.values()
-        ]
-        times = [time_s for time_s in found if time_s is not None]
-        problem, remedy = f"has {len(y)} rows, {path.name} {len(u)}", "cut them alike"
-        require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
-        if len(tables) > 1 and times:
-            problem, remedy = (
-                "log times count from each recording's own start",
-                "put both signals into one recording",
-            )
-            require(self.time is not None, "data.output_path", output_path, problem, remedy)
-            late_s = float(np.abs(times[0] - times[1]).max())
-            problem = f"its rows are up to {late_s:.3g} s away from those of the inputs"
-            close = late_s <= self.jitter_tolerance * np.ptp(times[0]) / len(u)
-            require(close, "data.output_path", output_path, problem, "log both on one clock")
-        return times[0] if times else None, u, y
-
-    def _on_clock(
-        self, time_s: Float[np.ndarray, "T"] | None, values: Float[np.ndarray, "T c"], where: str
-    ) -> tuple[Float[np.ndarray, "T2 c"], float]:
-        """The rows on a uniform clock, and its period."""
+    def _on_clock(self, path: Path, output_path: Path) -> tuple[Pieces, list[str]]:
+        """The rows on an even clock, and how the files were read, in words."""
+        time_s, values, remarks = self._read(path, output_path)
         if time_s is None:
             if self.step_s is None:
                 problem, remedy = (
@@ -166,24 +177,160 @@ class Columns:
                     "give it, or name the column data.time",
                 )
                 raise BadRequest("data.step_s", None, problem, remedy)
-            return values, self.step_s
-        mean_s = mean_period_s(time_s, np.inf if self.resample else self.jitter_tolerance, where)
-        if not self.resample:
-            agrees = self.step_s is None or abs(self.step_s - mean_s) <= AGREEMENT * mean_s
-            remedy = "correct one of them (units?), or leave step_s null"
-            require(
-                agrees,
-                "data.step_s",
-                self.step_s,
-                f"the times of {where} show {mean_s:.6g} s",
-                remedy,
+            rows = Pieces(values=[values], starts=[0], step_s=self.step_s, remarks=[])
+            pieces = without_missing(rows)
+        else:
+            pieces = on_even_clock(
+                time_s,
+                values,
+                len(self.inputs),
+                path.name,
+                step_s=self.step_s,
+                tolerance=self.jitter_tolerance,
+                resample=self.resample,
             )
-            return values, mean_s if self.step_s is None else self.step_s
-        step_s = mean_s if self.step_s is None else self.step_s
-        # Half a rounding error more than the last period, so that a whole number of periods gives
-        # all its samples.
-        clock = time_s[0] + step_s * np.arange(int((time_s[-1] - time_s[0]) / step_s + 1e-9) + 1)
-        return np.stack([np.interp(clock, time_s, column) for column in values.T], axis=1), step_s
+        require(pieces.values, path.name, 0, "no row has all its values", "name other columns")
+        period = f"step {pieces.step_s:.6g} s"
+        return pieces, [*remarks, period, *pieces.remarks]
+
+    def _read(
+        self, path: Path, output_path: Path
+    ) -> tuple[Float[np.ndarray, "T"] | None, Float[np.ndarray, "T2 c"], list[str]]:
+        """Times, inputs beside outputs, and remarks; the rows of two files must go together."""
+        sides = [
+            (path, listed(self.input), self.inputs),
+            (output_path, listed(self.output), self.measured),
+        ]
+        wanted: dict[Path, dict[str, str]] = {}
+        for file, names, channels in sides:
+            units = dict(zip(names, (c.unit for c in channels), strict=True))
+            wanted.setdefault(file, {}).update(units)
+        logs = {file: self._read_one(file, units) for file, units in wanted.items()}
+        u, y = (
+            np.stack([logs[file].table.columns[name] for name in names], axis=1)
+            for file, names, _ in sides
+        )
+        problem, remedy = f"has {len(y)} rows, {path.name} {len(u)}", "cut them alike"
+        require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
+        times = [log.time_s for log in logs.values() if log.time_s is not None]
+        if len(logs) > 1 and times:
+            self._refuse_apart(times, [log.table for log in logs.values()], output_path, len(u))
+        remarks = [remark for log in logs.values() for remark in log.remarks]
+        return times[0] if times else None, np.hstack([u, y]), remarks
+
+    def _refuse_apart(
+        self, times: list[np.ndarray], tables: list[Table], output_path: Path, rows: int
+    ) -> None:
+        """Refuse two files whose rows are not at the same times."""
+        recordings = any(table.time_s is not None for table in tables) and self.time is None
+        problem = "log times count from each recording's own start"
+        remedy = "put both signals into one recording"
+        require(not recordings, "data.output_path", output_path, problem, remedy)
+        if len(times) < 2:
+            return
+        late_s = float(np.nanmax(np.abs(times[0] - times[1])))
+        problem = f"its rows are up to {late_s:.3g} s away from those of the inputs"
+        close = late_s <= self.jitter_tolerance * np.ptp(times[0]) / rows
+        require(close, "data.output_path", output_path, problem, "log both on one clock")
+
+    def _read_one(self, file: Path, units: dict[str, str]) -> "_LogFile":
+        """The columns of one file that are wanted of it, and its clock."""
+        reader = reader_for(file, self.text_settings)
+        wanted = dict(units)
+        if self.time is not None:
+            wanted[str(self.time)] = ""
+        table = read_table(file, wanted, missing=True, reader=reader)
+        remarks = [f"{file.name}: {table.remark}"] if table.remark else []
+        refuse_equal_columns(table, list(units), file)
+        time_s = table.time_s
+        if self.time is not None:
+            time_s, words = clock_seconds(str(self.time), table)
+            remarks.append(words)
+        elif time_s is None and self.searches_clock:
+            time_s, words = self._found_clock(file, reader, table, list(units))
+            remarks += words
+        return _LogFile(table=table, time_s=time_s, remarks=remarks)
+
+    def _found_clock(
+        self, file: Path, reader: Reader, table: Table, signals: list[str]
+    ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
+        """Times of the column that is the clock by its name or place, and which one that is."""
+        try:
+            contents = reader.contents(file)
+        except BadRequest:
+            return None, []  # a format that lists no columns
+        length = len(table.columns[signals[0]])
+        taken = [
+            title
+            for title, values in contents.columns.items()
+            if any(np.array_equal(values, table.columns[name], equal_nan=True) for name in signals)
+        ]
+        refuse_clock_as_signal(contents, taken, file)
+        title = find_clock(contents, taken)
+        if title is None or len(contents.columns[title]) != length:
+            return None, counter_remark(contents, self.step_s)
+        time_s, words = clock_seconds(title, contents)
+        return time_s, [words]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LogFile:
+    """The wanted columns of one file, its clock in seconds, and how it was read."""
+
+    table: Table
+    time_s: Float[np.ndarray, "T"] | None
+    remarks: list[str]
+
+
+def counter_remark(contents: Table, step_s: float | None) -> list[str]:
+    """A sentence on a first column that counts rows; refuses to take it for a clock."""
+    title, times = next(iter(contents.columns.items()))
+    nameless = title == "" or contents.nameless or title.startswith("Unnamed")
+    if not nameless or len(contents.columns) < 2 or not np.isfinite(times).all():
+        return []
+    if len(times) < 3 or not counts_rows(times):
+        return []
+    remedy = "give it in seconds (data.time=0 if a row lasts one second)"
+    problem = "the first column counts the rows, and how long a row lasts is unknown"
+    require(step_s is not None, "data.step_s", None, problem, remedy)
+    return ["the first column counts rows"]
+
+
+def pieces_end(pieces: Pieces) -> int:
+    """Samples of the log up to the end of its last piece."""
+    return pieces.starts[-1] + len(pieces.values[-1])
+
+
+def with_look(error: BadRequest, path: Path) -> BadRequest:
+    """The refusal, ending with the command that shows what is in the file."""
+    remedy = error.remedy.rstrip(".")
+    if "look" in remedy or not path.is_file():
+        return error
+    return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
+
+
+def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
+    """Refuse two signals that are one column, by two of its names, or hold the same numbers."""
+    for k, name in enumerate(signals):
+        for other in signals[:k]:
+            equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
+            problem = f"holds the numbers of column {other}"
+            remedy = "name another column for one of them"
+            moves = float(np.nanstd(table.columns[name])) > 0
+            require(not (equal and moves), f"{file.name}, column {name}", name, problem, remedy)
+
+
+def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:
+    """Refuse a signal that is the clock: by its name, or nameless, first and even."""
+    first = next(iter(contents.columns))
+    for title in taken:
+        steps = np.diff(contents.columns[title])
+        forwards = bool((steps > 0).all()) and len(steps) > 2
+        nameless = title == first and (contents.nameless or title == "")
+        even = forwards and float(np.ptp(steps)) <= 1e-6 * float(steps.mean())
+        is_clock = (forwards and is_clock_name(title)) or (nameless and even)
+        problem = "is the clock: it increases from row to row"
+        require(not is_clock, f"{file.name} (column)", title, problem, "name a signal")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,27 +345,13 @@ class Recording(Columns):
         super().__post_init__()
         at_least(0, "data.first", self.first, "count samples from 0")
 
+    @property
+    def searches_clock(self) -> bool:
+        return self.step_s is None
+
     def read(self) -> Trajectory:
         """The experiment in physical units; refuses as `read_from`."""
         return self.read_from(Path(self.path), first=self.first, last=self.last)
-
-
-def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
-    """Of times that increase and lie within `tolerance` periods of where their mean clock puts
-    them; refuses others."""
-    at_least(2, f"{where} (time)", len(time_s), "use a longer record")
-    k = int(np.argmax(np.diff(time_s) <= 0)) + 1
-    problem = f"sample {k} is not later than the one before"
-    require(time_s[k] > time_s[k - 1], f"{where} (time)", time_s[k], problem, "sort the record")
-    mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
-    late = np.abs(time_s - time_s[0] - mean_s * np.arange(len(time_s))) / mean_s
-    worst = int(np.argmax(late))
-    problem = f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, and {tolerance:g} is tolerated"
-    remedy = (
-        "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance"
-    )
-    require(late[worst] <= tolerance, f"{where} (time)", time_s[worst], problem, remedy)
-    return mean_s
 
 
 def decimated(
@@ -227,9 +360,8 @@ def decimated(
     """Every n-th output, and the mean input of the samples from there to the next: what a hold
     would have applied."""
     periods = len(u) // every
-    return u[: periods * every].reshape(periods, every, -1).mean(axis=1), y[
-        : periods * every : every
-    ]
+    blocks = u[: periods * every].reshape(periods, every, -1)
+    return blocks.mean(axis=1), y[: periods * every : every]
 
 
 def plain_name(column: str) -> str:
@@ -256,7 +388,8 @@ def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Chann
     A number says which side it is of, `input_0`; so does every name of files apart, where two may
     be equal.
     """
-    columns, stated = listed(names), listed(units)
+    columns = listed(names)
+    stated = listed(units)
     stated = ("",) * len(columns) if stated == ("",) else stated
     problem, remedy = f"there are {len(columns)} columns", "give one unit per column"
     require(len(stated) == len(columns), f"data.{side}_unit", units, problem, remedy)

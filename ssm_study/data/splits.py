@@ -1,7 +1,8 @@
 """Which part of a log trains, validates and tests: by time, named intervals, interleaved blocks, or
 folds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,34 @@ BLOCKS = 10  # interleaved: of every five blocks three train, one validates, one
 SHORTEST_REST = 8  # samples
 FEWEST = 50  # samples a block needs beyond the start-up window
 UNLIKE = 1.0  # training deviations by which the output's mean at the end may differ; its deviation: a factor of two
+
+
+def over_pieces(
+    pieces: Sequence[Trajectory], split: Callable[[Trajectory], Pieces], shortest: int
+) -> Pieces:
+    """Cut a log that has holes as one without would be cut, its samples counted over the holes.
+
+    Parts of a piece that are shorter than `shortest` samples are left out.
+    """
+    if len(pieces) == 1:
+        return split(pieces[0])
+    whole = replace(
+        pieces[0],
+        u=np.concatenate([piece.u for piece in pieces]),
+        y=np.concatenate([piece.y for piece in pieces]),
+        first=0,
+    )
+    ends = np.cumsum([len(piece) for piece in pieces])
+    starts = ends - [len(piece) for piece in pieces]
+    parts: Pieces = ([], [], [])
+    for part, records in zip(parts, split(whole), strict=True):
+        for record in records:
+            for piece, start in zip(pieces, starts, strict=True):
+                a = max(record.first - int(start), 0)
+                b = min(record.first + len(record) - int(start), len(piece))
+                if b - a >= shortest:
+                    part.append(piece[a:b])
+    return parts
 
 
 def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
@@ -125,7 +154,10 @@ def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
 
 def end_is_unlike(parts: Pieces) -> bool:
     """Whether the output of the last piece has another mean or deviation than the training's."""
-    trained, tested = parts[0][0].y, parts[2][0].y
+    if not parts[0] or not parts[2]:
+        return True
+    trained = np.concatenate([record.y for record in parts[0]])
+    tested = np.concatenate([record.y for record in parts[2]])
     spread, other = trained.std(axis=0) + np.finfo(float).tiny, tested.std(axis=0)
     moved = np.abs(tested.mean(axis=0) - trained.mean(axis=0)) > UNLIKE * spread
     return bool((moved | (other > 2 * spread) | (other < spread / 2)).any())

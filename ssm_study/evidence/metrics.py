@@ -68,6 +68,8 @@ def judge(
     found += own_motion.findings(case) + fit.whiteness(case)
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
+    if data.metadata.get("reading"):
+        found.append(note(f"The log was read so: {data.metadata['reading']}."))
     return Judgement(findings=tuple(found))
 
 

@@ -14,7 +14,7 @@ from scipy import signal
 from scipy.io import loadmat, savemat
 
 from ssm_study.data.metrics import benchmark_rmse, position_rmse_mm
-from ssm_study.data.readers.csv import CsvReader
+from ssm_study.data.readers.text import TextReader as CsvReader
 from ssm_study.data.recording import Recording
 from ssm_study.evidence.feedback import EARLIER, PRESENT, fed_back
 from ssm_study.refusal import BadRequest

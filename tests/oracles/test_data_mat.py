@@ -73,12 +73,37 @@ def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
         tmp_path / "a.mat",
         {"s": {"f": 1.0}, "c": np.array(["ab", 1.0], dtype=object), "t": "text", "z": 1j},
     )
-    assert parse(tmp_path / "a.mat") == {
-        "s": "a struct",
-        "c": "a cell array",
+    values = parse(tmp_path / "a.mat")
+    assert {name: value for name, value in values.items() if isinstance(value, str)} == {
+        "c{1}": "text",
         "t": "text",
         "z": "complex",
     }
+    assert (values["s.f"], values["c{2}"]) == (1.0, 1.0)
+
+
+def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> None:
+    """Old objects (iddata) by their fields; a string, table or timeseries of a new class is an
+    element without shape, written here by hand."""
+    u = np.arange(30.0)
+    fields = np.array([(u[:, None], 0.1)], dtype=[("InputData", "O"), ("Ts", "O")])
+    iddata = scipy.io.matlab.MatlabObject(fields, "iddata")
+    savemat(tmp_path / "a.mat", {"z": iddata, "u": u, "m": np.ones((30, 2))})
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    flags = element(6, struct.pack("<II", 17, 0))
+    opaque = flags + element(1, b"tt") + element(1, b"MCOS") + element(1, b"timeseries")
+    with (tmp_path / "a.mat").open("ab") as stream:
+        stream.write(element(14, opaque))
+    table = MatReader().read(tmp_path / "a.mat", ["z.InputData", "u", "m:2"])
+    np.testing.assert_array_equal(table.columns["z.InputData"], u)
+    with pytest.raises(BadRequest, match=r"\(variable\) = tt: is an object"):
+        MatReader().read(tmp_path / "a.mat", ["tt"])
+    contents = MatReader().contents(tmp_path / "a.mat")
+    assert list(contents.columns) == ["z.InputData", "u", "m:1", "m:2"]
+    assert set(contents.skipped) == {"tt", "z.Ts"}
 
 
 @pytest.mark.data

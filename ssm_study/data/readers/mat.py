@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from ssm_study.data.readers.reader import Reader, Table, check_named
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import BadRequest
 
 COMPRESSED, MATRIX = 15, 14
 STORAGE = {
@@ -36,6 +36,7 @@ CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sp
            17: "an object"}  # fmt: skip
 FIRST_NUMERIC_CLASS, LAST_NUMERIC_CLASS, COMPLEX = 6, 15, 0x0800
 V4_KINDS = {"U": CLASSES[4], "c": "complex"}  # of NumPy
+CELL, STRUCT, OBJECT, OPAQUE = 1, 2, 3, 17
 MOST_BYTES = 1 << 27  # of all decompressed variables
 
 Value = np.ndarray | str  # a string says what it is instead of a real matrix
@@ -47,29 +48,67 @@ def _must(condition: bool, otherwise: str) -> None:
 
 
 class MatReader(Reader, names=(".mat",)):
-    """Variables of shape (T, 1) or (1, T); refuses a file that is not whole."""
+    """Vectors by name, columns of matrices as `data:1`, fields of structs as `log.u`.
+
+    Where the file has one matrix and nothing else, its columns also go by their numbers from 0. An
+    object that is no real numbers is named in the refusal, and never makes the others unreadable;
+    refuses a file that is not whole.
+    """
 
     def read(self, path: Path, names: list[str]) -> Table:
-        try:
-            contents = parse(path)
-        except (
-            Exception
-        ) as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
-            said = repr(error) if isinstance(error, LookupError) else error
-            problem = f"not a complete MAT file: {said}"
-            raise BadRequest("data.path", path, problem, "save it again with -v7") from error
-        columns, where = {}, f"{path.name} (variable)"
-        check_named(where, names, sorted(contents))
+        columns, skipped = numbers_of(path)
+        where = f"{path.name} (variable)"
+        places = list(columns)
+        chosen = {}
         for name in names:
-            value = contents[name]
-            if isinstance(value, str):
-                raise BadRequest(
-                    where, name, f"is {value}, not real numbers", "save it as a vector"
-                )
-            vector = value.size == max(value.shape, default=0)
-            require(vector, where, name, f"has shape {value.shape}, no vector", "cut a column out")
+            counted = name.isdigit() and name not in columns and one_matrix(columns)
+            title = places[int(name)] if counted and int(name) < len(places) else name
+            if title in skipped:
+                remedy = "save it as a vector"
+                raise BadRequest(where, name, f"{skipped[title]}, no vector of numbers", remedy)
+            own = [place for place in places if place.startswith(f"{title}:")]
+            if title not in columns and own:
+                problem = f"is a matrix of {len(own)} columns"
+                raise BadRequest(where, name, problem, f"name one as {own[0]} or {own[-1]}")
+            check_named(where, [title], sorted(places))
+            chosen[name] = columns[title]
+        return Table(columns=chosen)
+
+    def contents(self, path: Path) -> Table:
+        columns, skipped = numbers_of(path)
+        length = max(map(len, columns.values()), default=0)
+        for name in [name for name, values in columns.items() if len(values) != length]:
+            skipped[name] = f"has {len(columns.pop(name))} samples, others {length}"
+        return Table(columns=columns, skipped=skipped)
+
+
+def one_matrix(columns: dict[str, np.ndarray]) -> bool:
+    """Whether all columns are of one matrix."""
+    return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
+
+
+def numbers_of(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Vectors by name, matrices by columns, and why other objects were skipped."""
+    try:
+        contents = parse(path)
+    except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
+        reason = repr(error) if isinstance(error, LookupError) else error
+        problem = f"not a complete MAT file: {reason}"
+        raise BadRequest("data.path", path, problem, "save it again with -v7") from error
+    columns: dict[str, np.ndarray] = {}
+    skipped: dict[str, str] = {}
+    for name, value in contents.items():
+        if isinstance(value, str):
+            skipped[name] = f"is {value}, not real numbers"
+        elif value.ndim > 2 or value.size == 0:
+            skipped[name] = f"has shape {value.shape}"
+        elif min(value.shape, default=1) <= 1:
             columns[name] = value.astype(np.float64).reshape(-1)
-        return Table(columns=columns)
+        else:
+            tall = value if value.shape[0] >= value.shape[1] else value.T
+            for j, column in enumerate(tall.T, start=1):
+                columns[f"{name}:{j}"] = np.ascontiguousarray(column, dtype=np.float64)
+    return columns, skipped
 
 
 def parse(path: Path) -> dict[str, Value]:
@@ -97,7 +136,9 @@ def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
             )
             parts = _elements(unpacked, order)
             _must(stream.eof, "a compressed variable is cut short")
-        yield from (_matrix(matrix, order) for inner, matrix in parts if inner == MATRIX)
+        for inner, matrix in parts:
+            if inner == MATRIX:
+                yield from _named_values(matrix, order)
 
 
 def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
@@ -117,22 +158,68 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         at += step
 
 
-def _matrix(data: bytes, order: str) -> tuple[str, Value]:
+def _named_values(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
+    """A variable by its name, fields of structs and cells of cell arrays by theirs.
+
+    What kind of object it is is looked at before its shape: objects of new classes have neither
+    shape nor name where matrices have them.
+    """
     parts = list(_elements(data, order))
+    if not parts:
+        return  # an empty field
+    kind = struct.unpack_from(order + "I", parts[0][1])[0] & 0xFF
+    if kind == OPAQUE:
+        name = parts[1][1].decode("ascii", errors="replace") if len(parts) > 1 else ""
+        yield owner or name, CLASSES[OPAQUE]
+        return
     _must(len(parts) >= 3, "a variable has no name")
+    name = owner or parts[2][1].decode("ascii")
+    if kind in (STRUCT, OBJECT):
+        yield from _fields(parts, kind, name, order)
+    elif kind == CELL:
+        matrices = [matrix for inner, matrix in parts[3:] if inner == MATRIX]
+        for k, matrix in enumerate(matrices, start=1):
+            own = name if len(matrices) == 1 else f"{name}{{{k}}}"
+            yield from _named_values(matrix, order, own)
+        if not matrices:
+            yield name, CLASSES[CELL]
+    else:
+        yield name, _matrix(parts, order, name)
+
+
+def _fields(
+    parts: list[tuple[int, bytes]], kind: int, owner: str, order: str
+) -> Iterator[tuple[str, Value]]:
+    """The fields of a struct, or of an object of an old class, as `owner.field`."""
+    shape = np.frombuffer(parts[1][1], order + "i4")
+    at = 4 if kind == OBJECT else 3  # an object says its class before its fields
+    if shape.prod() != 1 or len(parts) < at + 2:
+        yield owner, CLASSES[kind]
+        return
+    length = int(struct.unpack_from(order + "i", parts[at][1])[0])
+    _must(0 < length <= 4096, "a struct has no names of fields")
+    names = parts[at + 1][1]
+    fields = [names[k : k + length].split(b"\0")[0] for k in range(0, len(names), length)]
+    matrices = [matrix for inner, matrix in parts[at + 2 :] if inner == MATRIX]
+    _must(len(fields) == len(matrices), "a struct has other fields than names")
+    for field, matrix in zip(fields, matrices, strict=True):
+        label = field.decode("ascii")
+        yield from _named_values(matrix, order, f"{owner}.{label}" if owner else label)
+
+
+def _matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     shape = tuple(int(n) for n in np.frombuffer(parts[1][1], order + "i4"))
-    name = parts[2][1].decode("ascii")
     kind = flags & 0xFF
     if not FIRST_NUMERIC_CLASS <= kind <= LAST_NUMERIC_CLASS:
-        return name, CLASSES.get(kind, f"of class {kind}")
+        return CLASSES.get(kind, f"of class {kind}")
     if flags & COMPLEX:
-        return name, "complex"
+        return "complex"
     _must(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
     numbers = np.frombuffer(parts[3][1], order + STORAGE[parts[3][0]])
     fills = min(shape, default=-1) >= 0 and math.prod(shape) == len(numbers)
     _must(fills, f"{len(numbers)} numbers do not fill a matrix of shape {shape}")
-    return name, numbers.reshape(shape, order="F")
+    return numbers.reshape(shape, order="F")
 
 
 def _version_4(path: Path) -> Iterator[tuple[str, Value]]:

@@ -51,3 +51,24 @@ class McapReader(Reader, names=(".mcap",)):
                 "log both in one topic, or resample them",
             )
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
+
+    def contents(self, path: Path) -> Table:
+        """The fields of every topic that is logged at the times of the first."""
+        groups, _ = read_mcap(path)
+        first = groups[0].time_s
+        columns, units, skipped = {}, {}, {}
+        for group in groups:
+            for index, channel in enumerate(group.channels):
+                name = f"{group.topic}.{channel.name}"
+                if np.array_equal(group.time_s, first):
+                    columns[name] = np.ascontiguousarray(group.values[:, index])
+                    units[name] = channel.unit
+                else:
+                    skipped[name] = f"logged at other times than {groups[0].topic}"
+        return Table(
+            columns=columns,
+            units=units,
+            time_s=first - first[0],
+            row_word="message",
+            skipped=skipped,
+        )

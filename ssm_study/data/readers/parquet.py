@@ -1,5 +1,6 @@
 """Parquet: number columns by name; a field's metadata may state its unit under the key `unit`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -21,11 +22,7 @@ class ParquetReader(Reader, names=(".parquet",)):
             schema = parquet.read_schema(path)
             check_named(where, names, schema.names)
             for kind, name in ((schema.field(name).type, name) for name in names):
-                numeric = (
-                    pa.types.is_floating(kind)
-                    or pa.types.is_integer(kind)
-                    or pa.types.is_timestamp(kind)
-                )
+                numeric = is_numeric(kind)
                 require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
             rows, most = parquet.read_metadata(path).num_rows, MOST_BYTES // 8 // len(names)
             require(
@@ -47,4 +44,25 @@ class ParquetReader(Reader, names=(".parquet",)):
             name: (schema.field(name).metadata or {}).get(b"unit", b"").decode(errors="replace")
             for name in names
         }
-        return Table(columns=columns, units=units, row_word="row")
+        dated = {name for name in names if pa.types.is_timestamp(schema.field(name).type)}
+        return Table(columns=columns, units=units, row_word="row", dated=frozenset(dated))
+
+    def contents(self, path: Path) -> Table:
+        """Every column of numbers or times; the others are skipped by name."""
+        try:
+            schema = parquet.read_schema(path)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            problem = f"not a complete Parquet file ({error})"
+            raise BadRequest("data.path", path, problem, "write it again") from error
+        numeric = [name for name in schema.names if is_numeric(schema.field(name).type)]
+        skipped = {
+            name: f"holds {schema.field(name).type}" for name in schema.names if name not in numeric
+        }
+        table = self.read(path, numeric) if numeric else Table(columns={})
+        return replace(table, skipped=skipped)
+
+
+def is_numeric(kind: pa.DataType) -> bool:
+    """Whether a column's values are numbers or times."""
+    tests = (pa.types.is_floating, pa.types.is_integer, pa.types.is_timestamp)
+    return any(test(kind) for test in tests)

@@ -1,6 +1,7 @@
-"""What a file format, told by its suffix, answers: its columns of numbers, and how to point at one
-of its rows."""
+"""File formats: each answers with its columns of numbers, and how to point at one of its rows."""
 
+import re
+import unicodedata
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,89 +12,130 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data import readers
+from ssm_study.data.text_layout import TextSettings
 from ssm_study.family import Family
 from ssm_study.refusal import BadRequest, require
 
-LARGEST = 1e30  # of a recorded value, and the inverse of the least span: sums of squares stay finite and above 0
+# Limit of a recorded value, and the inverse of the least span: sums of squares stay finite.
+LARGEST = 1e30
 INTERPOLATE = "interpolate it (a row taken out would shift the time of all that follow)"
+FOREIGN = {
+    ".bag": "export the topics as MCAP or CSV",
+    ".db3": "convert it: ros2 bag convert, storage mcap; or export CSV",
+    ".h5": "export the columns as Parquet or CSV",
+    ".hdf5": "export the columns as Parquet or CSV",
+    ".tdms": "export the channels as CSV",
+    ".mf4": "export the channels as CSV",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """`columns[name] (T,)`; `units[name]` where the file states one; row k is `row_word` number
-    `first_row + k`.
+    """Columns of one length; row k is `row_word` number `first_row + k`, or `row_numbers[k]`.
 
-    `time_s` are the times the file itself gives its samples (MCAP), None elsewhere.
+    `columns[name] (T,)`, NaN where a value is missing; `units[name]` where the file states one.
+    `time_s` are the times the file itself gives its samples (MCAP). `remark` is how the file was
+    read; `skipped` says why a column was not, `dated` holds dates and times, `nameless` means that
+    columns go by their numbers.
     """
 
     columns: dict[str, Float[np.ndarray, "_"]]
     units: dict[str, str] = field(default_factory=dict)
     row_word: str = "sample"
     first_row: int = 0
+    row_numbers: Sequence[int] | None = None
     time_s: Float[np.ndarray, "T"] | None = None
+    remark: str = ""
+    skipped: dict[str, str] = field(default_factory=dict)
+    dated: frozenset[str] = frozenset()
+    nameless: bool = False
+
+    def row_name(self, row: int) -> str:
+        """What the file calls row `row`, counted from 0."""
+        number = row + self.first_row if self.row_numbers is None else self.row_numbers[row]
+        return f"{self.row_word} {number}"
 
 
 class Reader(Family):
     """One file format; `names` are its suffixes."""
+
+    settings: TextSettings = TextSettings()
 
     @abstractmethod
     def read(self, path: Path, names: list[str]) -> Table:
         """The named columns. Raises `BadRequest` for a file that is not whole, a missing or
         ambiguous column."""
 
+    def contents(self, path: Path) -> Table:
+        """Every column that can be read, in the order of the file; refuses a file that is not
+        whole."""
+        problem = f"the reader of {path.suffix} files lists no columns"
+        raise BadRequest("data.path", path, problem, "name the columns")
 
-def read_table(path: Path, wanted: dict[str, str]) -> Table:
-    """The wanted columns, finite and of one length; each with the unit it is declared in, or "".
 
-    Raises `BadRequest` for a suffix that is not `.csv`, `.mat`, `.parquet` or `.mcap`, a missing or
-    malformed file, a
-    missing column, values that are no finite numbers, unequal lengths, or a unit that the file
-    contradicts.
+def reader_for(path: Path, settings: TextSettings | None = None) -> Reader:
+    """The reader of a file, by its suffix; a suffix that no format has is tried as text.
+
+    Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
     require(path.is_file(), "data.path", path, "no such file", "check the spelling")
-    formats, kind = Reader.members(readers), path.suffix.lower()
-    problem = f"the suffix is none of {', '.join(sorted(formats))}"
-    require(kind in formats, "data.path", path, problem, "convert the file")
-    table = formats[kind]().read(path, list(wanted))
+    formats, suffix = Reader.members(readers), path.suffix.lower()
+    if suffix in FOREIGN:
+        problem = f"files of the kind {suffix} are not read"
+        raise BadRequest("data.path", path, problem, FOREIGN[suffix])
+    reader: Reader = formats[suffix if suffix in formats else ""]()
+    reader.settings = settings or TextSettings()
+    return reader
+
+
+def read_table(
+    path: Path,
+    wanted: dict[str, str],
+    settings: TextSettings | None = None,
+    missing: bool = False,
+    reader: "Reader | None" = None,
+) -> Table:
+    """The wanted columns, of one length; each with the unit it is declared in, or "".
+
+    `missing` allows NaN, where the file has no value. Raises `BadRequest` for a missing or
+    malformed file, a missing column, values that are no finite numbers, unequal lengths, or a unit
+    that the file contradicts.
+    """
+    chosen = reader_for(path, settings) if reader is None else reader
+    table = chosen.read(path, list(wanted))
     lengths = {name: len(table.columns[name]) for name in wanted}
-    same = len(set(lengths.values())) == 1
+    same = len(set(lengths.values())) <= 1
     require(same, f"{path.name} (lengths)", lengths, "columns differ in length", "cut them alike")
     for name, unit in wanted.items():
-        values = table.columns[name]
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            where = f"{path.name}, column {name}, {table.row_word} {bad[0] + table.first_row}"
-            raise BadRequest(where, values[bad[0]], "not a finite number", INTERPOLATE)
-        largest, span = (
-            float(np.abs(values).max(initial=0.0)),
-            float(np.ptp(values)) if len(values) else 0.0,
-        )
-        fits = largest < LARGEST and (span == 0 or span > 1 / LARGEST)
-        problem = (
-            f"floats hold no squares beyond {LARGEST:g}, or of differences below {1 / LARGEST:g}"
-        )
-        require(
-            fits,
-            f"{path.name}, column {name} (largest)",
-            largest,
-            problem,
-            "convert it to another unit",
-        )
-        stated, problem = table.units.get(name, ""), f"{path.name} states {table.units.get(name)}"
-        require(
-            unit in ("", stated) or not stated,
-            f"unit of {name}",
-            unit,
-            problem,
-            "declare the unit the file is in",
-        )
+        refuse_values(path, name, table, missing)
+        stated = table.units.get(name, "")
+        problem = f"{path.name} states {stated}"
+        agrees = unit in ("", stated) or not stated
+        require(agrees, f"unit of {name}", unit, problem, "declare the unit the file is in")
     return table
 
 
-def has_columns(path: Path, names: Sequence[str]) -> bool:
+def refuse_values(path: Path, name: str, table: Table, missing: bool) -> None:
+    """Refuse what is not finite, or so large or so close together that squares are lost."""
+    values = table.columns[name]
+    is_bad = np.isinf(values) if missing else ~np.isfinite(values)
+    bad = np.flatnonzero(is_bad)
+    if len(bad):
+        where = f"{path.name}, column {name}, {table.row_name(int(bad[0]))}"
+        raise BadRequest(where, values[bad[0]], "not a finite number", INTERPOLATE)
+    known = values[np.isfinite(values)]
+    largest = float(np.abs(known).max(initial=0.0))
+    span = float(np.ptp(known)) if len(known) else 0.0
+    fits = largest < LARGEST and (span == 0 or span > 1 / LARGEST)
+    problem = f"floats hold no squares beyond {LARGEST:g}, or of differences below {1 / LARGEST:g}"
+    where = f"{path.name}, column {name} (largest)"
+    require(fits, where, largest, problem, "convert it to another unit")
+
+
+def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None = None) -> bool:
     """Whether the file can be read and has these."""
     try:
-        return bool(read_table(path, dict.fromkeys(names, "")))
+        return bool(read_table(path, dict.fromkeys(names, ""), settings, missing=True))
     except BadRequest:
         return False
 
@@ -107,30 +149,72 @@ def check_named(
 ) -> None:
     """Refuse a name that is not known, or known more than once; `whole` holds the known ones."""
     for name in names:
-        shown, found = [one for one in known if one], list(known).count(name)
-        listing = ", ".join(shown[:12]) + (" ..." if len(shown) > 12 else "")
-        require(found > 0, where, name, f"the {whole} has {listing}", remedy)
-        require(found == 1, where, name, f"the {whole} has it {found} times", "rename the others")
+        count = list(known).count(name)
+        named = [title for title in known if title]
+        listing = ", ".join(named[:12]) + (" ..." if len(named) > 12 else "")
+        require(count > 0, where, name, f"the {whole} has {listing}", remedy)
+        require(count == 1, where, name, f"the {whole} has it {count} times", "rename the others")
+
+
+def title_without_unit(title: str) -> str:
+    """A title without its unit in brackets: `speed [rad/s]`, `speed (rad/s)` -> `speed`."""
+    return re.sub(r"\s*(\[[^\]]*\]|\([^()]*\))\s*$", "", title).strip()
+
+
+def folded(title: str) -> str:
+    """A title by its letters and digits alone, in lower case: both micro signs are `μ`."""
+    return re.sub(r"[\W_]+", "", unicodedata.normalize("NFKC", title)).lower()
+
+
+def place_of(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
+    """Which column a name means: as written, without its unit, by letters alone, or by number.
+
+    A number counts the columns from 0. Where it is a title too, and of another column, the request
+    is refused with both readings; `header` true says that it is the title.
+    """
+    where = f"{path.name} (column)"
+    plain = [title_without_unit(title) for title in titles]
+    ways = (list(titles), plain, [folded(t) for t in titles], [folded(t) for t in plain])
+    wanted = (name, name, folded(name), folded(name))
+    number = int(name) if name.isascii() and name.isdigit() else None
+    numbered = number is not None and number < len(titles)
+    for word, known in zip(wanted, ways, strict=True):
+        if not word or word not in known:
+            continue
+        check_named(where, [word], known, "header")
+        place = known.index(word)
+        counted = numbered and place != number and header is None
+        if counted:
+            problem = (
+                f"is the name of column {place} counted from 0, and the number of another, "
+                f"{titles[number or 0]!r}"
+            )
+            remedy = "say which: data.header=true reads names, data.header=false numbers from 0"
+            raise BadRequest(where, name, problem, remedy)
+        return place
+    if numbered and number is not None:
+        return number
+    if all(title == str(j) for j, title in enumerate(titles)):
+        remedy = "count the columns from 0, or write names into the first line"
+        check_named(where, [name], titles, "file without names", remedy)
+    check_named(where, [name], titles, "header")
+    raise AssertionError  # check_named has refused it
 
 
 def arrow_numbers(
     path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int
 ) -> dict[str, Any]:
-    """Columns of an Arrow table as float64, by name; `names` has what the file calls them. Refuses
-    an empty cell.
+    """Columns of an Arrow table as float64, by name; `names` has what the file calls them.
 
-    Dates and times become seconds since the first.
+    Dates and times become seconds since the first; a missing value is NaN.
     """
+    del path, row_word, first_row  # of readers of other packages
     columns = {}
     for name, stored in names.items():
         column = table.column(stored)
-        if column.null_count:
-            row = first_row + int(np.flatnonzero(column.is_null().to_numpy())[0])
-            raise BadRequest(
-                f"{path.name}, column {name}, {row_word} {row}", "(empty)", "no number", INTERPOLATE
-            )
         values = column.to_numpy()
         if values.dtype.kind == "M":
-            values = (values - values[:1]) / np.timedelta64(1, "s")
+            known = values[~np.isnat(values)]
+            values = (values - known[:1]) / np.timedelta64(1, "s")
         columns[name] = np.ascontiguousarray(values, dtype=np.float64)
     return columns

@@ -1,0 +1,119 @@
+"""Dates and times of common forms, as seconds since the first."""
+
+import re
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+DATE = (
+    r"(?P<a>\d{1,4})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{1,4})"
+    r"(?:[T ]+(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,]\d+)?))?)?"
+    r"\s*(?P<half>[AaPp][Mm])?\s*(?P<zone>Z|UTC|[-+]\d\d:?\d\d)?"
+)
+TIME_OF_DAY = r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,]\d+)?)"
+DAY_S = 86400.0
+ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
+
+
+class AmbiguousDates(ValueError):
+    """Days and months could be told apart in two ways, and the two give different clocks."""
+
+
+def is_date(cell: str) -> bool:
+    """Whether a cell is a date, with or without a time, or a time of day."""
+    return bool(re.fullmatch(DATE, cell) or re.fullmatch(TIME_OF_DAY, cell))
+
+
+def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
+    """Seconds since the first of the cells that is a date; NaN where a cell is none.
+
+    `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
+    `AmbiguousDates` where both do and differ.
+    """
+    series = pd.Series(cells, dtype=str)
+    of_day = series.str.extract(f"^{TIME_OF_DAY}$")
+    if of_day["hour"].notna().sum() > len(cells) / 2:
+        seconds = unwrap_midnight(clock_seconds(of_day))
+    else:
+        dotted = bool(series.str.match(r"\d{1,2}\.\d{1,2}\.").any())  # the day always stands first
+        seconds = date_seconds(series.str.extract(f"^{DATE}$"), dotted)
+    known = seconds[np.isfinite(seconds)]
+    return seconds - known[0] if len(known) else seconds
+
+
+def clock_seconds(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
+    """Seconds of the day."""
+    hours = parts["hour"].fillna("0").astype(float)
+    minutes = parts["minute"].fillna("0").astype(float)
+    seconds = parts["second"].fillna("0").str.replace(",", ".").astype(float)
+    if "half" in parts:
+        half = parts["half"].str.lower()
+        hours = hours.where(half.isna(), hours % 12) + 12.0 * (half == "pm")
+    total = 3600.0 * hours + 60.0 * minutes + seconds
+    missing = parts["hour"].isna() if "a" not in parts else parts["a"].isna()
+    return total.where(~missing).to_numpy(dtype=np.float64)
+
+
+def unwrap_midnight(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    """Times of day that go on over midnight."""
+    steps = np.diff(np.nan_to_num(seconds, nan=0.0), prepend=seconds[:1])
+    days = np.cumsum(steps < -DAY_S / 2)
+    return seconds + DAY_S * days
+
+
+def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
+    """Seconds since 1970 in the order of day, month and year that fits all cells."""
+    within = clock_seconds(parts)
+    shift = parts["zone"].map(zone_seconds, na_action="ignore").fillna(0.0).to_numpy(dtype=float)
+    readings = []
+    for order in ORDERS.values():
+        if dotted and order == "cab":
+            continue
+        year, month, day = (pd.to_numeric(parts[letter]) for letter in order)
+        year = year.where(year > 99, year + 2000)
+        fits = year.dropna().between(1900, 2200).all() and month.dropna().between(1, 12).all()
+        if not (fits and day.dropna().between(1, 31).all()):
+            continue
+        dates = pd.to_datetime(
+            pd.DataFrame({"year": year, "month": month, "day": day}), errors="coerce"
+        )
+        if (dates.isna() & parts["a"].notna()).any():
+            continue
+        days = (dates - pd.Timestamp(0)) / pd.Timedelta(days=1)
+        readings.append(DAY_S * days.to_numpy(dtype=float) + within - shift)
+    return the_reading_that_increases(readings, len(parts))
+
+
+def zone_seconds(zone: str) -> float:
+    """Offset of a time zone as `+02:00`, seconds."""
+    if zone in ("Z", "UTC"):
+        return 0.0
+    digits = zone[1:].replace(":", "")
+    offset = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
+    return -offset if zone[0] == "-" else offset
+
+
+def the_reading_that_increases(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
+    """Of several readings of the same dates the one in which time runs forwards, and evenly."""
+    if not readings:
+        return np.full(samples, np.nan)
+    forwards = [one for one in readings if (known_steps(one) >= 0).all()]
+    chosen = forwards or readings
+    if len(chosen) > 1 and any(is_even(one) for one in chosen):
+        chosen = [one for one in chosen if is_even(one)]
+    first = known_steps(chosen[0])
+    if any(not np.allclose(first, known_steps(other)) for other in chosen[1:]):
+        raise AmbiguousDates
+    return chosen[0]
+
+
+def known_steps(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T2"]:
+    """Time from one date to the next, the missing ones left out."""
+    return np.diff(seconds[np.isfinite(seconds)])
+
+
+def is_even(seconds: Float[np.ndarray, "T"]) -> bool:
+    """Whether no step is longer than one and a half of the median step."""
+    steps = known_steps(seconds)
+    return bool(len(steps)) and bool(steps.max() <= 1.5 * np.median(steps))

@@ -1,0 +1,31 @@
+"""Spreadsheets, read by pandas where one of its engines is installed: the first sheet, as text."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from ssm_study.data.readers.reader import Reader, Table
+from ssm_study.data.readers.text import TextReader
+from ssm_study.refusal import BadRequest
+
+
+class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
+    """The first sheet, taken apart as a text with tabs is: names, units, dates, missing values."""
+
+    def read(self, path: Path, names: list[str]) -> Table:
+        return self._as_text(path).read(path, names)
+
+    def contents(self, path: Path) -> Table:
+        return self._as_text(path).contents(path)
+
+    def _as_text(self, path: Path) -> TextReader:
+        try:
+            sheet = pd.read_excel(path, sheet_name=0, header=None, dtype=object)
+        except ImportError as error:
+            remedy = "save the sheet as CSV, or pip install openpyxl"
+            raise BadRequest("data.path", path, "no reader of spreadsheets", remedy) from error
+        except Exception as error:  # whatever the engines raise on damaged files (2026-11)
+            problem = f"not a complete spreadsheet ({error})"
+            raise BadRequest("data.path", path, problem, "save the sheet as CSV") from error
+        text = sheet.to_csv(sep="\t", index=False, header=False)
+        return TextReader.of_text(path, text, self.settings)

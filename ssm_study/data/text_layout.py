@@ -1,0 +1,313 @@
+"""How a text file is laid out: encoding, separator, decimal mark, comments, names, units.
+
+All of it is found in the text itself, and any of it may be stated instead (`TextSettings`). The
+rows of numbers decide: a separator and a decimal mark fit if they cut the rows into equally many
+cells that are numbers, dates or missing. What stands above the first such row is names, units or
+prose.
+"""
+
+import codecs
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ssm_study.refusal import BadRequest, one_of, require
+
+SAMPLED_ROWS = 120
+SEPARATORS = ("\t", ";", "|", ",", " ")  # tried in this order: the first of equals is taken
+WORDS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "spaces"}
+BY_WORD = {word: mark for mark, word in WORDS.items()} | {r"\t": "\t"}
+COMMENTS = ("#", "%", "//", '"#')
+MISSING = frozenset(
+    ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "?", "nat", "-nan", "1.#qnan")
+)
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
+COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d+)?|,\d+)([eE][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
+DATE = re.compile(
+    r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ]+\d{1,2}:\d\d(:\d\d([.,]\d+)?)?\s*([AaPp][Mm])?\s*"
+    r"(Z|UTC|[-+]\d\d:?\d\d)?)?|\d{1,2}:\d\d:\d\d([.,]\d+)?"
+)
+UNIT = re.compile(r"[A-Za-zµμ°%Ωω·*/^²³\-\d. ]{1,12}|\([^()]{1,12}\)|\[[^\[\]]{1,12}\]")
+BYTE_ORDER_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextSettings:
+    """What the user states of a text file; None is found by itself.
+
+    `separator` is a mark or its name (tabs, semicolons, commas, bars, spaces); `decimal` is "." or
+    ","; `header` is whether the first row of cells holds names.
+    """
+
+    separator: str | None = None
+    decimal: str | None = None
+    header: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.separator is not None:
+            known = self.separator in SEPARATORS or self.separator in BY_WORD
+            names = ", ".join(BY_WORD)
+            require(known, "data.separator", self.separator, "unknown", f"use one of {names}")
+        if self.decimal is not None:
+            one_of((".", ","), "data.decimal", self.decimal)
+
+    @property
+    def mark(self) -> str | None:
+        """The separator as a character."""
+        return BY_WORD.get(self.separator or "", self.separator)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextLayout:
+    """A text taken apart: `rows` of text with their `line_numbers`, and what they mean.
+
+    `names` are the header's cells, None where the file has none; `units` those of a row of units.
+    """
+
+    separator: str
+    decimal: str
+    encoding: str
+    names: list[str] | None
+    units: list[str]
+    rows: list[str]
+    line_numbers: list[int]
+    columns: int
+    remarks: list[str] = field(default_factory=list)
+
+    def describe(self) -> str:
+        """What was found, in one line."""
+        decimal = ", decimal comma" if self.decimal == "," else ""
+        encoding = "" if self.encoding.startswith("utf-8") else f", encoding {self.encoding}"
+        header = "no names" if self.names is None else "a line of names"
+        marks = "one column" if self.columns == 1 else f"separated by {WORDS[self.separator]}"
+        parts = [f"{marks}{decimal}{encoding}", header, *self.remarks]
+        return ", ".join(parts)
+
+
+def decode_text(path: Path, content: bytes) -> tuple[str, str]:
+    """The text and the name of its encoding; refuses bytes that are no text."""
+    for mark, encoding in BYTE_ORDER_MARKS:
+        if content.startswith(mark):
+            try:
+                return content.decode(encoding), encoding
+            except UnicodeDecodeError as error:
+                problem, remedy = "has no readable text", "export it as UTF-8 CSV"
+                raise BadRequest("data.path", path, problem, remedy) from error
+    is_text = b"\0" not in content
+    problem = "contains NUL bytes, so it is no text"
+    require(is_text, "data.path", path, problem, "export it as CSV")
+    try:
+        return content.decode("utf-8"), "utf-8"
+    except UnicodeDecodeError:
+        # Numbers are ASCII; the code page only spells the names.
+        return content.decode("cp1252", errors="replace"), "cp1252"
+
+
+def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
+    """Take a text apart; raises `BadRequest` where no row of numbers is found."""
+    text, encoding = decode_text(path, content)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
+    is_comment = [line.lstrip().startswith(COMMENTS) for _, line in numbered]
+    body = [pair for pair, comment in zip(numbered, is_comment, strict=True) if not comment]
+    comments = [line for (_, line), comment in zip(numbered, is_comment, strict=True) if comment]
+    remedy = "export it as CSV with a line of names and rows of numbers"
+    require(body, "data.path", path, "has no header and no rows", remedy)
+    separator, decimal = find_marks([line for _, line in body], settings)
+    cells = [split_cells(line, separator) for _, line in body[:SAMPLED_ROWS]]
+    sample = [split_cells(line, separator) for line in sampled([line for _, line in body])]
+    columns = Counter(map(len, sample)).most_common(1)[0][0]
+    numeric = numeric_columns(sample, columns, decimal)
+    first = first_row_of_numbers(cells, columns, numeric, decimal)
+    remedy = f"{remedy}; data.separator and data.decimal say what stands between and in numbers"
+    if not any(numeric) or first is None:
+        raise BadRequest("data.path", path, "has no rows of numbers", remedy)
+    if first > 1 and any(is_number(cell, decimal) for cell in cells[first - 1]):
+        first -= 1  # a row of numbers with a cell that is none: it is refused where it is read
+    above = [row for row in cells[:first] if is_header(row, columns, sample)]
+    refuse_shifted_names(path, cells[:first], above, columns)
+    remarks = [f"{len(comments)} comment lines"] if comments else []
+    names, units = names_and_units(above)
+    if len(above) < first and first:
+        remarks.append(f"{first - len(above)} lines of prose above")
+    if names is None and comments and first == 0:
+        names = names_in_comment(comments, separator, columns, decimal)
+    if units:
+        remarks.append("a row of units")
+    if names is None:
+        names, skip = counting_names(cells, columns, settings.header)
+        first += skip
+        if skip:
+            remarks.append("names that count")
+    elif settings.header is False:
+        problem = "the first line is no numbers"
+        raise BadRequest("data.header", False, problem, "leave data.header out")
+    return TextLayout(
+        separator=separator,
+        decimal=decimal,
+        encoding=encoding,
+        names=names,
+        units=units,
+        rows=[line for _, line in body[first:]],
+        line_numbers=[number for number, _ in body[first:]],
+        columns=columns,
+        remarks=remarks,
+    )
+
+
+def sampled(lines: list[str]) -> list[str]:
+    """At most `SAMPLED_ROWS` lines, from all over the file but its first ones."""
+    later = lines[min(len(lines) // 2, 20) :]
+    stride = max(len(later) // SAMPLED_ROWS, 1)
+    return later[::stride][:SAMPLED_ROWS]
+
+
+def split_cells(line: str, separator: str) -> list[str]:
+    """The cells of one line, without the spaces around them."""
+    if separator == " ":
+        return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    try:
+        cells = next(csv.reader([line], delimiter=separator))
+    except (csv.Error, StopIteration):
+        return [line]
+    return [cell.strip() for cell in cells]
+
+
+def is_value(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number, a date or missing."""
+    number = COMMA_NUMBER if decimal == "," else NUMBER
+    return cell.lower() in MISSING or bool(number.fullmatch(cell) or DATE.fullmatch(cell))
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number."""
+    return bool((COMMA_NUMBER if decimal == "," else NUMBER).fullmatch(cell))
+
+
+def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
+    """Separator and decimal mark under which the rows are most nearly a table of values."""
+    separators = SEPARATORS if settings.mark is None else (settings.mark,)
+    decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
+    rows = sampled(lines)
+    best, best_score = (",", "."), -1.0
+    for separator in separators:
+        for decimal in decimals:
+            if separator == decimal:
+                continue
+            score = table_score([split_cells(row, separator) for row in rows], decimal)
+            if score > best_score + 1e-9:
+                best, best_score = (separator, decimal), score
+    return best
+
+
+def table_score(rows: list[list[str]], decimal: str) -> float:
+    """How nearly the rows are a table: share of rows of the usual length, times share of values.
+
+    Of two readings that are both perfect, the one with more columns scores more. Cells as `05`
+    are the digits behind a decimal comma, not whole numbers.
+    """
+    length, count = Counter(map(len, rows)).most_common(1)[0]
+    regular = [row for row in rows if len(row) == length]
+    cells = [cell for row in regular for cell in row]
+    filled = [cell for cell in cells if cell.lower() not in MISSING]
+    values = sum(is_value(cell, decimal) for cell in filled)
+    padded = sum(bool(re.fullmatch(r"0\d+", cell)) for cell in filled)
+    share = (values - padded) / max(len(filled), 1)
+    return count / len(rows) * share + 1e-3 * min(length, 20) * (share > 0.99)
+
+
+def numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
+    """Which columns hold values in nine of ten sampled rows, and not only missing ones."""
+    regular = [row for row in rows if len(row) == columns]
+    numeric = []
+    for j in range(columns):
+        filled = [row[j] for row in regular if row[j].lower() not in MISSING]
+        values = sum(is_value(cell, decimal) for cell in filled)
+        numeric.append(bool(filled) and values >= 0.9 * len(filled))
+    return numeric
+
+
+def first_row_of_numbers(
+    cells: list[list[str]], columns: int, numeric: list[bool], decimal: str
+) -> int | None:
+    """Index of the first row that has values in all numeric columns; None if there is none."""
+    for k, row in enumerate(cells):
+        if len(row) != columns:
+            continue
+        pairs = zip(row, numeric, strict=True)
+        values = [cell for cell, is_numeric in pairs if is_numeric]
+        filled = [cell for cell in values if cell.lower() not in MISSING]
+        if filled and all(is_value(cell, decimal) for cell in values):
+            return k
+    return None
+
+
+def is_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
+    """Whether a row above the numbers has a cell for each column, but for a separator too many."""
+    if len(row) == columns + 1:
+        return row[-1] == ""
+    if len(row) == columns - 1:
+        regular = [cells for cells in sample if len(cells) == columns]
+        return columns > 1 and not any(cells[-1] for cells in regular)
+    return len(row) == columns
+
+
+def refuse_shifted_names(
+    path: Path, cells: list[list[str]], above: list[list[str]], columns: int
+) -> None:
+    """Refuse a last row above the numbers that has one name too many or too few."""
+    if cells and not above and columns > 2 and abs(len(cells[-1]) - columns) == 1:
+        names = f"{len(cells[-1])} names"
+        problem = f"the rows have {columns} cells"
+        raise BadRequest(path.name, names, problem, "correct the line of names")
+
+
+def names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
+    """The names, and the units where the last of two rows above the numbers can be units."""
+    if not above:
+        return None, []
+    *before, last = above
+    filled = [cell for cell in last if cell]
+    if before and len(before[-1]) == len(last) and all(map(UNIT.fullmatch, filled)):
+        return before[-1], [cell.strip("()[] ") for cell in last]
+    return last, []
+
+
+def names_in_comment(
+    comments: list[str], separator: str, columns: int, decimal: str
+) -> list[str] | None:
+    """Names that stand in the last comment line, as NumPy writes them; None without."""
+    bare = comments[-1].strip().lstrip('#%/" ')
+    for mark in (separator, ",", ";", "\t", " "):
+        cells = split_cells(bare, mark)
+        if len(cells) == columns and not any(is_value(cell, decimal) for cell in cells):
+            return cells
+    return None
+
+
+def counting_names(
+    cells: list[list[str]], columns: int, header: bool | None
+) -> tuple[list[str] | None, int]:
+    """Names `0,1,2` or `1,2,3` above rows of numbers, and how many rows they take.
+
+    Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
+    an array; counting from 1, always (a reader that is asked for a number refuses to guess).
+    """
+    first = cells[0]
+    if header is not None:
+        return (first, 1) if header else (None, 0)
+    if first == [str(j + 1) for j in range(columns)] and columns > 1:
+        return first, 1
+    below = [cell for row in cells[1:12] for cell in row]
+    unlike = all(not cell.lstrip("+-").isdigit() for cell in below if cell)
+    if first == [str(j) for j in range(columns)] and below and unlike:
+        return first, 1
+    return None, 0
