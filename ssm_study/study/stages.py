@@ -227,6 +227,7 @@ def compute_synthesis(
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
+        judgeable = judgeable.covering(premise)
         chosen_by = (
             judgeable.within(*map(model.scale.scaled_input, ends))
             if limits["applied"]

@@ -23,7 +23,8 @@ from ssm_study.certificates.problem import NoSolution, Solution, dual
 from ssm_study.certificates.theorems.integral_action import frequencies, internal_model, with_modes
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, phi
-from ssm_study.refusal import require
+from ssm_study.refusal import positive, require
+from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch, mismatch
 from ssm_study.robustness.prediction import noise_peak, predict, worst
 from ssm_study.robustness.sensitivity import (
@@ -38,6 +39,7 @@ from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.input_inversion import designed
 from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.systems import Balls, JacobianBall, StateSpace, System
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
@@ -80,6 +82,8 @@ class Auto:
     internal_model: Sequence[str] = ()
     limits: Ends | None = None
     invert_input: bool = False
+    cover: float | None = None
+    premise: Premise | None = None
 
     method: ClassVar[str] = "auto"
 
@@ -104,6 +108,8 @@ class Auto:
             told = "numbers in (0, 1)" if shares else "positive numbers"
             require(fits, f"synthesis.{name}", grid, f"must hold {told}", "keep the default grid")
         frequencies(self.internal_model)
+        if self.cover is not None:
+            positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -135,16 +141,22 @@ class Auto:
         peaks = peaks_on_grid(
             model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs, candidates.internal
         )
-        for pair in islice(
-            self._in_order(model, candidates, balls, peaks, validation, shown), ATTEMPTS
-        ):
-            design = candidates.specification(pair).design(model, balls)
-            if design.certified and predict(model, design.pair, balls, shown).predicts_stability(
-                self.margin
-            ):
-                return self._reported(
-                    design, f"best expected response of those predicted to be stable{left_out}"
-                )
+
+        def certified_and_predicted(pair: Int[np.ndarray, "2"]) -> Design | None:
+            made = candidates.specification(pair).design(model, balls)
+            if not made.certified:
+                return None
+            predicted = predict(model, made.pair, balls, shown)
+            return made if predicted.predicts_stability(self.margin) else None
+
+        pairs = self._in_order(model, candidates, balls, peaks, validation, shown)
+        if self.premise is None or not (self.cover or isinstance(model, SSM)):
+            pairs = islice(pairs, ATTEMPTS)
+        chosen, status = prefer_covered(
+            pairs, certified_and_predicted, model, balls, self.premise, self.cover
+        )
+        if chosen is not None:
+            return self._reported(chosen, status + left_out)
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
         design = candidates.specification(best).design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
@@ -160,6 +172,10 @@ class Auto:
             if (lower < 0).all() and (upper > 0).all()
             else self
         )
+
+    def covering(self, premise: Premise) -> "Auto":
+        """The same, preferring designs whose proof covers what these records show."""
+        return replace(self, premise=premise)
 
     def cautious(self) -> "Auto":
         """The same grids, from which the largest margin is taken."""

@@ -44,6 +44,8 @@ SMALLEST = 1e-4  # of nu: below, nothing is worth a proof
 LARGEST = 1e6  # of nu = kappa^2: beyond it, nothing that e does matters
 SLACKS = (1e-4, 1e-6, 1e-8)  # of the Riccati equation, where each signal's own weight is one
 JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
+COARSE = 1e-3
+LARGE = 4  # free signals
 KEPT = 0.5  # of the margin by frequency, for the equation
 FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean
 CIRCLE = np.union1d(np.linspace(0, np.pi, 65), np.geomspace(1e-3, 0.1, 12))
@@ -339,6 +341,11 @@ class WeightProgram:
     basis: WeightBasis
 
     @property
+    def accuracy(self) -> float:
+        """By how much angles may be missed: more where each is a large matrix."""
+        return COARSE if self.grid.model.shape[1] > LARGE else JOINT
+
+    @property
     def linear(self) -> Any:
         """The matrix of each unknown but nu, at each angle."""
         phi = self.basis.at(self.grid.angles)[:, :, None, None]
@@ -390,7 +397,7 @@ class WeightProgram:
         )
         goal = np.zeros(1 + count)
         goal[0] = 1.0
-        x, _ = program.maximise(goal, JOINT)
+        x, _ = program.maximise(goal, self.accuracy)
         return float(x[0]), x[1:] / scale
 
     def widened(
@@ -423,7 +430,7 @@ class WeightProgram:
             bounds=np.concatenate([right, least, -most]),
         )
         goal = np.concatenate([np.zeros(count), np.ones(len(bands))])
-        x, _ = program.maximise(goal, JOINT)
+        x, _ = program.maximise(goal, self.accuracy)
         return np.asarray(x[:count] / scale)
 
     def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
@@ -508,9 +515,10 @@ def _proved(
     unknowns: Float[np.ndarray, "n"],
     started: float,
 ) -> Coverage | None:
-    for inside in INSIDE:
+    coarse = program.accuracy == COARSE
+    for inside in INSIDE[coarse:]:
         scaled = nu * inside**2
-        for room in ROOMS:
+        for room in ROOMS[coarse:]:
             try:
                 chosen = program.widened(scaled, unknowns, room)
                 weights = program.weights_of(scaled, chosen)

@@ -1,0 +1,59 @@
+"""The choice among designs: covered ones first, the first one where none is, and nothing else where
+records say nothing."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "oracles"))
+from test_coverage import BALLS, MODEL, design, premise, scaled_model, van_der_pol
+
+from ssm_study.models.identified import SSM
+from ssm_study.refusal import BadRequest
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.measured_discs_choice import (
+    COVERED,
+    NOT_COVERED,
+    PREDICTED,
+    coverage_by_frequency,
+    prefer_covered,
+)
+from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+
+SSM_MODEL = SSM.of(MODEL, 0.01)
+FAST, SLOW = design(input_weight=1e-3), design(input_weight=30.0)
+
+
+def chosen(known, cover: float = 1.0, designs=(FAST, SLOW)):
+    return prefer_covered(iter(designs), lambda one: one, SSM_MODEL, BALLS, known, cover)
+
+
+def test_the_first_covered_design_is_taken() -> None:
+    known = premise(scaled_model(0.2))
+    fast, slow = (coverage_by_frequency(one, SSM_MODEL, BALLS, known) for one in (FAST, SLOW))
+    assert slow > 1.2 * fast
+    between = (slow * fast) ** 0.5
+    assert chosen(known, between) == (SLOW, COVERED)
+    assert chosen(known, 0.5 * fast) == (FAST, COVERED)
+    assert chosen(known, 10 * slow) == (FAST, NOT_COVERED)
+
+
+def test_the_certificate_has_the_coverage_that_the_frequencies_promise() -> None:
+    known = premise(scaled_model(0.2))
+    for one in (FAST, SLOW):
+        promised = coverage_by_frequency(one, SSM_MODEL, BALLS, known)
+        facts = coverage_facts(with_coverage(one, SSM_MODEL, BALLS, known), SSM_MODEL, known)
+        assert 0.94 * promised < facts["coverage"] <= 1.001 * promised
+
+
+def test_without_a_premise_the_choice_is_the_predicted_one() -> None:
+    assert chosen(None) == (FAST, PREDICTED)
+    assert chosen(premise(van_der_pol)) == (FAST, PREDICTED)
+    assert chosen(None, designs=(None, SLOW)) == (SLOW, PREDICTED)
+    assert chosen(None, designs=())[0] is None
+
+
+def test_a_coverage_below_zero_is_no_request() -> None:
+    with pytest.raises(BadRequest, match=r"synthesis\.cover"):
+        Auto(cover=-1.0)
