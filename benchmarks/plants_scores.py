@@ -43,8 +43,6 @@ MODELS = {
     "narx": "polynomial NARX, our run",
     "gru": "GRU, our run",
     "lstm": "LSTM, our run",
-    "deep_ssm": "deep SSM (two blocks of ours), our run",
-    "dynonet": "dynoNet, our run",
 }
 FULL_BUDGET = 60  # epochs of conf/training/default.yaml, of every model; a run with fewer is said to be cut short
 TOLD = ["benchmark", "model", "seed", "status", "fit_train_percent", "epochs_allowed", "training_seconds",

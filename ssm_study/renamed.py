@@ -128,10 +128,23 @@ class Withdrawn:
 
 
 # Settings by their dotted path, in which `*` stands for any part.
-WITHDRAWN_SETTINGS: Mapping[str, Withdrawn] = {}
+WITHDRAWN_SETTINGS: Mapping[str, Withdrawn] = {
+    "training.hankel_weight": Withdrawn(
+        since="0.2", remedy="leave it out; reduction=balanced removes redundant states", neutral=0.0
+    ),
+    "training.windows.washout": Withdrawn(
+        since="0.2", remedy="leave it out; windows are multiple shooting", neutral=0
+    ),
+    "training.windows.stride": Withdrawn(
+        since="0.2", remedy="leave it out; windows follow each other", neutral=None
+    ),
+}
 
 # Choices as a command writes them, `model=dynonet`; of a list every member counts.
-WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {}
+WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {
+    "model=dynonet": Withdrawn(since="0.2", remedy="use model=gru, lstm, narx or structured"),
+    "model=deep_ssm": Withdrawn(since="0.2", remedy="use model=structured"),
+}
 
 # Parts of `certificate.json` by the name of their theorem: read past, and not checked.
 WITHDRAWN_THEOREMS: Mapping[str, Withdrawn] = {}

@@ -17,6 +17,7 @@ from ssm_study.systems import StateSpace, System
 
 Inputs = Float[np.ndarray, "*batch T m"]
 Outputs = Float[np.ndarray, "*batch T p"]
+Measured = Float[np.ndarray, "*batch S p"]
 State = Float[np.ndarray, "*batch n"]
 Lifted = Float[np.ndarray, "*batch mbar"]
 
@@ -28,6 +29,10 @@ class Simulator(Family, Explicit):
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
         """Free run from rest at the equilibrium; physical units in and out."""
+
+    def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
+        """Free run whose first outputs were measured; from rest where a model cannot use them."""
+        return self.simulate(u)
 
 
 class ScaffoldedModel(Simulator):

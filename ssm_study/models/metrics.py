@@ -13,6 +13,7 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import Trajectories, Trajectory, fit_percent, rmse
 
 AS_TRAINED = "the model as it was trained is kept in the store, not in the run's folder"
+A_COMPARISON = "of another model, which is fitted for comparison and not kept"
 NOT_KEPT = "where the training records cannot be made or read again"
 
 COLUMNS = (
@@ -55,6 +56,16 @@ COLUMNS = (
     Column("fit_validation_percent", "Float64", "high", "fit val", "Fit on validation record", "%"),
     Column("fit_test_percent", "Float64", "high", "fit %", "Fit on test record", "%", shown=True),
     Column("rmse_test", "Float64", "low", "rmse", "RMSE on test record", "output unit"),
+    Column(
+        "fit_baseline_percent",
+        "Float64",
+        "high",
+        "baseline %",
+        "Fit of the best baseline on test record",
+        "%",
+        unchecked=A_COMPARISON,
+    ),
+    Column("baseline", "string", word="Best baseline", unchecked=A_COMPARISON),
     Column("score_test_*", "Float64", "low", word="Benchmark score"),
 )
 
@@ -122,10 +133,12 @@ def free_run(model: Any, record: Trajectory, start_up_samples: int) -> Float[np.
     """The simulated output `(T, p)`, physical: from rest if every sample is scored, else from the
     estimated state.
 
-    A baseline whose state cannot be estimated starts at rest always.
+    A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
-    if start_up_samples == 0 or not isinstance(model, ScaffoldedModel):
+    if start_up_samples == 0:
         return model.simulate(record.u)
+    if not isinstance(model, ScaffoldedModel):
+        return model.simulate_after(record.u, record.y[:start_up_samples])
     return model.simulate(record.u, initial_state(model, record, start_up_samples))
 
 

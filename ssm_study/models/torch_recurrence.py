@@ -278,32 +278,3 @@ def respond(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """The faster of convolution and chunks for this length and order; both are the same law."""
     few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
     return (by_chunks if few and not _FORWARD.get() else by_convolution)(modes, u, x0)
-
-
-def gramians(modes: ModalForm, reals: int) -> tuple[Complex[Tensor, "n n"], Complex[Tensor, "n n"]]:
-    """`P_ij = b_i b_j^H / (1 - l_i conj(l_j))`, `Q_ij = conj(c_i)^T c_j / (1 - conj(l_i) l_j)` over
-    all n modes.
-
-    Conjugate partners are written out, so the modes are those of the real system. The conjugates
-    matter: without them
-    the formula is that of another system, and its values need not even be real.
-    """
-    turn, half = (
-        torch.exp(modes.decay),
-        modes.c[:, reals:] / 2,
-    )  # a pair's factor two is shared between the partners
-    turn, b = (torch.cat([part, part[reals:].conj()]) for part in (turn, modes.b))
-    c = torch.cat([modes.c[:, :reals], half, half.conj()], 1)
-    reach = 1.0 - turn[:, None] * turn[None, :].conj()
-    return (b @ b.mH) / reach, (c.mH @ c) / reach.conj()
-
-
-def hankel_singular_values(modes: ModalForm, reals: int) -> Float[Tensor, "n"]:
-    """`sigma_i = sqrt(eig_i(P Q))`, largest first, by the Cholesky-like root of P; zeros are
-    rounded off at 1e-12."""
-    p, q = gramians(modes, reals)
-    values, vectors = torch.linalg.eigh(p)
-    root = vectors * torch.sqrt(values.clamp(min=1e-14 * values.detach().max()))  # P = root root^H
-    inner = root.mH @ q @ root
-    squares = torch.linalg.eigvalsh((inner + inner.mH) / 2)
-    return torch.sqrt(squares.clamp(min=1e-24 * squares.detach().max())).flip(0)

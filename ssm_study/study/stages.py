@@ -84,6 +84,7 @@ class Trained:
     model: Any
     seconds: float
     ended: str
+    baseline: dict[str, Any] | None = None
 
 
 def compute_model(
@@ -103,7 +104,12 @@ def compute_model(
     )
     made: Any = identified.model
     write_json(folder / "model.json", (made.delayed(late) if late else made).to_json())
-    write_json(folder / "training.json", {"seconds": identified.seconds, "ended": identified.ended})
+    facts = {"seconds": identified.seconds, "ended": identified.ended}
+    if data.metadata.get("source") == "recorded":
+        from ssm_study.models.baselines.regression import baseline_facts
+
+        facts["baseline"] = baseline_facts(data)
+    write_json(folder / "training.json", facts)
     write_json(folder / "training_curve.json", with_gaps(identified.curve))
     if identified.choice:
         write_json(folder / "choice.json", list(identified.choice))
@@ -115,8 +121,9 @@ def read_trained(folder: Path) -> Trained:
 
 
 def measure_model(trained: Trained, _: DataSet) -> Facts:
-    """The columns of the training: its time, its end, the model's size."""
-    return training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+    """The columns of the training: its time, its end, the model's size, and a baseline's fit."""
+    facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+    return facts | (trained.baseline or {})
 
 
 def read_model(folder: Path) -> Any:

@@ -14,7 +14,7 @@ from torch.func import functional_call
 from ssm_study.models.identified import Simulator
 from ssm_study.models.metrics import initial_state
 from ssm_study.models.spec import Pairs
-from ssm_study.models.torch_recurrence import forward_derivatives, hankel_singular_values
+from ssm_study.models.torch_recurrence import forward_derivatives
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, fit_of_error
@@ -126,26 +126,15 @@ class InitialStates(nn.Module):
         return (reached - starts[self.later]) / torch.sqrt(size)
 
 
-def penalty(model: TorchModel, roughness_weight: float, hankel_weight: float) -> Float[Tensor, ""]:
-    """`roughness_weight (TV(S_u') + TV(S_y')) + hankel_weight sum(sigma) / max(sigma)`; zero for a
-    baseline.
+def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
+    """`weight (TV(S_u') + TV(S_y'))`; zero for a baseline.
 
-    Both terms are free of scale, so a weight of 0.001 means a thousandth of the output's variance.
-    The second is the
-    nuclear norm of the Hankel operator: it drives the singular values of redundant states to zero,
-    one after the other.
+    It is free of scale, so a weight of 0.001 means a thousandth of the output's variance.
     """
-    total = torch.zeros(())
-    if not isinstance(model, TorchSSM):
-        return total
-    if roughness_weight > 0:
-        total = total + roughness_weight * (
-            model.scaffold_in.roughness() + model.scaffold_out.roughness()
-        )
-    if hankel_weight > 0:
-        sigma = hankel_singular_values(model.lru.modes(), model.lru.reals)
-        total = total + hankel_weight * sigma.sum() / sigma.max()
-    return total
+    if weight > 0 and isinstance(model, TorchSSM):
+        roughness = model.scaffold_in.roughness() + model.scaffold_out.roughness()
+        return weight * roughness
+    return torch.zeros(())
 
 
 class Fit(pl.LightningModule):
@@ -191,16 +180,11 @@ class Fit(pl.LightningModule):
         )  # whose stored model estimates it, too (`free_run`)
         problem, remedy = (
             "this model has no state to start a window from",
-            "use training.windows.washout instead",
+            "use training.windows.samples=null",
         )
-        require(
-            model.states > 0 or not weight,
-            "training.windows.continuity_weight",
-            weight,
-            problem,
-            remedy,
-        )
-        rows = [*(cut.first if moving else ()), *(cut.later if weight else ())]
+        able = model.states > 0 or not cut.later
+        require(able, "training.windows.samples", self.settings.windows.samples, problem, remedy)
+        rows = [*(cut.first if moving else ()), *cut.later]
         values = simulated_states(model, self.training_records, cut) if rows else None
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
@@ -221,15 +205,15 @@ class Fit(pl.LightningModule):
         return loss.detach()
 
     def loss(self) -> Tensor:
-        """What gradients are taken of."""
+        """The objective that is minimised: simulation error, defects of shooting, roughness."""
         y_hat, defects = self.run()
-        added = penalty(self.model, self.settings.roughness_weight, self.settings.hankel_weight)
+        added = roughness_penalty(self.model, self.settings.roughness_weight)
         return self.training_records.objective(y_hat) + defects.square().sum() + added
 
     def run(self) -> tuple[Signals, Float[Tensor, "k n"]]:
         """The simulated windows, and the defects between them (none without multiple shooting)."""
         x0 = None if self.starts is None else self.starts()
-        if self.starts is None or x0 is None or not (self.starts.weight and self.starts.cut.later):
+        if self.starts is None or x0 is None or not self.starts.cut.later:
             return self.training_records.simulate(
                 self.model, x0
             ), self.training_records.y.new_zeros(0, 0)

@@ -35,7 +35,6 @@ class Training:
     precision: int = 64
     initial_state: str = "auto"
     roughness_weight: float = 0.0
-    hankel_weight: float = 0.0
     integrated_share: float = 0.0
     windows: Windows = field(default_factory=Windows)
     starts: int = 1
@@ -54,12 +53,11 @@ class Training:
         )
         for name in ("max_epochs", "patience", "starts"):
             at_least(1, f"training.{name}", getattr(self, name), "use a positive whole number")
-        weights = ("roughness_weight", "hankel_weight")
         for name in (
             "min_gain_percent",
             "validation_tolerance_percent",
             "checkpoint_every_s",
-            *weights,
+            "roughness_weight",
         ):
             at_least(0, f"training.{name}", getattr(self, name), "use 0")
         one_of((32, 64), "training.precision", self.precision)

@@ -53,7 +53,7 @@ def test_an_incomplete_member_cannot_be_made(base: Any) -> None:
 
 def test_members_are_those_of_the_room() -> None:
     assert set(Scaffold.members(scaffolds)) == {"linear", "mlp", "monotone", "residual"}
-    assert set(Simulator.members(baselines)) == {"deep_ssm", "dynonet", "gru", "lstm", "narx"}
+    assert set(Simulator.members(baselines)) == {"gru", "lstm", "narx"}
     assert {"", ".csv", ".txt", ".mat", ".mcap", ".parquet", ".xlsx"} < set(Reader.members(readers))
     assert {"uncontrolled", "pi", "lqg", "auto"} < set(Peer.members(peers))
 

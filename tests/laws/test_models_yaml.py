@@ -27,12 +27,7 @@ TRAININGS = sorted(path.stem for path in (CONF / "training").glob("*.yaml"))
 OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob("*.yaml"))
 
 
-PACKAGES = {
-    "n4sid": "nfoursid",
-    "narx": "sysidentpy",
-    "arx": "sysidentpy",
-    "dynonet": "dynonet",
-}  # the extra "baselines"
+PACKAGES = {"n4sid": "nfoursid"}  # the extra "baselines"
 FEWER = {"structured": ("model.starts=1", "model.draws=2")}
 
 
@@ -80,34 +75,6 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     np.testing.assert_allclose(net.freeze(data).simulate(u), expected, rtol=1e-9, atol=1e-9)
 
 
-def test_an_integrated_dynonet_gives_the_running_sum_of_its_rate() -> None:
-    """The stored numbers carry the integrator as one more pole: as the tensors do, and as the rate
-    summed by hand."""
-    pytest.importorskip("dynonet")
-    data = data_set(samples=60, records=2)
-    plain, summed = (
-        read("model", "dynonet", f"+model.integrated={flag}").build(data, 0)
-        for flag in (False, True)
-    )
-    u = data.test[0].u
-    rate = (
-        plain.freeze(data).simulate(u) - data.scale.output_equilibrium
-    ) / data.scale.output_scale
-    position = summed.freeze(data).simulate(u)
-    by_hand = data.scale.output_equilibrium + data.scale.output_scale * data.step_s * np.cumsum(
-        rate, axis=0
-    )
-    np.testing.assert_allclose(position, by_hand, rtol=1e-9, atol=1e-9)
-    with torch.no_grad():
-        scaled = summed(torch.from_numpy(data.scale.scaled_input(u))[None])[0].numpy()
-    np.testing.assert_allclose(
-        position,
-        scaled * data.scale.output_scale + data.scale.output_equilibrium,
-        rtol=1e-9,
-        atol=1e-9,
-    )
-
-
 @pytest.mark.parametrize("side", ["scaffold_in", "scaffold_out"])
 @pytest.mark.parametrize("choice", SCAFFOLDS)
 def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: Path) -> None:
@@ -136,7 +103,7 @@ def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> N
 
 
 def test_a_model_without_a_network_to_train_says_so() -> None:
-    for choice in ("structured", "n4sid", "narx"):
+    for choice in ("structured", "n4sid", "narx", "output_error"):
         with pytest.raises(TypeError, match="a training of its own"):
             read("model", choice).build(data_set(), 0)
 
@@ -154,4 +121,4 @@ def test_a_baseline_whose_package_is_missing_says_how_to_get_it(
 
     monkeypatch.setattr("ssm_study.models.baselines.solved.import_module", absent)
     with pytest.raises(BadRequest, match="pip install"):
-        read("model", "narx").solve(data_set())
+        read("model", "n4sid").solve(data_set())

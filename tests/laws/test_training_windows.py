@@ -11,8 +11,6 @@ from models_cases import data_set
 from test_training_identify import LBFGS, spec, training
 from torch import Tensor
 
-from ssm_study.models.baselines.deep import DeepSSMSpec
-from ssm_study.models.baselines.dynonet import DynoNetSpec
 from ssm_study.models.baselines.recurrent import RecurrentSpec
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.monotone import Monotone
@@ -22,10 +20,8 @@ from ssm_study.signals import DataSet
 from ssm_study.training.fit import Fit
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.optimisers import Levenberg, OptimiserSpec
-from ssm_study.training.saving import read
 from ssm_study.training.windows import Windows
 
-DEEP = DeepSSMSpec(layers=2, order=3, channels=2, hidden_width=4, scaffold=Monotone())
 MODELS = {
     "ssm": spec(order=3, scaffold_out=Monotone()),
     "ring": spec(
@@ -36,7 +32,6 @@ MODELS = {
     ),
     "gru": RecurrentSpec(cell="gru", hidden=3),
     "lstm": RecurrentSpec(cell="lstm", hidden=3),
-    "deep_ssm": DEEP,
 }
 each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 SHOOTING = Windows(samples=40, continuity_weight=2.0)
@@ -103,9 +98,7 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
 
 
 @pytest.mark.parametrize("start_up", [0, 7])
-@pytest.mark.parametrize(
-    "windows", [Windows(samples=30, washout=12), Windows(samples=30), SHOOTING]
-)
+@pytest.mark.parametrize("windows", [Windows(samples=30), SHOOTING])
 def test_every_sample_is_scored_once(windows: Windows, start_up: int) -> None:
     data = dataclasses.replace(unequal(), start_up_samples=start_up)
     cut, whole = (
@@ -115,27 +108,6 @@ def test_every_sample_is_scored_once(windows: Windows, start_up: int) -> None:
     scored = [records.y[records.scored.bool()].sort().values for records in (cut, whole)]
     torch.testing.assert_close(*scored, rtol=0, atol=0)
     torch.testing.assert_close(cut.weight.max(), whole.weight.max())
-
-
-def test_washout_makes_windows_at_rest_fair(tmp_path: Path) -> None:
-    """At a good model the windows agree that it is one, unless they score samples that rest cannot
-    explain."""
-    data = data_set(samples=400)
-    training(max_epochs=8).identify(spec(), data, 0, tmp_path)
-    losses = {}
-    for windows in (Windows(), Windows(samples=100, washout=60), Windows(samples=100)):
-        fit = fit_of(spec(), data, windows)
-        state = {
-            k: v
-            for k, v in read(tmp_path / "best.ckpt")["state_dict"].items()
-            if k.startswith("model.")
-        }
-        fit.load_state_dict(state, strict=False)
-        losses[windows.samples, windows.washout] = float(
-            fit.training_records.loss(fit.run()[0]).detach()
-        )
-    assert losses[100, 60] == pytest.approx(losses[None, 0], rel=0.3)
-    assert losses[100, 0] > 100 * losses[None, 0]
 
 
 @each_model
@@ -183,8 +155,6 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
     ("optimiser", "windows"),
     [
         (LBFGS, Windows(samples=100, continuity_weight=1.0)),
-        (LBFGS, Windows(samples=150, washout=50)),
-        (LBFGS, Windows(samples=150, washout=50, stride=30)),
         (
             Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5),
             Windows(samples=100, continuity_weight=1.0),
@@ -240,40 +210,17 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
     ("changes", "named"),
     [
         ({"samples": 1}, r"training.windows.samples = 1"),
-        ({"samples": 40, "washout": 40}, r"training.windows.washout = 40"),
-        ({"samples": 40, "washout": -1}, r"training.windows.washout = -1"),
-        ({"samples": 40, "stride": 0}, r"training.windows.stride = 0"),
-        ({"samples": 40, "stride": 41}, r"training.windows.stride = 41"),
         ({"samples": 40, "continuity_weight": -1.0}, r"training.windows.continuity_weight = -1"),
         (
             {"samples": 40, "continuity_weight": float("nan")},
             r"training.windows.continuity_weight = nan",
         ),
-        (
-            {"samples": 40, "continuity_weight": 1.0, "washout": 5},
-            r"follow each other.*use washout 0 and stride null",
-        ),
-        ({"samples": 40, "continuity_weight": 1.0, "stride": 30}, r"follow each other"),
-        ({"washout": 5}, r"need windows"),
-        ({"continuity_weight": 1.0}, r"need windows"),
+        ({"continuity_weight": 0.0}, r"training.windows.continuity_weight = 0"),
     ],
 )
 def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(BadRequest, match=named):
         Windows(**changes)
-
-
-def test_a_model_without_state_is_windowed_but_not_shot_at() -> None:
-    pytest.importorskip("dynonet")
-    model, data = DynoNetSpec(wires=2, numerator=2, denominator=2, hidden=4), unequal()
-    for allowed in (Windows(), Windows(samples=40, washout=10)):
-        loss, gradient = step_of(fit_of(model, data, allowed))
-        assert torch.isfinite(loss)
-        assert all(value.abs().max() > 0 for value in gradient.values())
-    with pytest.raises(BadRequest, match="no state to start a window from"):
-        fit_of(model, data, SHOOTING)
-    with pytest.raises(BadRequest, match="no forward derivatives"):
-        fit_of(model, data, optimiser=Levenberg(steps_per_epoch=2, damping=0.01, longest_step=0.5))
 
 
 def test_a_window_that_no_record_can_fill_is_refused(tmp_path: Path) -> None:

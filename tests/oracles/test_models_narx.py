@@ -1,36 +1,102 @@
-"""NARX from several records: no row of its regression reaches across the joint between two
-experiments."""
+"""ARX, output error and NARX: the system is found, and what each cannot do is seen."""
 
 import numpy as np
 import pytest
 
 from ssm_study.data.assembly import assemble
-from ssm_study.models.baselines.solved import NARX, own_rows
-from ssm_study.signals import Channel, Trajectory
+from ssm_study.models.baselines.regression import (
+    best_baseline,
+    forward_selection,
+    output_error,
+    regression_rows,
+)
+from ssm_study.models.baselines.solved import NARX, OutputError
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.training.metrics import mean_fit
 
 KNOWN = {1001: 1.2, 1002: -0.5, 2001: 0.3}  # y[k] = 1.2 y[k-1] - 0.5 y[k-2] + 0.3 u[k-1]
+CHANNELS = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
 
 
-def record(samples: int, seed: int) -> Trajectory:
+def record(samples: int, seed: int, noise: float = 0.0, product: float = 0.0) -> Trajectory:
     """Begins in motion, so that the joint to the record before is a jump."""
     rng = np.random.default_rng(seed)
-    u, y = rng.normal(size=samples), 3.0 * rng.normal(size=samples)
+    u = rng.normal(size=samples)
+    y = 3.0 * rng.normal(size=samples)
     for k in range(2, samples):
         y[k] = KNOWN[1001] * y[k - 1] + KNOWN[1002] * y[k - 2] + KNOWN[2001] * u[k - 1]
+        y[k] += product * u[k - 1] * y[k - 1]
+    y = y + noise * rng.normal(size=samples)
     return Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
 
 
-def test_a_row_has_its_past_in_its_own_record() -> None:
-    np.testing.assert_array_equal(np.flatnonzero(own_rows([5, 1, 4], 2)) + 2, [2, 3, 4, 8, 9])
-    assert own_rows([6], 2).all()
+def records(start_up: int = 0, **how: float) -> DataSet:
+    short = record(12 + start_up, 1, **how)
+    parts = (record(600, 0, **how), short), (record(200, 2, **how),)
+    zero = np.zeros(1)
+    return assemble((*parts, (record(200, 3, **how),)), (zero, zero), CHANNELS, start_up)
 
 
-def test_the_system_is_found_from_records_that_do_not_join() -> None:
-    pytest.importorskip("sysidentpy")
-    parts = (record(300, 0), record(12, 1)), (record(50, 2),), (record(50, 3),)
-    channels = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
-    data = assemble(parts, (np.zeros(1), np.zeros(1)), channels, 0)
-    found = NARX(lags=2, degree=1, terms=3).solve(data)
+def test_no_row_reaches_across_two_records() -> None:
+    first = (np.arange(4.0)[:, None], 10.0 + np.arange(4.0)[:, None])
+    second = (100.0 + np.arange(3.0)[:, None], 200.0 + np.arange(3.0)[:, None])
+    rows, target = regression_rows([first, second], [1001, 2002])
+    np.testing.assert_array_equal(rows, [[11, 0], [12, 1], [201, 100]])
+    np.testing.assert_array_equal(target, [12, 13, 202])
+
+
+@pytest.mark.parametrize("terms", [3, None])
+def test_the_system_is_found_from_records_that_do_not_join(terms: int | None) -> None:
+    data = records()
+    found = NARX(lags=2, degree=1, terms=terms).solve(data)
     gain = float(data.scale.input_scale[0] / data.scale.output_scale[0])
     theta = {int(code): value for (code,), value in zip(found.codes, found.theta, strict=True)}
-    assert theta == pytest.approx(KNOWN | {2001: KNOWN[2001] * gain}, abs=1e-3)
+    for code, value in (KNOWN | {2001: KNOWN[2001] * gain}).items():
+        assert theta[code] == pytest.approx(value, abs=1e-3)
+
+
+def test_forward_selection_takes_the_columns_that_explain() -> None:
+    rng = np.random.default_rng(0)
+    candidates = rng.normal(size=(200, 6))
+    target = 3.0 * candidates[:, 4] - candidates[:, 1]
+    repeated = np.column_stack([candidates, candidates[:, 4]])
+    assert forward_selection(repeated, target, 2) == [4, 1]
+    assert len(forward_selection(repeated, target, 10)) == 6  # the copy is never taken
+
+
+def test_output_error_is_unbiased_where_arx_is_not() -> None:
+    """Noise on the output biases the poles of ARX; the free run's error does not care."""
+    data = records(noise=1.0)
+    poles = {}
+    for name, model in {
+        "oe": output_error(data, 2, 1),
+        "arx": NARX(lags=2, degree=1).solve(data),
+    }.items():
+        poles[name] = model.theta[1:3]
+    assert poles["oe"] == pytest.approx([1.2, -0.5], abs=0.06)
+    assert abs(poles["arx"][0] - 1.2) > 0.2
+
+
+def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
+    data = records(start_up=20, product=0.15, noise=0.02)
+    best = best_baseline(data)
+    assert best is not None
+    assert "NARX" in best.words
+    assert mean_fit(best.model, data.test, data) > 90.0
+    linear = mean_fit(OutputError(order=2).solve(data), data.test, data)
+    assert linear < mean_fit(best.model, data.test, data) - 5.0
+
+
+def test_measured_start_up_samples_are_the_past_of_a_regression() -> None:
+    data = records(start_up=20)
+    model = NARX(lags=2, degree=1).solve(data)
+    assert mean_fit(model, data.test, data) > 99.9
+    piece = data.test[0]
+    from_rest = model.simulate(piece.u)[:40] - piece.y[:40]
+    assert np.abs(from_rest).max() > 0.5
+
+
+def test_lags_longer_than_every_record_are_refused() -> None:
+    with pytest.raises(BadRequest, match="longest training record has 600 samples"):
+        NARX(lags=600, degree=1).solve(records())

@@ -1,28 +1,30 @@
-"""Baselines that libraries solve without gradient steps: N4SID (nfoursid) and polynomial NARX
-(SysIdentPy)."""
+"""Baselines solved without gradient steps of torch: N4SID (nfoursid), ARX, NARX, output error."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from ssm_study.models.identified import SSM, Inputs, Outputs, Simulator
+from ssm_study.models.baselines.regression import (
+    Polynomial,
+    linear_regression,
+    output_error,
+    polynomial_path,
+)
+from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.spec import ModelSpec, Pairs, scaled
 from ssm_study.refusal import BadRequest, at_least, require
-from ssm_study.signals import DataSet, Scale
+from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
 SLOWEST = 0.9999  # an unstable identified pole is scaled back to this radius, or a free run would overflow
 INSTALL = {
     "nfoursid": 'pip install "ssm-study[baselines]"',
-    "dynonet": 'pip install "ssm-study[baselines]"',
-    "sysidentpy": "pip install --no-deps sysidentpy==0.9.0 (it asks for an older NumPy, and works with this one)",
 }
-OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
+MOST_TERMS = 20
 
 
 class SolvedSpec(ModelSpec, ABC):
@@ -102,83 +104,60 @@ def input_matrix(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Polynomial(Simulator, names=("narx",)):
-    """`y[k] = sum_i theta_i prod_j factor_ij`; codes as in SysIdentPy: 1000 + l is `y[k-l]`, 2000 +
-    l is `u[k-l]`."""
-
-    codes: Int[np.ndarray, "terms degree"]
-    theta: Float[np.ndarray, "terms"]
-    scale: Scale
-
-    def simulate(self, u: Inputs) -> Outputs:
-        lags = int((self.codes % 1000).max())  # the longest delay among the terms
-        v = np.pad(self.scale.scaled_input(u)[..., 0], [(0, 0)] * (u.ndim - 2) + [(lags, 0)])
-        y = np.zeros_like(v)
-        for k in range(lags, v.shape[-1]):
-            past = {0: np.ones(v.shape[:-1])}
-            past |= {1000 + i: y[..., k - i] for i in range(1, lags + 1)}
-            past |= {2000 + i: v[..., k - i] for i in range(1, lags + 1)}
-            terms = [np.prod([past[int(code)] for code in row], axis=0) for row in self.codes]
-            y[..., k] = np.clip(np.tensordot(self.theta, np.stack(terms), 1), -OVERFLOW, OVERFLOW)
-        return self.scale.physical_output(y[..., lags:, None])
-
-
-@dataclass(frozen=True, kw_only=True)
 class NARX(SolvedSpec):
     """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward
-    regression (FROLS)."""
+    regression. Of degree one with every term it is ARX; then `terms` may be null."""
 
-    sizes: ClassVar = ("lags", "degree", "terms")
+    sizes: ClassVar = ("lags", "degree")
 
     lags: int
     degree: int
-    terms: int
+    terms: int | None = None
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
+        if self.terms is not None:
+            at_least(1, "model.terms", self.terms, "use 12 or so, or null for all")
 
     def solve(self, data: DataSet) -> Polynomial:
-        channels = (data.scale.inputs, data.scale.outputs)
-        require(
-            channels == (1, 1),
-            "model",
-            "NARX",
-            "takes one input and one output",
-            "choose another model",
-        )
-        frols, basis = (
-            library("sysidentpy.model_structure_selection"),
-            library("sysidentpy.basis_function"),
-        )
-        u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
-        polynomial, lags = (
-            basis.Polynomial(degree=self.degree),
-            {"ylag": self.lags, "xlag": self.lags},
-        )
-        method = frols.FROLS(
-            order_selection=False, n_terms=self.terms, basis_function=polynomial, **lags
-        )
-        own, first = own_rows([len(record) for record in data.training], self.lags), y[: self.lags]
-
-        def of_records(
-            psi: Any, y: Any, count: int
-        ) -> tuple[Any, ...]:  # what FROLS calls with all rows
-            target = y[self.lags :][own]
-            return *method.error_reduction_ratio(
-                psi[own], np.concatenate([first, target]), count
-            ), target
-
-        method.run_mss_algorithm = of_records
-        method.fit(X=u, y=y)
-        codes, theta = (
-            np.asarray(method.final_model, dtype=np.int64),
-            np.asarray(method.theta, dtype=float).ravel(),
-        )
-        return Polynomial(codes=codes, theta=theta, scale=data.scale)
+        _refuse_several_outputs(data, "NARX")
+        _refuse_short_records(data, self.lags + self.delay)
+        if self.degree == 1 and self.terms is None:
+            return linear_regression(data, self.lags, self.delay)
+        count = MOST_TERMS if self.terms is None else self.terms
+        return next(polynomial_path(data, self.lags, self.degree, self.delay, [count]))
 
 
-def own_rows(lengths: Sequence[int], lags: int) -> Bool[np.ndarray, "rows"]:
-    """Which samples from number `lags` on, of all records in a row, have their `lags` past samples
-    in one record."""
-    within = np.concatenate([np.arange(length) for length in lengths])
-    return within[lags:] >= lags
+@dataclass(frozen=True, kw_only=True)
+class OutputError(SolvedSpec):
+    """Linear recursion of `order` whose free run, not its prediction, has the least error."""
+
+    sizes: ClassVar = ("order",)
+
+    order: int
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
+
+    def solve(self, data: DataSet) -> Polynomial:
+        _refuse_several_outputs(data, "OutputError")
+        _refuse_short_records(data, self.order + self.delay)
+        return output_error(data, self.order, self.delay)
+
+
+def _refuse_several_outputs(data: DataSet, model: str) -> None:
+    problem = f"takes one output, and there are {data.scale.outputs}"
+    require(data.scale.outputs == 1, "model", model, problem, "choose another model")
+
+
+def _refuse_short_records(data: DataSet, lags: int) -> None:
+    longest = max(len(record) for record in data.training)
+    problem = f"the longest training record has {longest} samples"
+    require(lags < longest, "model.lags", lags, problem, "use fewer lags")
 
 
 def library(name: str) -> Any:

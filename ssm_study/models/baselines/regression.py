@@ -1,0 +1,351 @@
+"""Baselines of a few lines: ARX, output error and polynomial NARX, by least squares.
+
+All three are the same stored model, a recursion whose terms are products of past inputs and
+outputs. `best_baseline` takes the one that simulates the validation records best.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.models.identified import Inputs, Measured, Outputs, Simulator
+from ssm_study.models.metrics import Simulation
+from ssm_study.models.spec import Pairs, scaled
+from ssm_study.signals import DataSet, Scale
+
+OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
+CONSTANT = 0  # the code of the term that is one
+OUTPUT = 1000  # 1000 + l is y[k-l]
+INPUT = 2000  # 2000 + l is u[k-l]; a thousand more for each further input
+DEPENDENT = 1e-10  # of a column's power: what is left of it depends on the columns chosen before
+ROWS = 20_000  # of a regression that chooses terms; longer records are thinned
+
+SHORTEST = 60  # samples: of fewer, a regression says nothing
+ARX_ORDERS = (1, 2, 3, 4, 6, 8, 10, 15, 20)
+DELAYS = (0, 1, 2, 3, 5, 8)
+OUTPUT_ERROR_ORDERS = (1, 2, 3, 4, 6)
+OUTPUT_ERROR_STEPS = 30
+NARX_LAGS = (2, 3)
+NARX_DEGREES = (2, 3)
+NARX_TERMS = (4, 6, 9, 12, 16, 20)
+
+Codes = Int[np.ndarray, "terms degree"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polynomial(Simulator, names=("narx",)):
+    """`y[k] = sum_i theta_i prod_j factor_ij`, the factors named by codes.
+
+    1000 + l is `y[k-l]`, 2000 + l is `u[k-l]` (3000 + l of the second input), 0 is one.
+    """
+
+    codes: Codes
+    theta: Float[np.ndarray, "terms"]
+    scale: Scale
+
+    def simulate(self, u: Inputs) -> Outputs:
+        """Free run from rest."""
+        return self.simulate_after(u, np.zeros((*u.shape[:-2], 0, 1)))
+
+    def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:
+        """Free run in which the first outputs are the measured ones."""
+        v = self.scale.scaled_input(u)
+        measured = self.scale.scaled_output(y_start)[..., 0]
+        by_input = _input_factors(self.codes, v)
+        is_output = (self.codes >= OUTPUT) & (self.codes < INPUT)
+        lags = np.where(is_output, self.codes - OUTPUT, 0)
+        past = np.zeros((*v.shape[:-2], 1 + max(1, int(lags.max()))))
+        past[..., 0] = 1.0  # what a factor that is no output multiplies with
+        y = np.empty(v.shape[:-1])
+        for k in range(v.shape[-2]):
+            if k < measured.shape[-1]:
+                value = measured[..., k]
+            else:
+                terms = by_input[..., k, :] * past[..., lags].prod(axis=-1)
+                value = np.clip(terms @ self.theta, -OVERFLOW, OVERFLOW)
+            y[..., k] = value
+            past[..., 2:] = past[..., 1:-1].copy()
+            past[..., 1] = value
+        return self.scale.physical_output(y[..., None])
+
+
+def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
+    """Product of the input factors of each term, `(*batch, T, terms)`; inputs before zero are 0."""
+    product = np.ones((*v.shape[:-1], len(codes)))
+    for term, row in enumerate(codes):
+        for code in row[row >= INPUT]:
+            channel, lag = divmod(int(code) - INPUT, 1000)
+            product[..., :lag, term] = 0.0
+            product[..., lag:, term] *= v[..., : v.shape[-2] - lag, channel]
+    return product
+
+
+def variables(lags: int, delay: int, inputs: int) -> list[int]:
+    """Codes of `lags` past outputs, and of as many past samples of each input from `delay` on."""
+    outputs = [OUTPUT + lag for lag in range(1, lags + 1)]
+    starts = [INPUT + 1000 * channel + delay for channel in range(inputs)]
+    return [*outputs, *(start + lag for start in starts for lag in range(lags))]
+
+
+def regression_rows(
+    records: Pairs, codes: Sequence[int]
+) -> tuple[Float[np.ndarray, "N V"], Float[np.ndarray, "N"]]:
+    """Values of the variables and the output that follows; no row reaches across two records."""
+    first = max(code % 1000 for code in codes)
+    rows = []
+    targets = []
+    for u, y in records:
+        if len(u) <= first:
+            continue
+        columns = [_delayed(u, y, code, first) for code in codes]
+        rows.append(np.stack(columns, axis=1))
+        targets.append(y[first:, 0])
+    return np.concatenate(rows), np.concatenate(targets)
+
+
+def _delayed(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
+    if code == CONSTANT:
+        return np.ones(len(u) - first)
+    lag = code % 1000
+    signal = y[:, 0] if code < INPUT else u[:, (code - INPUT) // 1000]
+    return signal[first - lag : len(signal) - lag]
+
+
+def linear_regression(data: DataSet, lags: int, delay: int) -> Polynomial:
+    """ARX: the recursion that predicts the next sample with the least squared error."""
+    codes = [CONSTANT, *variables(lags, delay, data.scale.inputs)]
+    rows, target = regression_rows(scaled(data), codes)
+    theta = np.linalg.lstsq(rows, target, rcond=None)[0]
+    return Polynomial(codes=np.array(codes)[:, None], theta=theta, scale=data.scale)
+
+
+def polynomial_path(
+    data: DataSet, lags: int, degree: int, delay: int, counts: Sequence[int]
+) -> Iterator[Polynomial]:
+    """Polynomial NARX with the first terms of one forward regression, for each number of terms.
+
+    Source: Billings (2013), Nonlinear System Identification, chapter 3 (error reduction ratio).
+    """
+    codes = [CONSTANT, *variables(lags, delay, data.scale.inputs)]
+    values, target = regression_rows(scaled(data), codes)
+    thinned = slice(None, None, 1 + len(target) // ROWS)
+    values = values[thinned]
+    target = target[thinned]
+    products = np.array(list(combinations_with_replacement(range(len(codes)), degree)))
+    candidates = values[:, products].prod(axis=-1)
+    order = forward_selection(candidates, target, max(counts))
+    for count in counts:
+        chosen = order[:count]
+        theta = np.linalg.lstsq(candidates[:, chosen], target, rcond=None)[0]
+        yield Polynomial(codes=np.array(codes)[products[chosen]], theta=theta, scale=data.scale)
+
+
+def forward_selection(
+    candidates: Float[np.ndarray, "N M"], target: Float[np.ndarray, "N"], count: int
+) -> list[int]:
+    """Columns in the order in which each explains most of what those before it have left."""
+    left = candidates.copy()
+    residual = target.copy()
+    least_power = DEPENDENT * (left**2).sum(axis=0)
+    chosen: list[int] = []
+    while len(chosen) < min(count, left.shape[1]):
+        power = (left**2).sum(axis=0)
+        usable = power > np.maximum(least_power, np.finfo(float).tiny)
+        usable[chosen] = False
+        if not usable.any():
+            break
+        explained = np.where(usable, (left.T @ residual) ** 2 / np.where(usable, power, 1.0), -1.0)
+        best = int(np.argmax(explained))
+        direction = left[:, best] / np.sqrt(power[best])
+        residual = residual - direction * (direction @ residual)
+        left -= np.outer(direction, direction @ left)
+        chosen.append(best)
+    return chosen
+
+
+def output_error(data: DataSet, order: int, delay: int) -> Polynomial:
+    """Linear recursion with the least squared error of its free run, each record from its own start.
+
+    `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX. Source: Ljung (1999),
+    System Identification, section 4.2.
+    """
+    start = linear_regression(data, order, delay)
+    f = -start.theta[1 : order + 1]
+    problem = _OutputError(scaled(data), order, delay)
+    parameters = np.concatenate([_stabilised(f), start.theta[order + 1 :], np.zeros(problem.extra)])
+    parameters = problem.minimised(parameters)
+    f = parameters[:order]
+    offset = parameters[-problem.extra] * (1.0 + f.sum())
+    b = parameters[order : -problem.extra]
+    codes = np.array([CONSTANT, *variables(order, delay, data.scale.inputs)])[:, None]
+    return Polynomial(codes=codes, theta=np.concatenate([[offset], -f, b]), scale=data.scale)
+
+
+def _stabilised(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """The same polynomial with its roots pulled inside the circle of radius 0.998."""
+    roots = np.roots([1.0, *f])
+    radius = np.maximum(np.abs(roots), 1e-12)
+    inside = np.where(radius > 0.998, roots / radius * np.minimum(1.0 / radius, 0.998), roots)
+    return np.poly(inside).real[1:]
+
+
+@dataclass(frozen=True)
+class _OutputError:
+    """Residuals of the free run and their Jacobian, by filtering with `1 / F`."""
+
+    records: Pairs
+    order: int
+    delay: int
+
+    @property
+    def extra(self) -> int:
+        """The offset, and a decay per record."""
+        return 1 + self.order * len(self.records)
+
+    def linearised(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Free run minus output of all records in a row, and its Jacobian."""
+        residuals = []
+        jacobians = []
+        for index, (u, y) in enumerate(self.records):
+            jacobian = self._jacobian(index, u, parameters)
+            linear = jacobian[:, self.order :] @ parameters[self.order :]
+            free_run = linear - parameters[-self.extra]
+            filtered = _filtered(parameters[: self.order], -free_run)
+            jacobian[:, : self.order] = _shifted(filtered, 1, self.order)
+            residuals.append(linear - y[:, 0])
+            jacobians.append(jacobian)
+        return np.concatenate(residuals), np.concatenate(jacobians)
+
+    def _jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """By every parameter that the output is linear in; the columns of F are left empty."""
+        f = parameters[: self.order]
+        n = self.order
+        jacobian = np.zeros((len(u), len(parameters)))
+        for channel in range(u.shape[1]):
+            column = n * (1 + channel)
+            filtered = _filtered(f, u[:, channel])
+            jacobian[:, column : column + n] = _shifted(filtered, self.delay, n)
+        jacobian[:, -self.extra] = 1.0
+        impulse = np.zeros(len(u))
+        impulse[0] = 1.0
+        column = len(parameters) - self.extra + 1 + n * index
+        jacobian[:, column : column + n] = _shifted(_filtered(f, impulse), 0, n)
+        return jacobian
+
+    def minimised(self, parameters: np.ndarray) -> np.ndarray:
+        """At most `OUTPUT_ERROR_STEPS` steps of Levenberg-Marquardt; F stays stable."""
+        residual, jacobian = self.linearised(parameters)
+        damping = 1e-3
+        for _ in range(OUTPUT_ERROR_STEPS):
+            normal = jacobian.T @ jacobian
+            scale = np.diag(normal) + 1e-9 * np.trace(normal) / len(normal)
+            step = np.linalg.solve(normal + np.diag(damping * scale), -jacobian.T @ residual)
+            trial = parameters + step
+            stable = np.abs(np.roots([1.0, *trial[: self.order]])).max() < 0.9999
+            if stable:
+                new_residual, new_jacobian = self.linearised(trial)
+            if stable and new_residual @ new_residual < residual @ residual:
+                gain = 1.0 - (new_residual @ new_residual) / (residual @ residual)
+                parameters = trial
+                residual = new_residual
+                jacobian = new_jacobian
+                damping = max(damping * 0.3, 1e-9)
+                if gain < 1e-5:
+                    break
+            else:
+                damping *= 4.0
+                if damping > 1e6:
+                    break
+        return parameters
+
+
+def _filtered(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    from scipy.signal import lfilter  # SciPy loads this part at its first use, in half a second
+
+    return np.asarray(lfilter([1.0], [1.0, *f], signal))
+
+
+def _shifted(signal: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Copies of one signal, delayed by `first` and more samples, as columns."""
+    columns = np.zeros((len(signal), count))
+    for column in range(count):
+        lag = first + column
+        columns[lag:, column] = signal[: len(signal) - lag]
+    return columns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """A baseline in words, the model, and its fit to the validation records."""
+
+    words: str
+    model: Polynomial
+    fit_validation_percent: float
+
+
+def best_baseline(data: DataSet) -> Baseline | None:
+    """The baseline that simulates the validation records best; None for several outputs.
+
+    Trained on the training records alone. ARX with up to 20 lags, output error with up to 6, NARX
+    of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where the input acts at once.
+    """
+    longest = max(len(record) for record in data.training)
+    if data.scale.outputs != 1 or longest < SHORTEST:
+        return None
+    orders = [order for order in ARX_ORDERS if 4 * order < longest]
+    tried = [
+        _scored(
+            f"ARX with {order} lags, delay {delay}", linear_regression(data, order, delay), data
+        )
+        for order in orders
+        for delay in DELAYS
+    ]
+    delay = int(_delay_of(max(tried, key=_validation_fit).model))
+    delays = sorted({0, 1, delay})
+    for order in OUTPUT_ERROR_ORDERS:
+        words = f"an output-error model with {order} lags, delay {delay}"
+        tried.append(_scored(words, output_error(data, order, delay), data))
+    for lags in NARX_LAGS:
+        for degree in NARX_DEGREES:
+            for late in delays:
+                path = polynomial_path(data, lags, degree, late, NARX_TERMS)
+                tried += [_scored(_narx_words(degree, model), model, data) for model in path]
+    return max(tried, key=_validation_fit)
+
+
+def baseline_facts(data: DataSet) -> dict[str, object] | None:
+    """The columns `baseline` and `fit_baseline_percent`: the best baseline on the test records.
+
+    None for several outputs, and where the records are too short for any of them.
+    """
+    best = best_baseline(data)
+    if best is None:
+        return None
+    with np.errstate(all="ignore"):
+        fit = Simulation.of(best.model, data.test, data.start_up_samples).fit_percent
+    return {"baseline": best.words, "fit_baseline_percent": fit if np.isfinite(fit) else None}
+
+
+def _scored(words: str, model: Polynomial, data: DataSet) -> Baseline:
+    with np.errstate(all="ignore"):
+        fit = Simulation.of(model, data.validation, data.start_up_samples).fit_percent
+    return Baseline(
+        words=words, model=model, fit_validation_percent=fit if np.isfinite(fit) else -np.inf
+    )
+
+
+def _narx_words(degree: int, model: Polynomial) -> str:
+    return f"a polynomial NARX of degree {degree} with {len(model.theta)} terms"
+
+
+def _validation_fit(baseline: Baseline) -> float:
+    return baseline.fit_validation_percent
+
+
+def _delay_of(model: Polynomial) -> int:
+    """Shortest input lag among the terms."""
+    inputs = model.codes[model.codes >= INPUT]
+    return int((inputs % 1000).min())
