@@ -26,7 +26,7 @@ class Windows:
         field = "training.windows"
         if self.samples is not None:
             at_least(2, f"{field}.samples", self.samples, "use 200 or so")
-        positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
+            positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
 
     def cut(self, records: Sequence[Trajectory], start_up_samples: int) -> "Cut":
         """Raises `BadRequest` where a record is shorter than a window, or its start-up samples fill

@@ -215,7 +215,7 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
             {"samples": 40, "continuity_weight": float("nan")},
             r"training.windows.continuity_weight = nan",
         ),
-        ({"continuity_weight": 0.0}, r"training.windows.continuity_weight = 0"),
+        ({"samples": 40, "continuity_weight": 0.0}, r"training.windows.continuity_weight = 0"),
     ],
 )
 def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -> None:
