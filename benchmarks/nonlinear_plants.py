@@ -25,7 +25,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 
 # radians, up to 2; the spring pulls seven times as hard at the end of its range as its stiffness at
@@ -54,7 +54,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     quiet = replace(data, test=parts.data.build(clean, parts.excitation, seed).test)
     fit = Simulation.of(made, quiet.test, quiet.start_up_samples).fit_percent
     shown, balls = (
-        mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
+        measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
         certified_balls(made),
     )
     design = parts.synthesis.design(made, balls, data.validation, shown)

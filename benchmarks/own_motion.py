@@ -32,7 +32,7 @@ from ssm_study.evidence.feedback import runs_away
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.metrics import judge
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 
 sys.path += [
     str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/laws")
@@ -165,7 +165,7 @@ def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
         fitted,
         validation,
         test,
-        mismatch(fitted, data.validation, skip, data.mismatch_records),
+        measure_mismatch(fitted, data.validation, skip, data.mismatch_records),
     )
     shares = shares_predicted(Case(data=data, model=fitted, validation=validation, test=test)) or (
         None,

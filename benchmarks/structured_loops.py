@@ -28,7 +28,7 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import judge
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.training.metrics import mean_fit
 
@@ -46,7 +46,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
     shown, balls = (
-        mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
+        measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
         certified_balls(made),
     )
     free = [

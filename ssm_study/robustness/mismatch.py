@@ -142,7 +142,7 @@ class Mismatch:
         return np.interp(angles, ANGLES, self.by_frequency)
 
 
-def mismatch(
+def measure_mismatch(
     model: Model,
     validation: Trajectories,
     start_up_samples: int = 0,

@@ -1,31 +1,28 @@
-"""Will a certified design be stable on the plant? What its loop tolerates against the mismatch that
-the records show.
+"""Whether a certified design is predicted to be stable on the plant, from the mismatch that the
+records show.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue`
-(`synthesis.sensitivity`).
-At each amplitude on record (`synthesis.mismatch`) one of the first two must hold, and all the
-others, with
-`M = s_u s_y G T_ue`, G the model's linear part. Mixtures of neighbouring amplitudes must pass too,
-where these do not
-both pass by small gain: a limit cycle may lie between.
+(`robustness.sensitivity`). At each amplitude on record (`robustness.mismatch`) one of the first two
+conditions must hold, and all the others, with `M = s_u s_y G T_ue`, G the model's linear part:
 
     small gain      max_w g(w) sigma_max(T_ue(w)) < 1
-    with a phase    1 - M Q winds around zero nowhere,  max_w g_r(w) |T_ue| / |1 - M Q| < 1,    e =
-    Q y_model + r
-    offset          offset sigma_max(I + M)(0) < 1,    what stays off at rest input in bands, see
-    `Mismatch.offset`
-    noise_peak      4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) / band < 1,    slopes as they
-    are at rest
-    own radius      controller_radius < 1
+    with a phase    1 - M Q winds around zero nowhere, and
+                    max_w g_r(w) |T_ue| / |1 - M Q| < 1,      where e = Q y_model + r
+    offset          offset sigma_max(I + M)(0) < 1,           see `Mismatch.offset`
+    noise_peak      4.5 sqrt((1 / pi) int_0^pi sigma_max(M)^2 S_n dw) / band < 1,
+                    at the slopes of rest
+    controller      controller_radius < 1
 
-The margin, which must exceed one, is the inverse of the largest of the first three; zero where the
-plant does not rest.
-Where the plant all but holds still (`HOLDS`) the controller runs alone, and the last decides: what
-`1 - M Q` says at
-Q = -1, but for integrators, where that is zero at w = 0. All this is no certificate.
-Reasons: docs/trust.md, "What is measured for it"; docs/theory.md, "Small gain for the plant".
+Mixtures of neighbouring amplitudes must pass too, where these do not both pass by small gain: a
+limit cycle may lie between. The stability margin, which must exceed one, is the inverse of the
+largest of the first three; it is zero where the plant does not come to rest. Where the plant all
+but holds still (`HOLDS`) the controller runs alone, and the last condition decides: that is what
+`1 - M Q` says at Q = -1, but for integrators, where that is zero at w = 0. All this is no
+certificate. Reasons: docs/trust.md, "What is measured for it"; docs/theory.md, "Small gain for the
+plant".
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -33,16 +30,26 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ssm_study.bounds.frequency import frequency_response
+from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.structured import Model, StructuredSSM, phi
-from ssm_study.robustness import sensitivity as loops
-from ssm_study.robustness.mismatch import ANGLES, Mismatch
-from ssm_study.systems import Balls, Gains, JacobianBall
+from ssm_study.robustness.mismatch import ANGLES, Mismatch, View
+from ssm_study.robustness.sensitivity import (
+    FINE_ANGLES,
+    Responses,
+    controller_radius,
+    ends,
+    largest_singular_values,
+    sensitivity,
+    sensitivity_peak,
+)
+from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
-HOLDS = 0.3  # A plant that answers with less than this share of the model's power holds still most of the time
+# A plant that answers with less than this share of the model's power holds still most of the time.
+HOLDS = 0.3
 MIXTURES = (0.25, 0.5, 0.75)  # shares of the larger of two neighbouring amplitudes
 SECANTS = 401  # points of S_u between which its slopes are taken
 MUCH = 0.95  # of the ball's radius: slopes that fill as much are not told from all
-COARSE = loops.FINE_ANGLES[::3]  # for the power of noise
+COARSE = FINE_ANGLES[::3]  # for the power of noise
 PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 samples
 
 
@@ -57,174 +64,257 @@ class Prediction:
     noise_peak: float = 0.0
 
     def predicts_stability(self, margin: float = 1.0) -> bool:
+        """Whether every condition holds, the stability margin above `margin`."""
         return self.resolved_margin > margin and self.controller_radius < 1 and self.noise_peak < 1
 
 
-def predict(model: Model, pair: Gains, balls: Balls, shown: Mismatch) -> Prediction:
-    """Margins of one controller and observer: 0 if the loop is unstable at a slope, infinite
+def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
+    """Margins of one controller and observer: zero if the loop is unstable at a slope, infinite
     without any mismatch."""
-    peak, number = (
-        loops.sensitivity_peak(model.system, pair, balls),
-        worst(model, pair, balls, shown),
-    )
-    total = shown.gain * peak if np.isfinite(peak) else np.inf
+    peak = sensitivity_peak(model.system, pair, balls)
+    total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
+    measure = robustness_measure(model, pair, balls, mismatch)
     return Prediction(
-        mismatch_margin=1 / total if total else float("inf"),
-        resolved_margin=1 / number if number else float("inf"),
-        controller_radius=float(loops.controller_radius(model.system, pair, balls)),
-        noise_peak=noise_peak(model, pair, balls, shown),
+        mismatch_margin=1 / total_gain if total_gain else float("inf"),
+        resolved_margin=1 / measure if measure else float("inf"),
+        controller_radius=float(controller_radius(model.system, pair, balls)),
+        noise_peak=noise_peak(model, pair, balls, mismatch),
     )
 
 
-def worst(
+def robustness_measure(
     model: Model,
     pair: Gains,
     balls: Balls,
-    shown: Mismatch,
-    shared: loops.Responses | None = None,
+    mismatch: Mismatch,
+    shared: Responses | None = None,
     refused: float = float("inf"),
 ) -> float:
-    """The largest number that must stay below one, over views, mixtures and slopes; infinite for an
-    unstable loop.
+    """The largest number that must stay below one, over amplitudes, mixtures and slopes; infinite
+    for an unstable loop. Its inverse is the stability margin.
 
-    On `FINE_ANGLES`, or those of `shared`, where what pairs share is computed once (the same but
-    for rounding),
-    and at the angles of the loop's own modes, where it is sharpest. It ends at the first number
-    from `refused` on.
+    It is taken on `FINE_ANGLES`, or those of `shared`, where what pairs share is computed once (the
+    same but for rounding), and at the angles of the loop's own modes, where it is sharpest. The
+    search ends at the first number from `refused` on.
     """
-    if not shown.rests:
+    if not mismatch.rests:
         return float("inf")
-    integrates = bool((np.diagonal(pair.modes) == 1).any())
-    largest, grid = 0.0, loops.FINE_ANGLES if shared is None else shared.angles
-    tested = (
-        (end, part)
-        for met, part in _tested(model, balls, shown)
-        for end in loops.ends(model.system, pair, met)
-    )
-    for (linear, own, *slope), part in tested:
-        loop = loops.sensitivity(linear, own, *slope)
-        modes = np.linalg.eigvals(loop.a)
-        if np.abs(modes).max() >= 1:
+    largest = 0.0
+    for linear, own_gains, slopes, records in _tested_loops(model, pair, balls, mismatch):
+        loop = LoopResponse.of(linear, own_gains, slopes, shared)
+        if loop is None:
             return float("inf")
-        angles = np.union1d(grid, np.maximum(np.abs(np.angle(modes)), grid[0]))
-        if shared is None:
-            answer, open_loop = frequency_response(loop, angles), frequency_response(linear, angles)
-        else:
-            extra = np.setdiff1d(angles, grid)
-            at, on_grid = (
-                np.searchsorted(grid, extra),
-                shared.of(linear, pair.k, pair.modes, [own.l], *slope)[0],
-            )
-            answer = np.insert(on_grid, at, frequency_response(loop, extra), axis=0)
-            on_grid = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
-            open_loop = np.insert(on_grid, at, frequency_response(linear, extra), axis=0)
-        moved = slope[0] * slope[1] * open_loop @ answer
-        through = moved[:, 0, 0] if answer.shape[1:] == open_loop.shape[1:] == (1, 1) else None
-        parts = _Loop(
-            angles=angles, size=loops.sizes(answer), through=through, integrates=integrates
-        )
-        left = part.offset * float(np.linalg.norm(np.eye(len(moved[0])) + moved[0], 2))
-        largest = max(largest, left, _over_views(part, parts))
+        offset = records.offset * loop.gain_of_constants
+        largest = max(largest, offset, largest_loop_gain(records, loop))
         if largest >= refused:
             return largest
     return largest
 
 
-def noise_peak(model: Model, pair: Gains, balls: Balls, shown: Mismatch) -> float:
-    """The peak of what the noise does to the output at rest, in bands; none where the plant holds
-    under that input."""
-    if not shown.noise:
-        return 0.0
-    at = phi(model.neurons, model.bias, "slope")[None] if isinstance(model, StructuredSSM) else None
-    system, pair = next(
-        (linear, own) for linear, own, *_ in loops.ends(model.system, pair, balls, at)
-    )
-    parts = ((model.scaffold_in, balls.input), (model.scaffold_out, balls.output))
-    at_rest = [
-        np.sign(ball.alpha) * np.linalg.norm(s.jacobian(np.zeros(s.inputs)), 2) for s, ball in parts
-    ]
-    slope = [
-        np.clip(found, ball.lower, ball.upper)
-        for found, (_, ball) in zip(at_rest, parts, strict=True)
-    ]
-    answer = frequency_response(loops.sensitivity(system, pair, *slope), COARSE)
-    moved = slope[0] * slope[1] * frequency_response(system, COARSE) @ answer
-    density = np.stack([loops.sizes(answer), loops.sizes(moved)]) ** 2 * np.interp(
-        COARSE, ANGLES, shown.noise
-    )
-    at_input, at_output = np.sqrt(np.trapezoid(density, COARSE) / np.pi)
-    amplitudes, responses = np.transpose([(view.amplitude, view.response) for view in shown.views])
-    answered = np.interp(PEAK * at_input / np.sqrt(2), amplitudes, responses)
-    return 0.0 if answered < HOLDS else PEAK * float(at_output) / shown.band
+def _tested_loops(
+    model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
+) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
+    """Every loop of constant slopes, with the records that speak of it."""
+    for met_balls, records in _balls_of_records(model, balls, mismatch):
+        for linear, own_gains, slope_in, slope_out in ends(model.system, pair, met_balls):
+            yield linear, own_gains, (slope_in, slope_out), records
 
 
-def _tested(model: Model, balls: Balls, shown: Mismatch) -> list[tuple[Balls, Mismatch]]:
-    """Which views are tested at which slopes: the two largest, and what trials in closed loop show,
-    at all.
+def _balls_of_records(
+    model: Model, balls: Balls, mismatch: Mismatch
+) -> list[tuple[Balls, Mismatch]]:
+    """The records in groups, each with the slopes that its loops meet: the two largest amplitudes
+    and what was recorded in closed loop meet all slopes.
 
-    The smaller ones, up to the second largest, speak of loops that swing no wider than its
-    sinusoid, whose peak is
-    `sqrt(2)` times its root mean square: of one S_u they meet the slopes within it, not those at an
-    actuator's limit.
+    The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
+    sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
+    within it, not those at an actuator's limit.
     """
-    if len(shown.views) < 3 or model.scaffold_in.inputs > 1:
-        return [(balls, shown)]
-    within = np.sqrt(2) * shown.views[-2].amplitude * np.linspace(-1, 1, SECANTS)[:, None]
-    ball, secants = balls.input, np.diff(model.scaffold_in(within)[:, 0]) / np.diff(within[:, 0])
-    met = JacobianBall.from_slopes(
-        *np.clip((secants.min(), secants.max()), ball.lower, ball.upper).tolist()
-    )
-    if met.beta >= MUCH * ball.beta:
-        return [(balls, shown)]
-    large, small = (
-        replace(shown, views=shown.views[-2:]),
-        replace(shown, views=shown.views[:-1], loop=None),
-    )
-    return [(balls, large), (replace(balls, input=met), small)]
+    views = mismatch.views
+    if len(views) < 3 or model.scaffold_in.inputs > 1:
+        return [(balls, mismatch)]
+    swing = np.sqrt(2) * views[-2].amplitude * np.linspace(-1, 1, SECANTS)[:, None]
+    secants = np.diff(model.scaffold_in(swing)[:, 0]) / np.diff(swing[:, 0])
+    ball = balls.input
+    slopes = np.clip((secants.min(), secants.max()), ball.lower, ball.upper)
+    met_ball = JacobianBall.from_slopes(*slopes.tolist())
+    if met_ball.beta >= MUCH * ball.beta:
+        return [(balls, mismatch)]
+    large = replace(mismatch, views=views[-2:])
+    small = replace(mismatch, views=views[:-1], loop=None)
+    return [(balls, large), (replace(balls, input=met_ball), small)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Loop:
-    """`|T_ue|` at `angles (K,)`, and `M` where there is one input and one output."""
+class LoopResponse:
+    """`|T_ue|` at `angles (K,)` of one loop of constant slopes, and `M` where there is one input
+    and one output.
+
+    `gain_of_constants` is `sigma_max(I + M)` at rest.
+    """
 
     angles: Float[np.ndarray, "K"]
     size: Float[np.ndarray, "K"]
     through: Complex[np.ndarray, "K"] | None
+    gain_of_constants: float
     integrates: bool
 
+    @classmethod
+    def of(
+        cls,
+        linear: StateSpace,
+        pair: Gains,
+        slopes: tuple[float, float],
+        shared: Responses | None = None,
+    ) -> "LoopResponse | None":
+        """The responses on the grid and at the loop's own modes; None if the loop is unstable."""
+        loop = sensitivity(linear, pair, *slopes)
+        modes = np.linalg.eigvals(loop.a)
+        if np.abs(modes).max() >= 1:
+            return None
+        grid = FINE_ANGLES if shared is None else shared.angles
+        angles = np.union1d(grid, np.maximum(np.abs(np.angle(modes)), grid[0]))
+        if shared is None:
+            closed_loop = frequency_response(loop, angles)
+            open_loop = frequency_response(linear, angles)
+        else:
+            extra = np.setdiff1d(angles, grid)
+            at = np.searchsorted(grid, extra)
+            closed_on_grid = shared.of(linear, pair.k, pair.modes, [pair.l], *slopes)[0]
+            closed_loop = np.insert(closed_on_grid, at, frequency_response(loop, extra), axis=0)
+            open_on_grid = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
+            open_loop = np.insert(open_on_grid, at, frequency_response(linear, extra), axis=0)
+        through = slopes[0] * slopes[1] * open_loop @ closed_loop
+        is_scalar = closed_loop.shape[1:] == open_loop.shape[1:] == (1, 1)
+        at_rest = np.eye(len(through[0])) + through[0]
+        return cls(
+            angles=angles,
+            size=largest_singular_values(closed_loop),
+            through=through[:, 0, 0] if is_scalar else None,
+            gain_of_constants=float(np.linalg.norm(at_rest, 2)),
+            integrates=bool((np.diagonal(pair.modes) == 1).any()),
+        )
+
     def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
+        """`max_w g(w) |T_ue(w)|`."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
-    def with_phase(self, linear: Complex[np.ndarray, "F"], rest: Float[np.ndarray, "F"]) -> float:
-        """Infinite if `1 - M Q` winds around zero: its phase at pi must be the one at 0."""
+    def gain_with_phase(
+        self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
+    ) -> float:
+        """Small gain of the remainder after the linear part has been closed into the loop; infinite
+        if `1 - M Q` winds around zero, so that its phase at pi is not the one at 0."""
         if self.through is None:
             return float("inf")
-        q = np.interp(self.angles, ANGLES, linear.real) + 1j * np.interp(
-            self.angles, ANGLES, linear.imag
-        )
-        returned = 1 - self.through * q
+        real = np.interp(self.angles, ANGLES, linear_part.real)
+        imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
+        returned = 1 - self.through * (real + 1j * imaginary)
         phase = np.unwrap(np.angle(returned))
         if abs(phase[-1] - phase[0]) > np.pi / 2 or returned[0].real <= 0:
             return float("inf")
-        return float((np.interp(self.angles, ANGLES, rest) * self.size / np.abs(returned)).max())
+        size = np.interp(self.angles, ANGLES, remainder) * self.size
+        return float((size / np.abs(returned)).max())
 
 
-def _over_views(shown: Mismatch, loop: _Loop) -> float:
-    views = [
-        (loop.small_gain(view.by_frequency), view.response < HOLDS, view) for view in shown.views
-    ]
-    split = [(view.linear, np.where(holds, 0.0, view.rest)) for _, holds, view in views]
-    largest = 0.0
-    for (value, holds, _), parts in zip(views, split, strict=True):
-        if value > largest and not (holds and loop.integrates):
-            largest = max(largest, min(value, loop.with_phase(*parts)))
-    for ((small, holds, _), (large, above_too, _)), (below, above) in zip(
-        pairwise(views), pairwise(split), strict=True
-    ):
-        passed = max(small, large) < max(largest, 1.0)
-        if not passed and np.isfinite(largest) and not (holds and above_too and loop.integrates):
-            mixed = [
-                [(1 - t) * a + t * b for a, b in zip(below, above, strict=True)] for t in MIXTURES
-            ]
-            largest = max(largest, *(loop.with_phase(*one) for one in mixed))
-    return largest if shown.loop is None else max(largest, loop.small_gain(shown.loop.by_frequency))
+@dataclass(frozen=True, kw_only=True)
+class AmplitudeCondition:
+    """Mismatch recorded at one input amplitude, and what plain small gain says of it."""
+
+    linear_part: Complex[np.ndarray, "F"]
+    remainder: Float[np.ndarray, "F"]
+    small_gain: float
+    # The plant held still, and the controller integrates: its output then grows until the plant
+    # moves.
+    is_exempt: bool
+
+    @classmethod
+    def of(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
+        """The condition of one amplitude; where the plant held still no remainder counts."""
+        held_still = view.response < HOLDS
+        return cls(
+            linear_part=view.linear,
+            remainder=np.where(held_still, 0.0, view.rest),
+            small_gain=loop.small_gain(view.by_frequency),
+            is_exempt=held_still and loop.integrates,
+        )
+
+    def loop_gain(self, loop: LoopResponse) -> float:
+        """The smaller of two sufficient conditions: plain small gain, and small gain with a
+        phase."""
+        return min(self.small_gain, loop.gain_with_phase(self.linear_part, self.remainder))
+
+
+def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
+    """Largest loop gain of the mismatch over all recorded amplitudes; below one the loop is
+    predicted to be stable.
+
+    At one amplitude the smaller of two sufficient conditions counts. A loop may also swing between
+    two recorded amplitudes, so mixtures of neighbours are tested too. Source: docs/theory.md,
+    "Small gain for the plant".
+    """
+    conditions = [AmplitudeCondition.of(view, loop) for view in mismatch.views]
+    gain = 0.0
+    for condition in conditions:
+        if condition.small_gain > gain and not condition.is_exempt:
+            gain = max(gain, condition.loop_gain(loop))
+    for smaller, larger in pairwise(conditions):
+        if _needs_mixtures(smaller, larger, gain):
+            gain = max(gain, _largest_gain_of_mixtures(smaller, larger, loop))
+    if mismatch.loop is not None:
+        gain = max(gain, loop.small_gain(mismatch.loop.by_frequency))
+    return gain
+
+
+def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float) -> bool:
+    """Whether a limit cycle may lie between two amplitudes: they do not both pass by small gain,
+    and an infinite gain has not decided already."""
+    pass_by_small_gain = max(smaller.small_gain, larger.small_gain) < max(gain, 1.0)
+    both_exempt = smaller.is_exempt and larger.is_exempt
+    return bool(not pass_by_small_gain and np.isfinite(gain) and not both_exempt)
+
+
+def _largest_gain_of_mixtures(
+    smaller: AmplitudeCondition, larger: AmplitudeCondition, loop: LoopResponse
+) -> float:
+    """Largest gain with a phase of mixtures of two neighbouring amplitudes."""
+    gains = []
+    for share in MIXTURES:
+        linear_part = (1 - share) * smaller.linear_part + share * larger.linear_part
+        remainder = (1 - share) * smaller.remainder + share * larger.remainder
+        gains.append(loop.gain_with_phase(linear_part, remainder))
+    return max(gains)
+
+
+def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
+    """The peak of what the noise does to the output at rest, in bands of settling; zero where the
+    noise was not measured, or the plant holds still under that input."""
+    if not mismatch.noise:
+        return 0.0
+    linear, own_gains = _at_rest(model, pair, balls)
+    slope_in = _slope_at_rest(model.scaffold_in, balls.input)
+    slope_out = _slope_at_rest(model.scaffold_out, balls.output)
+    to_input = frequency_response(sensitivity(linear, own_gains, slope_in, slope_out), COARSE)
+    to_output = slope_in * slope_out * frequency_response(linear, COARSE) @ to_input
+    sizes = [largest_singular_values(to_input), largest_singular_values(to_output)]
+    density = np.stack(sizes) ** 2 * np.interp(COARSE, ANGLES, mismatch.noise)
+    at_input, at_output = np.sqrt(np.trapezoid(density, COARSE) / np.pi)
+    amplitudes, responses = np.transpose([(v.amplitude, v.response) for v in mismatch.views])
+    answered = np.interp(PEAK * at_input / np.sqrt(2), amplitudes, responses)
+    if answered < HOLDS:
+        return 0.0
+    return PEAK * float(at_output) / mismatch.band
+
+
+def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
+    """The recurrence and the gains with the neurons' slopes frozen as they are at rest."""
+    slopes = None
+    if isinstance(model, StructuredSSM):
+        slopes = phi(model.neurons, model.bias, "slope")[None]
+    linear, own_gains, *_ = next(iter(ends(model.system, pair, balls, slopes)))
+    return linear, own_gains
+
+
+def _slope_at_rest(scaffold: Scaffold, ball: JacobianBall) -> float:
+    """The largest slope of a scaffolding at zero, with the sign and within the ends of its ball."""
+    size = np.linalg.norm(scaffold.jacobian(np.zeros(scaffold.inputs)), 2)
+    return float(np.clip(np.sign(ball.alpha) * size, ball.lower, ball.upper))

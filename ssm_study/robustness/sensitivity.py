@@ -190,13 +190,17 @@ def peaks_on_grid(
     )  # of no controller
     for linear, frozen, *slope in ends(system, observers, balls, some):
         for k, peak in zip(ks, peaks, strict=True):
-            size = sizes(responses.of(linear, k, observers.modes, list(frozen.l), *slope))
+            size = largest_singular_values(
+                responses.of(linear, k, observers.modes, list(frozen.l), *slope)
+            )
             np.maximum(peak, (weights * size).max(axis=1), out=peak)
     return peaks
 
 
-def sizes(response: Complex[np.ndarray, "*many m p"]) -> Float[np.ndarray, "*many"]:
-    """The largest singular value of each."""
+def largest_singular_values(
+    response: Complex[np.ndarray, "*many m p"],
+) -> Float[np.ndarray, "*many"]:
+    """The largest singular value of each matrix."""
     if response.shape[-1] == response.shape[-2] == 1:
         return np.asarray(np.abs(response[..., 0, 0]))  # one channel needs no singular values
     return np.linalg.norm(response, ord=2, axis=(-2, -1))

@@ -39,7 +39,7 @@ from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.coverage import measure_premise
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings, trials
 from ssm_study.study.line import STUDY, further
@@ -289,7 +289,7 @@ def certificate(run: RunFiles) -> Claims:
         else []
     )
     kept = run.simulated.validation
-    shown = (shown_behind if design.inverts else mismatch)(
+    shown = (shown_behind if design.inverts else measure_mismatch)(
         run.model, kept.records, kept.start_up_samples, run.trials
     )
     facts = design_facts(design, run.model, balls, shown)

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from ssm_study.engine.records import FAILED, INFEASIBLE, OK, read_record
 from ssm_study.engine.runs import Outcome
 from ssm_study.refusal import require
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.line import STUDY
 from ssm_study.study.recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
@@ -125,7 +125,7 @@ def _seen(files: RunFiles, log: Path | None) -> float:
         files.simulated.validation,
         tuple(one for one in files.trials if not one.closed_loop),
     )
-    shown = mismatch(files.model, known.records, known.start_up_samples, kept + trial)
+    shown = measure_mismatch(files.model, known.records, known.start_up_samples, kept + trial)
     return 0.0 if shown.loop is None else shown.loop.gain
 
 

@@ -20,7 +20,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.renamed import bring_up_to_date
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.recordings import RecordedCases, read_trials
@@ -123,7 +123,7 @@ class RunFiles:
     @cached_property
     def judgement(self) -> Judgement:
         """What data and model allow to be said of the plant."""
-        shown = mismatch(
+        shown = measure_mismatch(
             self.model, self.data.validation, self.data.start_up_samples, self.data.mismatch_records
         )
         return judge(self.data, self.model, self.simulated.validation, self.simulated.test, shown)

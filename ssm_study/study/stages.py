@@ -29,7 +29,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_a
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.models.structured import model_from_json
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study import recordings
 from ssm_study.synthesis.input_inversion import shown_to
@@ -188,7 +188,9 @@ def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Fact
 def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch:
     """How far the plant is from the model, as the records show it: once for all designs on this
     model."""
-    shown = mismatch(bounded.model, data.validation, data.start_up_samples, data.mismatch_records)
+    shown = measure_mismatch(
+        bounded.model, data.validation, data.start_up_samples, data.mismatch_records
+    )
     recordings.write_mismatch(folder, shown)
     return shown
 

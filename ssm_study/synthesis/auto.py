@@ -25,8 +25,8 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, phi
 from ssm_study.refusal import positive, require
 from ssm_study.robustness.coverage import Premise
-from ssm_study.robustness.mismatch import Mismatch, mismatch
-from ssm_study.robustness.prediction import noise_peak, predict, worst
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.prediction import noise_peak, predict, robustness_measure
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
@@ -136,7 +136,7 @@ class Auto:
         left_out = (
             f" ({candidates.unsolved} of the grid have no solution)" if candidates.unsolved else ""
         )
-        shown = shown or mismatch(model, validation)
+        shown = shown or measure_mismatch(model, validation)
         weights, ks, ls = shown.at(GRID_ANGLES), candidates.ks, candidates.ls
         peaks = peaks_on_grid(
             model.system, ks, ls, balls, GRID_ANGLES, weights, candidates.l_zs, candidates.internal
@@ -351,7 +351,7 @@ class Auto:
         scored: list[tuple[float, int]] = []
 
         def expected(index: int, shared: Responses) -> tuple[float, float]:
-            number = worst(
+            number = robustness_measure(
                 model, candidates.gains(pairs[index]), balls, shown, shared, 1 / self.margin
             )
             return expected_area(float(areas[index]), number, shown.spread), number

@@ -18,7 +18,7 @@ from ssm_study.certificates.theorem import theorem_named
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import DataSet, Scale, Trajectories
 from ssm_study.systems import Balls
 
@@ -52,7 +52,7 @@ def shown_behind(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
     """What the records show, relative to v."""
-    return mismatch(
+    return measure_mismatch(
         commanded(model), behind(model, records), start_up_samples, behind(model, mismatch_records)
     )
 

@@ -21,7 +21,7 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
@@ -38,7 +38,7 @@ SMALL = Auto(
 
 
 def predicted(design: Design, record: Trajectory) -> Prediction:
-    return predict(motor_model(), design.pair, BALLS, mismatch(motor_model(), (record,)))
+    return predict(motor_model(), design.pair, BALLS, measure_mismatch(motor_model(), (record,)))
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     """The search looks at few; here is every pair, each predicted by itself on the fine grid."""
     given, balls, record = case()
     auto = replace(SMALL, **FEW) if isinstance(given, StructuredSSM) else SMALL
-    candidates, shown = auto.candidates(given, balls), mismatch(given, (record,))
+    candidates, shown = auto.candidates(given, balls), measure_mismatch(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     areas = relative_areas(given, candidates.gains(pairs), (record,))
     found = [predict(given, candidates.gains(pair), balls, shown) for pair in pairs]

@@ -21,7 +21,7 @@ from ssm_study.data.excitations.user_excitation import (
 from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.return_to_rest import is_return
 from ssm_study.signals import DataSet, Scale
 from ssm_study.study.run_files import RunFiles
@@ -88,7 +88,7 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     data = log_of(tmp_path)
     linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.15]]), c=np.eye(1), d=np.zeros((1, 1)))
     unit = replace(Scale.unit(1, 1), input_equilibrium=np.ones(1))
-    shown = mismatch(
+    shown = measure_mismatch(
         SSM.of(linear, 0.1, unit), data.validation, data.start_up_samples, data.mismatch_records
     )
     assert len(shown.views) == len(AMPLITUDES)

@@ -15,7 +15,7 @@ from loop_cases import motor_model, motor_record
 
 from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import with_gain_certificates
@@ -78,7 +78,7 @@ def test_a_design_comes_back(kind: str) -> None:
         u = np.repeat(rng.uniform(-3, 3, 40), 5)[:, None]
         record = (Trajectory(u=u, y=OUTPUTS[seed](rng, u), step_s=0.01),)
         design = Auto(**GRIDS, integral_weights=integral_weights).design(model, balls, record)
-        shown = mismatch(model, record)
+        shown = measure_mismatch(model, record)
         facts = design_facts(with_gain_certificates(design, model, balls), model, balls, shown)
         assert isinstance(facts["controller_certified"], bool)
         assert design.feasible or facts["infeasible_reason"]

@@ -17,7 +17,7 @@ from ssm_study.evidence.metrics import judge
 from ssm_study.evidence.records import _range
 from ssm_study.evidence.response import coherence, dead_time, findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
@@ -147,14 +147,14 @@ def test_a_test_input_where_training_has_no_power_is_a_doubt():
     for scale in (0.1, 1.0):  # a share knows no unit
         u = scale * np.where(np.arange(6000) < 4500, slow, WHITE)
         told = records.findings(
-            made := case(u, answer(u)), mismatch(made.model, made.data.validation)
+            made := case(u, answer(u)), measure_mismatch(made.model, made.data.validation)
         )
         (said,) = (
             found.sentence for found in told if "lies where training has none" in found.sentence
         )
         assert 60 < float(said.split(" %")[0]) < 80
     told = records.findings(
-        made := case(WHITE, answer(WHITE)), mismatch(made.model, made.data.validation)
+        made := case(WHITE, answer(WHITE)), measure_mismatch(made.model, made.data.validation)
     )
     assert not any("lies where training has none" in found.sentence for found in told)
 
@@ -258,7 +258,8 @@ def test_a_model_with_neurons_is_judged():
     data, other = case(LEVELS, answer(LEVELS)).data, model()
     validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
     assert (
-        judge(data, other, validation, test, mismatch(other, data.validation)).level == CANNOT_JUDGE
+        judge(data, other, validation, test, measure_mismatch(other, data.validation)).level
+        == CANNOT_JUDGE
     )
 
 

@@ -14,7 +14,7 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
-from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.return_to_rest import AT_REST, SURE, _apart, _tail, after_returns
 from ssm_study.signals import Scale, Trajectory
 
@@ -23,7 +23,7 @@ THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
 def said(u: np.ndarray, y: np.ndarray) -> list[str]:
     log = case(u, y)
-    shown: Mismatch = mismatch(log.model, log.data.validation)
+    shown: Mismatch = measure_mismatch(log.model, log.data.validation)
     return [
         found.sentence
         for found in findings(log, shown)
@@ -45,7 +45,7 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
     assert bool(said(u, answer(out))) == (stick > 0)
     log = case(u, answer(out))
     rest = Trajectory(u=np.zeros((600, 1)), y=np.linspace(-1.5, 0, 600)[:, None] ** 3, step_s=0.1)
-    shown = mismatch(log.model, log.data.validation, 0, (*log.data.test, rest))
+    shown = measure_mismatch(log.model, log.data.validation, 0, (*log.data.test, rest))
     assert shown.stuck == pytest.approx(
         (0.25 / log.model.scale.output_scale[0],) if stick else (), abs=0.01
     )
@@ -78,7 +78,7 @@ def fitted_log(
     parts = {name: Simulation.of(model, getattr(data, name), 20) for name in ("validation", "test")}
     log, shown = (
         Case(data=data, model=model, **parts),
-        mismatch(model, data.validation, 20, data.mismatch_records),
+        measure_mismatch(model, data.validation, 20, data.mismatch_records),
     )
     told = [found.sentence for found in findings(log, shown)]
     return log, shown, " ".join(one for one in told if "rest input" in one)
@@ -135,7 +135,9 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     y = log.model.scale.output_scale * (
         hunts * np.sin(0.2 * k) + 0.001 * np.random.default_rng(0).standard_normal(k.shape)
     )
-    shown = mismatch(log.model, log.data.validation, 0, (Trajectory(u=0.0 * k, y=y, step_s=0.1),))
+    shown = measure_mismatch(
+        log.model, log.data.validation, 0, (Trajectory(u=0.0 * k, y=y, step_s=0.1),)
+    )
     assert shown.rests
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
     told = " ".join(found.sentence for found in findings(log, shown))
@@ -151,7 +153,7 @@ def test_a_faint_swing_that_motion_sets_off_counts(hunts):
     k = np.arange(len(last))[:, None]
     y = last.y + log.model.scale.output_scale * (last.u == 0) * hunts * np.sin(0.9 * k)
     decay = Trajectory(u=np.zeros((600, 1)), y=np.exp(-np.arange(600) / 20)[:, None], step_s=0.1)
-    shown = mismatch(log.model, (*log.data.validation, replace(last, y=y)), 0, (decay,))
+    shown = measure_mismatch(log.model, (*log.data.validation, replace(last, y=y)), 0, (decay,))
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
 
 
@@ -205,7 +207,7 @@ def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     excited[120:1000] *= np.linspace(0.9, 0.8, 880)
     log, shown, _ = fitted_log(tmp_path, excited, answer(excited))
     assert len(log.data.mismatch_records) == 3
-    alone = mismatch(log.model, log.data.validation, 20)
+    alone = measure_mismatch(log.model, log.data.validation, 20)
     assert (shown.gain, shown.spread, len(shown.views)) == (
         alone.gain,
         alone.spread,
@@ -219,7 +221,10 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     farthest = np.full((60, 1), times * np.abs(log.data.training[0].y).max())
     trial = Trajectory(u=np.zeros((60, 1)), y=farthest, step_s=0.1)
     begun = replace(log, data=replace(log.data, mismatch_records=(trial,)))
-    told = [found.sentence for found in findings(begun, mismatch(log.model, log.data.validation))]
+    told = [
+        found.sentence
+        for found in findings(begun, measure_mismatch(log.model, log.data.validation))
+    ]
     assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
     assert any("times as far out" in sentence for sentence in told) == (times > 1.2)
 

@@ -19,7 +19,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
@@ -127,7 +127,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
     record = Trajectory(u=u, y=y, step_s=stand.step_s)
     size = np.linalg.norm(stand.scale.scaled_input(u)) / np.linalg.norm(stand.lift(u))
     assert shown_behind(stand, (record,), 0, ()).gain == pytest.approx(
-        mismatch(stand, (record,)).gain * size, rel=1e-9
+        measure_mismatch(stand, (record,)).gain * size, rel=1e-9
     )
 
 

@@ -20,7 +20,7 @@ from ssm_study.loop.regulation import Loop
 from ssm_study.loop.trajectory import equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import peaks_on_grid, sensitivity
 from ssm_study.synthesis.auto import Auto
@@ -173,7 +173,7 @@ def test_auto_chooses_with_integral_action():
     chosen = auto.design(motor_model(), BALLS, (motor_record(),))
     assert chosen.certified
     assert chosen.state_feedback.k.shape == (1, 3)
-    shown = mismatch(motor_model(), (motor_record(),))
+    shown = measure_mismatch(motor_model(), (motor_record(),))
     assert predict(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
     columns = behaviour(LOADED.run(motor(), motor_model(), chosen, seed=0))
     assert columns["final_error_worst"] < 1e-2

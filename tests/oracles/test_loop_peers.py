@@ -20,7 +20,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import StepDisturbance
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -129,7 +129,7 @@ def test_the_design_grid_reports_each_designs_own_margin():
     assert len(rows) == 7
     assert {row["initial_conditions"] for row in rows} == {3}
     candidates = SMALL.candidates(motor_model(), BALLS)
-    shown = mismatch(motor_model(), (motor_record(),))
+    shown = measure_mismatch(motor_model(), (motor_record(),))
     margins = [
         predict(motor_model(), Gains(k=k, l=l_), BALLS, shown).mismatch_margin
         for k in candidates.ks

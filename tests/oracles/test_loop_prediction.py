@@ -19,15 +19,15 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
-from ssm_study.robustness.mismatch import ANGLES, BAND, Mismatch, View, mismatch
-from ssm_study.robustness.prediction import PEAK, noise_peak, predict, worst
+from ssm_study.robustness.mismatch import ANGLES, BAND, Mismatch, View, measure_mismatch
+from ssm_study.robustness.prediction import PEAK, noise_peak, predict, robustness_measure
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
     controller_radius,
     ends,
+    largest_singular_values,
     sensitivity,
-    sizes,
 )
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -99,7 +99,9 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
     design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
     k, gain = design.state_feedback.k, design.observer.l
     taps = size * np.random.default_rng(seed).standard_normal(length + 1)
-    found = predict(model, Gains(k=k, l=gain), ONES, mismatch(model, (recorded(model, taps),)))
+    found = predict(
+        model, Gains(k=k, l=gain), ONES, measure_mismatch(model, (recorded(model, taps),))
+    )
     if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
         assert closed(model, k, gain, taps) < 1
 
@@ -109,7 +111,7 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     model = linear_model(seed)
     design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
     record = recorded(model, np.array([0.0, 0.3]))
-    found = predict(model, design.pair, ONES, mismatch(model, (record,)))
+    found = predict(model, design.pair, ONES, measure_mismatch(model, (record,)))
     assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
 
 
@@ -118,14 +120,16 @@ def test_what_pairs_share_changes_no_number(seed):
     """Two pairs one after the other, each with slopes and modes of its own, against each by
     itself."""
     model, shared = linear_model(seed), Responses(angles=FINE_ANGLES)
-    shown = mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
+    shown = measure_mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
     for rate in (0.1, 0.3):
         pair = RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(model, BALLS).pair
-        alone = worst(model, pair, BALLS, shown)
-        assert worst(model, pair, BALLS, shown, shared) == pytest.approx(alone, rel=1e-9)
+        alone = robustness_measure(model, pair, BALLS, shown)
+        assert robustness_measure(model, pair, BALLS, shown, shared) == pytest.approx(
+            alone, rel=1e-9
+        )
         assert (
             alone / 2
-            <= worst(model, pair, BALLS, shown, shared, refused=alone / 2)
+            <= robustness_measure(model, pair, BALLS, shown, shared, refused=alone / 2)
             <= alone * (1 + 1e-9)
         )
         assert 0 < alone < np.inf
@@ -137,7 +141,9 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     k, gain = design.state_feedback.k, design.observer.l
     angles = ANGLES
     loops = [sensitivity(*end) for end in ends(model.linear, Gains(k=k, l=gain), BALLS)]
-    largest = np.max([sizes(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0)
+    largest = np.max(
+        [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0
+    )
     sensitive = np.array([(near(w)(FINE_ANGLES) * largest).max() for w in angles])
     shown = flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)
     found = predict(model, Gains(k=k, l=gain), BALLS, shown)
@@ -195,10 +201,12 @@ def test_an_integrator_holds_where_the_plant_does():
         rest=0 * ones,
         response=0.01,
     )
-    alone = worst(model, pair, BALLS, Mismatch(views=(large,)))
-    assert 0 < alone <= worst(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
+    alone = robustness_measure(model, pair, BALLS, Mismatch(views=(large,)))
+    assert (
+        0 < alone <= robustness_measure(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
+    )
     answers = replace(held, response=0.5)
-    assert worst(model, pair, BALLS, Mismatch(views=(answers, large))) > 1
+    assert robustness_measure(model, pair, BALLS, Mismatch(views=(answers, large))) > 1
 
 
 @pytest.mark.parametrize(("knee", "passes"), [(1.0, True), (0.3, False)])
@@ -219,13 +227,13 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
         return View(amplitude=amplitude, gain=gain, **parts)
 
     alone = [
-        worst(model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),)))
+        robustness_measure(model, pair, replace(ONES, input=one), Mismatch(views=(seen(1.0, 1.0),)))
         for one in STEEP_AND_FLAT
     ]
     assert 1.2 * alone[0] < alone[1] < np.inf
     gain = 2 / sum(alone)  # between what the two slopes tolerate
     small = (seen(0.1, gain), seen(0.5, 0.0), seen(1.0, 0.0))
-    assert (worst(model, pair, balls, Mismatch(views=small)) < 1) == passes
+    assert (robustness_measure(model, pair, balls, Mismatch(views=small)) < 1) == passes
     large = (
         seen(0.1, 0.0),
         seen(0.5, gain),
@@ -234,7 +242,10 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     trial = Mismatch(views=(seen(0.1, 0.0), seen(0.5, 0.0), seen(1.0, 0.0)), loop=seen(0.1, gain))
     pair_alone = Mismatch(views=(seen(0.1, gain), seen(1.0, 0.0)))
     assert (
-        min(worst(model, pair, balls, one) for one in (Mismatch(views=large), trial, pair_alone))
+        min(
+            robustness_measure(model, pair, balls, one)
+            for one in (Mismatch(views=large), trial, pair_alone)
+        )
         > 1
     )
 

@@ -10,7 +10,7 @@ from test_loop_prediction import ONES, linear_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import sensitivity_peak
 from ssm_study.signals import Trajectory
@@ -75,7 +75,10 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     """Harmonic balance: the gain in the loop times |T_ue| is one at the cycle, so the margin falls
     below one."""
     trial, record = looped(MODEL, FAST, 0.3, noise), recorded(noise)
-    known, shown = mismatch(MODEL, (record,)), mismatch(MODEL, (record,), 0, (trial,))
+    known, shown = (
+        measure_mismatch(MODEL, (record,)),
+        measure_mismatch(MODEL, (record,), 0, (trial,)),
+    )
     assert predict(MODEL, FAST.pair, ONES, known).resolved_margin > 1
     assert predict(MODEL, FAST.pair, ONES, shown).resolved_margin < 1
     assert shown.loop is not None
@@ -91,7 +94,7 @@ def test_noise_that_the_loop_feeds_back_is_no_mismatch(repeats):
     one everywhere."""
     record, trial = recorded(), looped(MODEL, FAST, 0.0, noise=0.3)
     record = record if repeats else record[:1500]
-    assert mismatch(MODEL, (record,), 0, (trial,)).loop is None
+    assert measure_mismatch(MODEL, (record,), 0, (trial,)).loop is None
 
 
 def test_a_motion_asked_of_a_good_loop_shows_little():
@@ -101,7 +104,7 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
     moved = 2 * np.sin(np.arange(SAMPLES) / 7)[:, None]
     u = trial.u + moved
     y = trial.y + MODEL.simulate(moved)
-    shown = mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=u, y=y),))
+    shown = measure_mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=u, y=y),))
     assert shown.loop is not None
     assert shown.loop.gain < 0.05
 
@@ -113,7 +116,9 @@ def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     trial, k = looped(MODEL, FAST, 0.0, noise=0.05), np.arange(SAMPLES)[:, None]
     moved = 2 * np.sin(k / 7)
     y = trial.y + MODEL.simulate(moved) + size * (1 + np.cos(np.pi * k))
-    shown = mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=trial.u + moved, y=y),)).loop
+    shown = measure_mismatch(
+        MODEL, (recorded(0.05),), 0, (replace(trial, u=trial.u + moved, y=y),)
+    ).loop
     assert shown is not None
     np.testing.assert_array_equal(
         shown.by_frequency > 0, (size > 0) & np.isin(np.arange(33), [0, 32])
@@ -124,8 +129,8 @@ def test_where_no_record_measured_the_noise_the_quietest_bands_do():
     """The loop's e holds a cycle at one frequency and white noise: the cycle stays, the noise
     goes."""
     trial, record = looped(MODEL, FAST, 0.3, noise=0.02), recorded()[:1500]
-    measured = mismatch(MODEL, (recorded(0.02),), 0, (trial,)).loop
-    guessed = mismatch(MODEL, (record,), 0, (trial,)).loop
+    measured = measure_mismatch(MODEL, (recorded(0.02),), 0, (trial,)).loop
+    guessed = measure_mismatch(MODEL, (record,), 0, (trial,)).loop
     assert guessed.gain == pytest.approx(measured.gain, rel=0.05)
 
 
@@ -133,15 +138,18 @@ def test_the_start_of_a_loop_is_no_mismatch():
     """From far out, at rest before the end: the model explains the whole of it by its initial
     state."""
     quiet = looped(MODEL, CALM, 0.0)
-    assert mismatch(MODEL, (recorded(),), 0, (quiet,)).loop is None
+    assert measure_mismatch(MODEL, (recorded(),), 0, (quiet,)).loop is None
     short = looped(MODEL, CALM, 0.0, samples=30)  # still on its way at the end
-    shown = mismatch(MODEL, (recorded(),), 0, (short,))
+    shown = measure_mismatch(MODEL, (recorded(),), 0, (short,))
     assert shown.loop is None or shown.loop.gain < 0.02
 
 
 def test_the_records_about_the_loop_stay_as_they_are():
     record, trial = recorded(), looped(MODEL, FAST, 0.3)
-    alone, beside = mismatch(MODEL, (record,)), mismatch(MODEL, (record,), 0, (trial,))
+    alone, beside = (
+        measure_mismatch(MODEL, (record,)),
+        measure_mismatch(MODEL, (record,), 0, (trial,)),
+    )
     assert alone.gain == beside.gain
     assert alone.spread == beside.spread
     assert len(alone.views) == len(beside.views)
@@ -156,7 +164,7 @@ def test_the_record_with_the_most_power_is_the_largest():
         for u in (1 + 0.1 * rng.standard_normal((900, 1)), falling)
     )
     both, alone, other = (
-        mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,))
+        measure_mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,))
     )
     assert both.spread == alone.spread != other.spread
     assert both.unexcited == alone.unexcited

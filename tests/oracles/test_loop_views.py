@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from loop_cases import BALLS, motor, motor_design, motor_model
 from test_loop_prediction import ONES, linear_model
 
-from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, trials
+from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, mismatch_records
 from ssm_study.models.identified import SSM
-from ssm_study.robustness.mismatch import BAND, Mismatch, mismatch
+from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.return_to_rest import AT_REST
 from ssm_study.signals import Trajectory, repetition
@@ -51,8 +51,8 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     """`e = 0.3 |u|` is the mismatch that a cross spectrum of u and e does not show; it repeats, so
     it stays."""
     model = linear_model(0)
-    quiet = mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.0),))
-    noisy = mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.2),))
+    quiet = measure_mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.0),))
+    noisy = measure_mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.2),))
     assert quiet.gain == pytest.approx(
         0.3 * np.sqrt(1 - 2 / np.pi), rel=0.05
     )  # the mean of |u| is no input's answer
@@ -60,10 +60,10 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     assert np.median(noisy.views[0].rest / quiet.views[0].rest) == pytest.approx(1.0, rel=0.2)
     once = replace(twice(model, lambda u: 0.3 * np.abs(u), 0.2), name="once")
     cut = Trajectory(u=once.u[:1024], y=once.y[:1024], step_s=0.01)
-    assert mismatch(model, (cut,)).gain > 1.5 * quiet.gain
+    assert measure_mismatch(model, (cut,)).gain > 1.5 * quiet.gain
     assert np.mean(noisy.noise) == pytest.approx(0.2**2, rel=0.1)
     assert max(quiet.noise) < 1e-20
-    assert mismatch(model, (cut,)).noise == ()  # measured only where an input repeats
+    assert measure_mismatch(model, (cut,)).noise == ()  # measured only where an input repeats
 
 
 def radius(model: SSM, pair: Gains, factor: float) -> float:
@@ -86,7 +86,7 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
     verdicts = set()
     for factor in (-0.95, -0.5, 0.5, 1.5, 3.0, 8.0):
         record = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
-        shown = mismatch(model, (record,))
+        shown = measure_mismatch(model, (record,))
         view = shown.views[0]
         np.testing.assert_allclose(view.linear, factor, rtol=1e-6)
         assert view.rest.max() < 1e-6 * view.by_frequency.max()
@@ -105,11 +105,13 @@ def test_no_phase_is_read_from_noise_below_the_largest_amplitude():
     answers is dropped."""
     model = linear_model(0)
     records = [twice(model, lambda u: 0 * u, 0.2, a, seed) for seed, a in enumerate((0.3, 1.0))]
-    small, large = mismatch(model, tuple(records)).views
+    small, large = measure_mismatch(model, tuple(records)).views
     assert small.amplitude < large.amplitude
     assert np.mean(small.linear != 0) < 0.1
     assert np.mean(large.linear != 0) > 0.2
-    assert np.any(mismatch(model, tuple(records[:1])).views[0].linear)  # alone it is the largest
+    assert np.any(
+        measure_mismatch(model, tuple(records[:1])).views[0].linear
+    )  # alone it is the largest
 
 
 def test_of_the_two_conditions_the_better_one_counts():
@@ -122,7 +124,9 @@ def test_of_the_two_conditions_the_better_one_counts():
     for factor in (0.02, -0.95, 0.5, 1.5, 3.0, 8.0):
         if radius(model, design.pair, factor) >= 1:
             continue
-        shown = mismatch(model, (twice(model, lambda u, f=factor: f * model.simulate(u), 0.0),))
+        shown = measure_mismatch(
+            model, (twice(model, lambda u, f=factor: f * model.simulate(u), 0.0),)
+        )
         sizes = replace(
             shown,
             views=tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views),
@@ -149,7 +153,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         u = design.pair.k @ x_hat
         y = c @ x + d @ u + offset
         x, x_hat = a @ x + b @ u, a @ x_hat + b @ u + design.pair.l @ (c @ x_hat + d @ u - y)
-    view = mismatch(model, (twice(model, lambda u: 1e-9 * u, 0.0),)).views
+    view = measure_mismatch(model, (twice(model, lambda u: 1e-9 * u, 0.0),)).views
     for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
         found = predict(model, design.pair, ONES, shown)
@@ -175,9 +179,10 @@ def test_between_two_amplitudes_lies_what_neither_shows():
         for f, a in ((-1.0, 0.1), (0.0, scale))
     ]
     alone = [
-        predict(model, design.pair, ONES, mismatch(model, (one,))).resolved_margin for one in turned
+        predict(model, design.pair, ONES, measure_mismatch(model, (one,))).resolved_margin
+        for one in turned
     ]
-    both = predict(model, design.pair, ONES, mismatch(model, tuple(turned))).resolved_margin
+    both = predict(model, design.pair, ONES, measure_mismatch(model, tuple(turned))).resolved_margin
     assert both <= min(alone)
 
 
@@ -191,7 +196,9 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
     slow, fast = (0.2 * scale * np.cos(angle * k) for angle in (0.2, 2.6))
     for left, rests in ((0 * k, True), (0.5 * AT_REST * scale * k**0, True), (slow, False), (fast, False),
                         (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30), True)):  # fmt: skip
-        shown = mismatch(model, (record,), 0, (Trajectory(u=still, y=left + noise, step_s=0.01),))
+        shown = measure_mismatch(
+            model, (record,), 0, (Trajectory(u=still, y=left + noise, step_s=0.01),)
+        )
         assert shown.rests == rests
         margin = predict(model, motor_design().pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests
@@ -199,7 +206,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
 
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
-    records = trials(motor(), 3, np.array([0.1]))
+    records = mismatch_records(motor(), 3, np.array([0.1]))
     assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
     assert (
         max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]
@@ -215,13 +222,15 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
     for record, share in zip(records[len(SHARES) :], DECAYS, strict=False):
         assert not record.u.any()
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
-    again = trials(motor(), 3, np.array([0.1]))
+    again = mismatch_records(motor(), 3, np.array([0.1]))
     assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))
 
 
 def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
     """With a trial in closed loop and a rest, and without; infinite gains included."""
-    shown = mismatch(linear_model(0), (twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2),))
+    shown = measure_mismatch(
+        linear_model(0), (twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2),)
+    )
     view = shown.views[0]
     lost = replace(
         view,

@@ -30,7 +30,7 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.claims import SECTIONS, Checked, Derived, NotChecked
 from ssm_study.study.claims import data as section_data
 from ssm_study.study.claims import loop as section_loop
@@ -301,7 +301,7 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(
     missed = replace(
         run.design, observer=replace(run.design.observer, certified=False, solver_status=told)
     )  # type: ignore[arg-type]
-    shown = mismatch(run.model, kept.records, kept.start_up_samples)
+    shown = measure_mismatch(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
         facts = design_facts(made, run.model, certified_balls(run.model), shown)
         assert facts.get("uncertified_reason") == reason

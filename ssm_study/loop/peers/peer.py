@@ -13,7 +13,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import Balls
@@ -61,7 +61,9 @@ class Identified:
     @cached_property
     def shown(self) -> Mismatch:
         """How far the plant is from the model, as the records show it."""
-        return mismatch(self.model, self.validation, self.start_up_samples, self.mismatch_records)
+        return measure_mismatch(
+            self.model, self.validation, self.start_up_samples, self.mismatch_records
+        )
 
     def chosen(self, synthesis: "Auto") -> Design:
         """What `auto` takes, knowing all this."""
