@@ -15,10 +15,6 @@ EIGENVALUE = (
     1e-12  # absolute: what rounding moves the smallest eigenvalue of a matrix with unit diagonal
 )
 
-# Columns that 0.1 wrote and that nothing gives any more: `verify` lists them as not checked.
-WITHDRAWN = "withdrawn in 0.2"
-WITHDRAWN_COLUMNS = frozenset({"noise_gain", "certified_tolerance_resolved"})
-
 # Columns that records of 0.1 lack; those have a withdrawn one.
 ADDED = "records of 0.1 do not have it"
 ADDED_COLUMNS = frozenset({"noise_gain_model"})

@@ -71,9 +71,12 @@ NAMES: Mapping[str, str] = {
     "engine.stages.Kept": "engine.stages.StageOutput",
     "models.identified.Wired": "models.identified.ScaffoldedModel",
     "models.spec.Start": "models.spec.Initialisation",
+    "robustness.mismatch.mismatch": "robustness.mismatch.measure_mismatch",
+    "robustness.prediction.worst": "robustness.prediction.robustness_measure",
     "robustness.sensitivity.frequency_response": "bounds.frequency.frequency_response",
     "robustness.sensitivity.gains": "bounds.frequency.gains",
     "robustness.sensitivity.hinf_norm": "bounds.frequency.hinf_norm",
+    "robustness.sensitivity.sizes": "robustness.sensitivity.largest_singular_values",
     "study.preload.warm": "study.preload.preload",
     "study.stages.Simulated": "study.stages.ModelRun",
     "synthesis.candidates.Found": "synthesis.candidates.GainCandidate",
@@ -147,10 +150,17 @@ WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {
 }
 
 # Parts of `certificate.json` by the name of their theorem: read past, and not checked.
-WITHDRAWN_THEOREMS: Mapping[str, Withdrawn] = {}
+WITHDRAWN_THEOREMS: Mapping[str, Withdrawn] = {
+    "noise_gain": Withdrawn(
+        since="0.2", remedy="read the column noise_gain_model, which is no claim"
+    ),
+}
 
 # Columns that records of an earlier version hold: not checked.
-WITHDRAWN_COLUMNS: Mapping[str, Withdrawn] = {}
+WITHDRAWN_COLUMNS: Mapping[str, Withdrawn] = {
+    "noise_gain": Withdrawn(since="0.2", remedy="read noise_gain_model, which is no claim"),
+    "certified_tolerance_resolved": Withdrawn(since="0.2", remedy="read certified_tolerance"),
+}
 
 
 # Names

@@ -238,6 +238,7 @@ OF_LIMITS = {
 BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
 # Parts that 0.1 wrote and that nothing decides any more: kept as they were read, and never checked.
 WITHDRAWN_PARTS = ("noise", "tolerance_by_frequency")
+WITHDRAWN = "withdrawn in 0.2"
 
 
 @dataclass(frozen=True, kw_only=True)

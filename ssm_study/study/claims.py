@@ -16,7 +16,7 @@ import numpy as np
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import SIDES, Infeasible, StateFeedback
+from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
 from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
 from ssm_study.certificates.theorems.integral_action import (
     augmented,
@@ -25,7 +25,7 @@ from ssm_study.certificates.theorems.integral_action import (
     output_gain,
 )
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
-from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA, WITHDRAWN
+from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD

@@ -13,9 +13,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ssm_study.columns import ADDED, ADDED_COLUMNS, WITHDRAWN, WITHDRAWN_COLUMNS, Column
+from ssm_study.columns import ADDED, ADDED_COLUMNS, Column
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
+from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
 from ssm_study.study.form import form
 from ssm_study.study.run_files import RunFiles, one_line
@@ -180,12 +181,12 @@ def judge(
     """The finding on a column of the record, or why it is not checked; empty where the record
     claims nothing."""
     column = declared(name)
-    if name in ADDED_COLUMNS and name not in record and WITHDRAWN_COLUMNS & record.keys():
+    if name in ADDED_COLUMNS and name not in record and WITHDRAWN_COLUMNS.keys() & record.keys():
         return ADDED
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])
-    if name in WITHDRAWN_COLUMNS:
-        return "" if record.get(name) is None else WITHDRAWN
+    if withdrawn := WITHDRAWN_COLUMNS.get(name):
+        return "" if record.get(name) is None else withdrawn.sentence
     if record.get(name) is None and column:
         return ""
     if reason := unchecked.get(name) or (column.unchecked if column else ""):

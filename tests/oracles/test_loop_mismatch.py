@@ -19,7 +19,7 @@ from loop_cases import (
 from ssm_study.bounds.frequency import gains, hinf_norm
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import ANGLES as BANDS
-from ssm_study.robustness.mismatch import Mismatch, mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.robustness.sensitivity import (
     controller_radius,
@@ -148,17 +148,19 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
 def test_the_gain_is_the_ratio_of_what_the_record_shows():
     model, record = motor_model(), motor_record()
     error = (record.y - model.simulate(record.u)) / 5.0
-    assert mismatch(model, (record,)).gain == pytest.approx(
+    assert measure_mismatch(model, (record,)).gain == pytest.approx(
         np.linalg.norm(error) / np.linalg.norm(record.u / 1.7)
     )
-    assert mismatch(model, (record, record)).gain == pytest.approx(mismatch(model, (record,)).gain)
+    assert measure_mismatch(model, (record, record)).gain == pytest.approx(
+        measure_mismatch(model, (record,)).gain
+    )
     own = Trajectory(u=record.u, y=model.simulate(record.u), step_s=0.01)
-    assert mismatch(model, (own,)).gain == 0.0
+    assert measure_mismatch(model, (own,)).gain == 0.0
 
 
 def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     model, design = motor_model(), motor_design()
-    shown = mismatch(model, (motor_record(),))
+    shown = measure_mismatch(model, (motor_record(),))
     found = predict(model, Gains(k=50 * design.state_feedback.k, l=design.observer.l), BALLS, shown)
     assert (found.mismatch_margin, found.resolved_margin) == (0.0, 0.0)
     own = predict(model, design.pair, BALLS, shown)
@@ -176,7 +178,7 @@ def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0)
         u = np.random.default_rng(seed).standard_normal((samples, 1))
         y = model.simulate(u) + 5.0 * filtered(u / 1.7)
         made.append(Trajectory(u=u, y=y, step_s=0.01))
-    return mismatch(model, tuple(made), start_up)
+    return measure_mismatch(model, tuple(made), start_up)
 
 
 def test_a_mismatch_of_constant_gain_has_it_at_every_frequency():
@@ -205,7 +207,7 @@ def test_where_the_input_hardly_moves_nothing_stands_in_for_what_is_measured(per
     model, k = motor_model(), np.arange(4000)
     u = np.sin(2 * np.pi * k / period)[:, None]
     noise = np.random.default_rng(0).standard_normal(u.shape)
-    shown = mismatch(model, (Trajectory(u=u, y=model.simulate(u) + noise, step_s=0.01),))
+    shown = measure_mismatch(model, (Trajectory(u=u, y=model.simulate(u) + noise, step_s=0.01),))
     assert (shown.by_frequency[8:] > 10 * shown.gain).all()
     assert shown.by_frequency[1] < shown.gain  # where it is excited, the noise is small beside it
     assert shown.unexcited[0] < BANDS[8] < shown.unexcited[-1]
@@ -222,7 +224,7 @@ def test_samples_that_start_the_state_do_not_count():
     model, u = motor_model(), np.random.default_rng(0).standard_normal((400, 1))
     still = np.where(np.arange(400)[:, None] < 40, u, 0.0)
     with pytest.raises(BadRequest, match="validation"):
-        mismatch(model, (Trajectory(u=still, y=model.simulate(still), step_s=0.01),), 40)
+        measure_mismatch(model, (Trajectory(u=still, y=model.simulate(still), step_s=0.01),), 40)
     assert shown_by(late).gain > 1.0
 
 
