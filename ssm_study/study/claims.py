@@ -302,7 +302,7 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
     again."""
     kept, test = run.simulated.validation, run.simulated.test
     records = kept.records, kept.start_up_samples, run.trials
-    shown = mismatch(run.model, *records)
+    shown = measure_mismatch(run.model, *records)
     premise = measure_premise(run.model, kept.records, shown, kept.start_up_samples, run.trials)
     fresh = None
     if run.specification.plant is None:

@@ -18,7 +18,7 @@ from ssm_study.robustness.coverage import (
     measure_premise,
     running_sum,
 )
-from ssm_study.robustness.mismatch import mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
@@ -66,7 +66,7 @@ def scaled_model(share: float):
 def premise(answer, **options) -> Premise:
     model = SSM.of(MODEL, 0.01)
     made = records(answer, **options)
-    return measure_premise(model, made[:1], mismatch(model, made), 0, made[1:])
+    return measure_premise(model, made[:1], measure_mismatch(model, made), 0, made[1:])
 
 
 def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Design:
@@ -112,7 +112,7 @@ def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
     for noise in (0.0, 0.05):
         y = 1.3 * MODEL.simulate(u)[0] + noise * rng.standard_normal(u.shape)
         made = (Trajectory(u=u, y=y, step_s=0.01),)
-        known = measure_premise(model, made, mismatch(model, made))
+        known = measure_premise(model, made, measure_mismatch(model, made))
         assert not known.repeating
         needs.append(OUTPUT_ALONE.need(known.items(0.0))[0])
     assert needs[0] == pytest.approx(0.3, rel=1e-6)
@@ -215,7 +215,7 @@ def test_a_model_that_integrates_has_no_premise() -> None:
     integrating = StateSpace(a=np.diag([1.0, 0.5]), b=np.ones((2, 1)), c=np.ones((1, 2)), d=ZERO)
     model = SSM.of(integrating, 0.01)
     made = records(scaled_model(0.1))
-    shown = replace(mismatch(model, made), left_at_rest=None)
+    shown = replace(measure_mismatch(model, made), left_at_rest=None)
     assert measure_premise(model, made, shown).missing(0.0) == INTEGRATES
 
 
