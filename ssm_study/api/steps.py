@@ -13,7 +13,8 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model as StateSpaceModel
-from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.synthesis.input_inversion import shown_to
 
@@ -42,7 +43,9 @@ def identify(
 
 def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
     """Measure how far the plant is from the model, as the validation record and trials show it."""
-    return measure_mismatch(model, data.validation, data.start_up_samples, data.mismatch_records)
+    return measure_mismatch_of_records(
+        model, data.validation, data.start_up_samples, data.mismatch_records
+    )
 
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
