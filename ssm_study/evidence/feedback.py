@@ -43,11 +43,17 @@ LAGS, UNSTABLE, ALIKE = (3, 5, 8), 1.01, 0.02  # models that must agree on a mod
 # alone is more once
 # in a hundred. Source: Fuller, Introduction to Statistical Time Series (1976), table 8.5.1.
 GROWTH = 2.03
+# Standard errors by which growth must follow from the output itself, beside any static map of the
+# input: motors with a dead zone reach 2.5, plants that run away with little noise 5.9 and more.
+GROWS = 4.0
+REMEMBERED = 0.5  # share of itself that an integrator may lose over all samples, as a logarithm
+MOVED_BY_INPUT = 0.5  # share of the rise that the input must explain
+KNOTS, STRIDE = 9, 10  # of the static map, and the samples over which growth is looked for
 Rows = Float[np.ndarray, "_ _"]
 
 
 def findings(case: Case) -> Iterator[Finding]:
-    """One doubt at most, and whether the plant runs away without a loop."""
+    """Whether a loop, or an answer within the sample, ties input to output; whether it runs away."""
     share = case.data.metadata.get("by_set_point")
     if share is not None:
         told = f"The input is what the set point of the log's loop makes of it, {100 * float(share):.0f} % of its power"
@@ -56,9 +62,17 @@ def findings(case: Case) -> Iterator[Finding]:
             if float(share) >= LEAST_SHARE
             else doubt(f"{told}: move the set point more.")
         )
-    earlier, present = fed_back(case.data, 1), fed_back(case.data, 0)
+    earlier = fed_back(case.data, 1)
+    present = fed_back(case.data, 0)
     closed = is_closed(case.data, earlier, present)
-    if closed:
+    at_once = closed and earlier < EARLIER and answers_at_once(case.data)
+    if at_once and not case.model.linear.d.any():
+        yield doubt(
+            f"The output answers the input within the sample ({100 * present:.0f} % of what is new "
+            "in the one is in the other, and earlier outputs explain nothing of the input): use "
+            "model.feedthrough=true."
+        )
+    elif closed and not at_once:
         told = (
             f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
         )
@@ -68,7 +82,33 @@ def findings(case: Case) -> Iterator[Finding]:
             else "name its set point, data.reference, or PI"
         )
         yield doubt(f"{told}, as in a closed-loop log: {remedy}, or record with the loop open.")
-    yield from runs_away(case.data, closed=closed or share is not None)
+    integrated = case.model.linear.spectral_radius >= 1 - ROUNDING
+    in_loop = (closed and not at_once) or share is not None
+    yield from runs_away(case.data, closed=in_loop, integrated=integrated)
+
+
+def answers_at_once(data: DataSet) -> bool:
+    """Whether what input and output share within a sample is the plant's answer, not a controller's.
+
+    A controller with negative feedback makes the first coefficient of the finite impulse response
+    point against the plant's further response; a plant that answers within the sample does not.
+    """
+    rows = [
+        (sliding_window_view(u, PAST + 1, axis=0)[:, :, ::-1].reshape(len(u) - PAST, -1), y[PAST:])
+        for u, y in scaled(data)
+        if len(u) >= SHORTEST * PAST
+    ]
+    if not rows:
+        return False
+    past = np.concatenate([u for u, _ in rows])
+    outputs = np.concatenate([y for _, y in rows])
+    with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
+    weights = np.linalg.lstsq(with_constant, outputs, rcond=ROUNDING)[0][:-1]
+    response = weights.reshape(-1, PAST + 1, outputs.shape[1])
+    at_once = response[:, 0]
+    later = response[:, 1:].sum(axis=1)
+    largest = np.unravel_index(np.abs(at_once).argmax(), at_once.shape)
+    return bool(at_once[largest] * later[largest] > 0)
 
 
 def is_closed(data: DataSet, earlier: float, present: float) -> bool:
@@ -78,7 +118,7 @@ def is_closed(data: DataSet, earlier: float, present: float) -> bool:
     return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
 
 
-def runs_away(data: DataSet, *, closed: bool) -> Iterator[Finding]:
+def runs_away(data: DataSet, *, closed: bool, integrated: bool) -> Iterator[Finding]:
     """Whether models of three lengths agree on a mode that grows.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
@@ -87,12 +127,72 @@ def runs_away(data: DataSet, *, closed: bool) -> Iterator[Finding]:
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
     modes = [own_mode(data if closed else whole, lags) for lags in LAGS]
-    least = UNSTABLE if closed else math.exp(GROWTH / sum(map(len, whole.training)))
-    if min(modes) > least and np.ptp(modes) < ALIKE:
-        told = f"The output runs away by itself (a mode at {np.median(modes):.5g} a sample), and models here are stable"
+    samples = sum(map(len, whole.training))
+    least = UNSTABLE if closed else math.exp(GROWTH / samples)
+    alike = np.ptp(modes) < ALIKE
+    mode = f"a mode at {np.median(modes):.5g} a sample"
+    by_input, by_itself = growth(whole)
+    if alike and min(modes) > least and (closed or by_itself > GROWS):
+        told = f"The output runs away by itself ({mode}), and models here are stable"
         yield Finding(
             level="cannot judge", sentence=f"{told}: log its loop with the set point as the input."
         )
+        return
+    lasts = alike and min(modes) > 1 - REMEMBERED / samples
+    if lasts and by_input > MOVED_BY_INPUT and not closed and not integrated:
+        yield doubt(
+            f"The output integrates its input ({mode}, and {100 * by_input:.0f} % of its rise "
+            "follow a static map of the input): use model.integrated=true."
+        )
+
+
+def growth(data: DataSet) -> tuple[float, float]:
+    """Share of the output's rise that the input explains, and whether the output grows with itself.
+
+    Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
+    linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
+    the rise that f and g explain, the least of all outputs, and c over its standard error, the
+    largest; `(0, infinite)` where the records are too few to tell.
+    """
+    parts = (*data.training, *data.validation, *data.test)
+    scale = data.scale
+    records = [(scale.scaled_input(one.u), scale.scaled_output(one.y)) for one in parts]
+    inputs = np.concatenate([u for u, _ in records])
+    nodes = [np.unique(np.quantile(column, np.linspace(0, 1, KNOTS))) for column in inputs.T]
+    pieces = [_growth_rows(u, y, nodes) for u, y in records if len(u) > 4 * STRIDE]
+    if not pieces:
+        return 0.0, np.inf
+    moved, rise, before = (np.concatenate(side) for side in zip(*pieces, strict=True))
+    missed = rise - moved @ np.linalg.lstsq(moved, rise, rcond=ROUNDING)[0]
+    power = np.maximum((rise**2).sum(axis=0), np.finfo(float).tiny)
+    explained = 1 - (missed**2).sum(axis=0) / power
+    errors = [_standard_errors(moved, rise[:, j], before[:, j]) for j in range(rise.shape[1])]
+    return float(explained.min()), max(errors)
+
+
+def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
+    """What the input added over a stride and the one before, the output's rise, and its past."""
+    hats = [
+        np.interp(column, at, corner)
+        for column, at in zip(u.T, nodes, strict=True)
+        for corner in np.eye(len(at))
+    ]
+    added = np.cumsum(np.stack(hats, axis=1), axis=0) / STRIDE
+    k = np.arange(2 * STRIDE, len(u) - STRIDE, STRIDE)
+    now = added[k + STRIDE - 1] - added[k - 1]
+    earlier = added[k - 1] - added[k - STRIDE - 1]
+    return np.concatenate([now, earlier], axis=1), y[k + STRIDE] - y[k], y[k - STRIDE]
+
+
+def _standard_errors(
+    moved: Rows, rise: Float[np.ndarray, "_"], before: Float[np.ndarray, "_"]
+) -> float:
+    rows = np.column_stack([moved, before])
+    weights, _, rank, _ = np.linalg.lstsq(rows, rise, rcond=ROUNDING)
+    missed = rise - rows @ weights
+    variance = float(missed @ missed) / max(len(rise) - int(rank), 1)
+    spread = variance * np.linalg.pinv(rows.T @ rows)[-1, -1]
+    return float(weights[-1] / np.sqrt(max(spread, np.finfo(float).tiny)))
 
 
 def own_mode(data: DataSet, lags: int) -> float:

@@ -2,9 +2,11 @@
 are linear."""
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, graded, note
-from ssm_study.signals import fit_percent, lagged
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import fit_of_error, fit_percent, lagged
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
 NO_FIT = 20.0  # percent: below, two thirds of it are not; the mean, which needs no model, has 0
@@ -14,6 +16,7 @@ OWED, MOST_OWED = (
     0.15,
     0.4,
 )  # shares of the output's power that the residual owes to the input: a doubt, no judgement
+SMALL_ERROR = 0.02  # rms error as a share of the output's range, below which a fit says little
 LAGS = 40
 FEW = 300  # samples below which the fits of two parts are not compared
 
@@ -21,16 +24,11 @@ FEW = 300  # samples below which the fits of two parts are not compared
 def findings(case: Case) -> list[Finding]:
     """Fit by itself, between the parts, against a linear filter, and what the residual still owes
     to the input."""
-    validation, test, pooled = case.validation.fit_percent, case.test.fit_percent, pooled_fit(case)
-    sentence = f"In free run the model fits validation and test together by {pooled:z.0f} %, the mean alone by 0 %: "
-    found = graded(
-        -pooled,
-        -POOR_FIT,
-        -NO_FIT,
-        f"{sentence}record more of what moves the output, or another input.",
-    )
-    long = min(sum(len(r) for r in part.records) for part in (case.validation, case.test)) >= FEW
-    if not found and long and abs(validation - test) > APART:
+    validation = case.validation.fit_percent
+    test = case.test.fit_percent
+    found = poor_fit(case)
+    samples = [sum(len(r) for r in part.records) for part in (case.validation, case.test)]
+    if not found and min(samples) >= FEW and abs(validation - test) > APART:
         sentence = f"Validation fits by {validation:.0f} %, test by {test:.0f} %"
         found = [doubt(f"{sentence}: split the log in interleaved blocks, or find what changed.")]
     linear = linear_fit(case)
@@ -42,6 +40,29 @@ def findings(case: Case) -> list[Finding]:
     return found + graded(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
     )
+
+
+def poor_fit(case: Case) -> list[Finding]:
+    """A poor fit of validation and test together, with the two numbers that the outcome prints.
+
+    Where the error is small against the range of the training output, the percentage is poor
+    because those records hardly move: a doubt that says both, never `cannot judge`.
+    """
+    pooled = pooled_fit(case)
+    sentence = (
+        f"In free run the model fits the test record by {case.test.fit_percent:z.1f} %, validation "
+        f"by {case.validation.fit_percent:z.1f} %, the mean alone by 0 %"
+    )
+    share = error_share(case)
+    if share < SMALL_ERROR and pooled < POOR_FIT:
+        return [
+            doubt(
+                f"{sentence}; its error is {100 * share:.2g} % of the output's range, so these "
+                "records move too little for a percentage: test where the output moves."
+            )
+        ]
+    remedy = "record more of what moves the output, or another input."
+    return graded(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
 
 
 def linear_fit(case: Case) -> float:
@@ -60,25 +81,59 @@ def linear_fit(case: Case) -> float:
 
 
 def pooled_fit(case: Case) -> float:
-    """Fit in percent over validation and test as one, each record about its own mean: a short piece
-    says little."""
-    moved, missed = zip(*((y - y.mean(axis=0), e) for _, y, e in case.scored()), strict=True)
-    y = np.concatenate(moved)
-    return fit_percent(y, y - np.concatenate(missed)) if y.any() else -np.inf
+    """Fit in percent over validation and test as one, each part about its own mean.
+
+    It lies between the two fits that the outcome prints, which are about the same means.
+    """
+    missed, moved = 0.0, 0.0
+    for part in (case.validation, case.test):
+        y, error = scored_part(case, part)
+        missed += float((error**2).sum())
+        moved += float(((y - y.mean(axis=0)) ** 2).sum())
+    return fit_of_error(np.sqrt(missed / moved)) if moved else -np.inf
+
+
+def scored_part(
+    case: Case, part: Simulation
+) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
+    """Scaled output and error of all records of a part, start-up samples left out."""
+    start = part.start_up_samples
+    scale = case.data.scale
+    y = [scale.scaled_output(record.y)[start:] for record in part.records]
+    pairs = zip(part.records, part.simulated, strict=True)
+    error = [((record.y - run) / scale.output_scale)[start:] for record, run in pairs]
+    return np.concatenate(y), np.concatenate(error)
+
+
+def error_share(case: Case) -> float:
+    """Root mean square error over validation and test as a share of the training output's range;
+    of several outputs the largest."""
+    parts = [scored_part(case, part)[1] for part in (case.validation, case.test)]
+    rms = np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
+    trained = np.concatenate([case.scaled(record)[1] for record in case.data.training])
+    ranges = np.ptp(trained, axis=0)
+    return float((rms / np.maximum(ranges, np.finfo(float).tiny)).max())
 
 
 def owed_to_input(case: Case) -> float:
     """Share of the output's power by which a filter from u, fitted to one half of the residual,
-    predicts the other."""
-    gained, whole = 0.0, 0.0
-    for u, y, e in case.scored():
+    predicts the other.
+
+    The power is that of each part about its own mean, as in the fit that the outcome prints.
+    """
+    gained, samples = 0.0, 0
+    for u, _, e in case.scored():
         half = len(u) // 2
         if half <= 4 * LAGS:
             continue
         weights = np.linalg.lstsq(lagged(u[:half], LAGS), e[LAGS:half], rcond=None)[0]
-        rest, y = e[half + LAGS :], y[half + LAGS :]
-        gained += float((rest**2).sum() - ((rest - lagged(u[half:], LAGS) @ weights) ** 2).sum())
-        whole += float(((y - y.mean(axis=0)) ** 2).sum())
+        rest = e[half + LAGS :]
+        unexplained = rest - lagged(u[half:], LAGS) @ weights
+        gained += float((rest**2).sum() - (unexplained**2).sum())
+        samples += len(rest)
+    outputs = [scored_part(case, part)[0] for part in (case.validation, case.test)]
+    powers = np.concatenate([((y - y.mean(axis=0)) ** 2).sum(axis=1) for y in outputs])
+    whole = samples * float(powers.mean())
     return max(gained, 0.0) / whole if whole else 0.0
 
 

@@ -20,7 +20,7 @@ from ssm_study.robustness.return_to_rest import (
     is_return,
     left,
 )
-from ssm_study.signals import Trajectory
+from ssm_study.signals import DataSet, Trajectory
 
 BEYOND, ROOM = (
     0.05,
@@ -29,10 +29,16 @@ BEYOND, ROOM = (
 PART = 0.05  # share of the test record that may be part of the training records
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
+FEW_VALUES = 50  # distinct outputs up to which a sensor is too coarse to tell a limit
+APPROACH = 6  # samples over which a limit is approached
+ENTERED = 0.4  # of the rms move over so many samples: the speed with which a limit is run into
+FEWEST_STRETCHES = 3  # at a limit: a position is at its farthest once
 ONE_SIDED = 0.02  # least share of the samples on either side of the equilibrium
 FEWEST_CHANGES, FEWEST_SAMPLES = 10, 200
 DRIFT = 0.2  # shift of the residual from the first quarter to the last, in output scales
 WINDOW = 12  # samples that agree exactly in two records only by being the same
+LONGEST_WINDOW = 96  # samples, for records that repeat themselves in shorter ones
+BY_CHANCE = 0.01  # share of windows that may stand in the training records twice
 UNTRAINED = 0.2  # share of the test input's power in bands that training did not excite
 
 
@@ -73,9 +79,7 @@ def _range(case: Case) -> Iterator[str]:
 
 def _levels(case: Case) -> Iterator[str]:
     u = _joined(case, case.data.training)[0]
-    changes = sum(
-        int(np.any(np.diff(record.u, axis=0) != 0, axis=1).sum()) for record in case.data.training
-    )
+    changes = input_changes(case.data)
     if changes < FEWEST_CHANGES:
         yield f"The input changes {changes} times in all training records: move it more often."
     if any(len(np.unique(column)) <= 2 for column in u.T):
@@ -85,14 +89,56 @@ def _levels(case: Case) -> Iterator[str]:
         yield "The input stays on one side of its equilibrium, and a loop will not: record both sides."
 
 
+def input_changes(data: DataSet) -> int:
+    """How often the input changes in the training records, and where they were cut from their log.
+
+    A log that is cut at its steps has none within its pieces.
+    """
+    parts = (data.training, data.validation, data.test)
+    pieces = [piece for part in parts for piece in part if piece.log]
+    ending = {(piece.log, piece.first + len(piece)): piece.u[-1] for piece in pieces}
+    changes = 0
+    for record in data.training:
+        changes += int(np.any(np.diff(record.u, axis=0) != 0, axis=1).sum())
+        before = ending.get((record.log, record.first)) if record.log else None
+        changes += before is not None and bool(np.any(before != record.u[0]))
+    return changes
+
+
 def _limits(case: Case) -> Iterator[str]:
-    for channel, column in zip(
-        case.data.outputs, _joined(case, case.data.training)[1].T, strict=True
-    ):
+    outputs = _joined(case, case.data.training)[1].T
+    for i, (channel, column) in enumerate(zip(case.data.outputs, outputs, strict=True)):
+        if len(np.unique(column)) <= FEW_VALUES:
+            continue
         for name, limit in (("largest", column.max()), ("smallest", column.min())):
-            share = float((column == limit).mean())
-            if share > AT_LIMIT and len(np.unique(column)) > 50:
+            share = saturated_share(case, i, float(limit))
+            if share > AT_LIMIT:
                 yield f"{channel.name} reads its {name} value in {100 * share:.0f} % of samples: it saturates."
+
+
+def saturated_share(case: Case, output: int, limit: float) -> float:
+    """Share of training samples in stretches at `limit` that a moving output runs into.
+
+    Counted are stretches in which the input still moves and which the output enters at speed: a
+    machine at rest, or inside a dead zone, comes to its extreme slowly and once.
+    """
+    samples, counted, stretches = 0, 0, 0
+    for record in case.data.training:
+        u, scaled = case.scaled(record)
+        y = scaled[:, output]
+        samples += len(y)
+        if len(y) <= APPROACH:
+            continue
+        moves = np.abs(y[APPROACH:] - y[:-APPROACH])
+        usual = float(np.sqrt((moves**2).mean()))
+        at_limit = np.concatenate([[False], y == limit, [False]])
+        edges = np.flatnonzero(np.diff(at_limit.astype(int)))
+        for first, end in edges.reshape(-1, 2):
+            entered = first >= APPROACH and moves[first - APPROACH] >= ENTERED * usual
+            if entered and end - first > 1 and np.ptp(u[first:end], axis=0).any():
+                counted += int(end - first)
+                stretches += 1
+    return counted / samples if stretches >= FEWEST_STRETCHES else 0.0
 
 
 def _length(case: Case) -> Iterator[str]:
@@ -125,16 +171,41 @@ def _drift(case: Case) -> Iterator[str]:
 
 
 def _same(case: Case) -> Iterator[str]:
-    def windows(record: Trajectory) -> set[bytes]:
-        y = np.ascontiguousarray(record.y)
-        moving = (y[k : k + WINDOW] for k in range(len(y) - WINDOW + 1))
-        return {piece.tobytes() for piece in moving if np.ptp(piece) > 0}
-
-    trained = set().union(*(windows(record) for record in case.data.training))
-    tested = [windows(record) for record in case.data.test]
-    share = sum(len(one & trained) for one in tested) / max(sum(len(one) for one in tested), 1)
+    share = shared_with_training(case.data)
     if share > PART:
         yield f"{100 * share:.0f} % of the test record is part of the training records: its fit says nothing new."
+
+
+def shared_with_training(data: DataSet) -> float:
+    """Share of the test record's windows that stand in the training records to the last bit.
+
+    A coarse sensor repeats itself by chance: input and output must agree, over windows so long
+    that the training records hardly ever repeat themselves.
+    """
+    length = WINDOW
+    while length < LONGEST_WINDOW and _repeated(data.training, length) > BY_CHANCE:
+        length *= 2
+    trained = set().union(*(_windows(record, length) for record in data.training))
+    tested = [_windows(record, length) for record in data.test]
+    shared = sum(len(windows & trained) for windows in tested)
+    return shared / max(sum(len(windows) for windows in tested), 1)
+
+
+def _windows(record: Trajectory, length: int) -> set[bytes]:
+    both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
+    pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
+    return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
+
+
+def _repeated(records: tuple[Trajectory, ...], length: int) -> float:
+    """Share of windows in which the output moves that stand in the records more than once."""
+    moving = 0
+    distinct: set[bytes] = set()
+    for record in records:
+        distinct |= _windows(record, length)
+        starts = range(len(record) - length + 1)
+        moving += sum(np.ptp(record.y[k : k + length]) > 0 for k in starts)
+    return 1 - len(distinct) / moving if moving else 0.0
 
 
 def _spectrum(case: Case) -> Iterator[str]:

@@ -5,6 +5,7 @@ calls, attributes, subscripts and names that are no columns are refused before i
 """
 
 import ast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -44,7 +45,7 @@ def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
 
 def _comparable(table: pd.DataFrame) -> pd.DataFrame:
     """The table with NaN for missing numbers and texts, and false for missing truth values."""
-    columns = {}
+    columns: dict[str, Any] = {}
     for name, values in table.items():
         if values.dtype == "boolean":
             columns[name] = values.fillna(False).astype(bool)

@@ -208,7 +208,7 @@ def test_every_figure_has_a_caption() -> None:
 
 def test_an_unknown_figure_is_refused_with_the_choices(studies: dict[str, Path]) -> None:
     with pytest.raises(
-        BadRequest, match=r"only = pie_chart: there is no such figure; choose among .*rates"
+        BadRequest, match=r"only = pie_chart: there is no such figure; choose among .*peers"
     ):
         figures.draw(["pie_chart"], studies["runs"])
 

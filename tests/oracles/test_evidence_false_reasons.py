@@ -1,0 +1,185 @@
+"""Reasons that were false, each with its smallest case, beside the case in which it is true."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.signal
+from test_evidence_response import LEVELS, WHITE, answer, case
+
+from ssm_study.data.assembly import assemble
+from ssm_study.evidence import feedback, fit, records
+from ssm_study.evidence.finding import Case
+from ssm_study.models.metrics import Simulation
+from ssm_study.signals import Channel, DataSet, Trajectory
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "logs_small"
+RNG = np.random.default_rng(7)
+
+
+def sentences(findings) -> str:
+    return " ".join(finding.sentence for finding in findings)
+
+
+def blocks(u: np.ndarray, y: np.ndarray, cuts: list[int]) -> DataSet:
+    """One log cut into pieces: training, then one for validation, then one for test, and again."""
+    log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
+    edges = [0, *cuts, len(u)]
+    pieces = [replace(log[first:end], log=1, first=first) for first, end in pairwise(edges)]
+    rest, channel = np.zeros(1), Channel(name="a", unit="")
+    parts = (pieces[0::3], pieces[1::3], pieces[2::3])
+    return assemble(parts, (rest, rest), ((channel,), (replace(channel, name="b"),)), 0)
+
+
+def with_runs(data: DataSet, model, error: float) -> Case:
+    """Free runs that miss every record by white noise of this size."""
+    parts = {}
+    for name in ("validation", "test"):
+        part = getattr(data, name)
+        runs = tuple(one.y + error * RNG.standard_normal(one.y.shape) for one in part)
+        parts[name] = Simulation(records=part, simulated=runs, start_up_samples=0)
+    return Case(data=data, model=model, **parts)
+
+
+def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints():
+    """Five levels, each block within one: about its own mean every block is fitted by -900 %."""
+    y = np.repeat([0.0, 1.0, -1.0, 0.5, -0.5, 0.2, 0.9, -0.7, 0.3], 100)
+    y = y + 0.002 * RNG.standard_normal(900)
+    data = blocks(y, y, list(range(100, 900, 100)))
+    judged = with_runs(data, case(LEVELS, answer(LEVELS)).model, 0.02)
+    headline = judged.test.fit_percent
+    assert headline > 90
+    assert (
+        min(headline, judged.validation.fit_percent)
+        <= fit.pooled_fit(judged)
+        <= max(headline, judged.validation.fit_percent)
+    )
+    assert fit.poor_fit(judged) == []
+    assert fit.owed_to_input(judged) < fit.OWED
+
+
+def test_a_small_error_on_records_that_hardly_move_is_a_doubt_with_both_numbers():
+    moving = scipy.signal.lfilter([0.1], [1, -0.9], LEVELS[:900])
+    moving[300:] = 0.5 + 0.001 * RNG.standard_normal(600)
+    judged = with_runs(blocks(LEVELS[:900], moving, [300, 600]), case(WHITE, WHITE).model, 0.005)
+    (found,) = fit.poor_fit(judged)
+    assert found.level == "doubt"
+    assert "of the output's range" in found.sentence
+    assert f"the test record by {judged.test.fit_percent:.1f} %" in found.sentence
+    hopeless = with_runs(blocks(LEVELS[:900], moving, [300, 600]), judged.model, 1.0)
+    assert [finding.level for finding in fit.poor_fit(hopeless)] == ["cannot judge"]
+
+
+def test_a_coarse_sensor_repeats_itself_by_chance_and_a_copied_record_does_not():
+    coarse = np.round(answer(LEVELS, noise=0.1) / 0.25) * 0.25
+    assert records.shared_with_training(case(LEVELS, coarse).data) < records.PART
+    copied = case(np.tile(LEVELS[:1000], 6), np.tile(coarse[:1000], 6)).data
+    assert records.shared_with_training(copied) > 0.9
+
+
+def test_a_coarse_sensor_behind_an_input_that_stands_still_repeats_itself_by_chance():
+    u = np.repeat([0.0, 0.5, -0.4, 0.8, 0.1, -0.6], 1000)
+    coarse = np.round((answer(u, noise=0.02)) / 0.1) * 0.1
+    assert records.shared_with_training(case(u, coarse).data) < records.PART
+
+
+def rectified(u: np.ndarray) -> np.ndarray:
+    """Speed of a machine that turns one way and stands still half of the time."""
+    return scipy.signal.lfilter([0.1], [1, -0.9], np.maximum(u - 0.2, 0)).round(3)
+
+
+def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
+    slow = LEVELS[:600].repeat(10)
+    assert sentences([*map(_doubt, records._limits(case(slow, rectified(slow))))]) == ""
+    clipped = np.clip(answer(LEVELS), -0.3, 0.3)
+    told = " ".join(records._limits(case(LEVELS, clipped)))
+    assert told.count("it saturates") == 2
+
+
+def _doubt(sentence: str):
+    from ssm_study.evidence.finding import doubt
+
+    return doubt(sentence)
+
+
+def test_a_position_at_its_farthest_does_not_saturate():
+    u = 255 * np.sin(2 * np.pi * np.arange(6000) / 800)
+    assert not list(records._limits(case(u, motor_position(u, 60))))
+
+
+def test_changes_count_across_the_cuts_of_a_log():
+    """Steps every 100 samples, cut at the steps: each piece alone holds its input still."""
+    u = np.repeat(RNG.uniform(-1, 1, 36), 100)
+    data = blocks(u, u, list(range(100, 3600, 100)))
+    assert records.input_changes(data) == 11
+    once = np.repeat(
+        [0.0, 1.0, 0.0], [50, 100, 3450]
+    )  # up where it trains, down where it validates
+    assert records.input_changes(blocks(once, once + u, list(range(100, 3600, 100)))) == 1
+
+
+def motor_position(u: np.ndarray, dead: float) -> np.ndarray:
+    """A motor's lag behind a dead zone, integrated and rounded as an encoder does."""
+    drive = np.sign(u) * np.maximum(np.abs(u) - dead, 0)
+    speed = scipy.signal.lfilter([0, 0.2], [1, -0.8], np.where(drive < 0, 0.7 * drive, drive))
+    return np.round(0.05 * np.cumsum(speed))
+
+
+SWEEP = 255 * scipy.signal.sawtooth(np.arange(6000) / 100, 0.5)
+
+
+@pytest.mark.parametrize("dead", [0, 60])
+@pytest.mark.parametrize("u", [SWEEP, 255 * LEVELS], ids=["sweep", "levels"])
+def test_a_motor_position_integrates_and_does_not_run_away(u, dead):
+    told = sentences(feedback.findings(case(u, motor_position(u, dead))))
+    assert "runs away" not in told
+
+
+def test_where_a_mode_seems_to_grow_the_integrator_is_recommended():
+    log = case(SWEEP, motor_position(SWEEP, 60))
+    assert min(feedback.own_mode(log.data, lags) for lags in feedback.LAGS) > 1
+    assert feedback.growth(log.data)[1] < feedback.GROWS
+
+
+@pytest.mark.parametrize("pole", [1.002, 1.004, 1.01])
+def test_what_runs_away_still_grows_with_itself(pole):
+    u = LEVELS[:1000]
+    y = scipy.signal.lfilter([0, 0.1], [1, -pole], u)
+    log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
+    assert feedback.growth(blocks(log.u[:, 0], log.y[:, 0], [600, 800]))[1] > feedback.GROWS
+
+
+@pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
+def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
+    y = scipy.signal.lfilter([0.3], [1, -0.7], u) + 0.02 * RNG.standard_normal(len(u))
+    log = case(u, y)
+    assert feedback.fed_back(log.data, 0) > feedback.PRESENT
+    (found,) = feedback.findings(log)
+    assert "use model.feedthrough=true" in found.sentence
+    assert "closed-loop" not in found.sentence
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the folder of small logs is not there")
+@pytest.mark.parametrize("path", sorted(SHARED.glob("*_sample_*.csv")), ids=lambda path: path.stem)
+def test_small_logs_that_answer_within_the_sample(path):
+    table = pd.read_csv(path)
+    data = blocks(table["u"].to_numpy(), table["y"].to_numpy(), [2000, 2500])
+    told = sentences(feedback.findings(with_runs(data, case(WHITE, WHITE).model, 0.1)))
+    assert "closed-loop" not in told
+    assert ("model.feedthrough=true" in told) == ("same_sample" in path.name)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the folder of small logs is not there")
+@pytest.mark.parametrize("path", sorted(SHARED.glob("pos_*.csv")), ids=lambda path: path.stem)
+def test_small_logs_of_a_position_do_not_run_away(path):
+    table = pd.read_csv(path)
+    u, y = (table[name].to_numpy(float) for name in "uy")
+    length = len(u)
+    data = blocks(u, y - y[0], [length * 6 // 10, length * 8 // 10])
+    told = sentences(feedback.runs_away(data, closed=False, integrated=False))
+    assert "runs away" not in told
+    if "sweep" in path.name:
+        assert "use model.integrated=true" in told
