@@ -1,9 +1,9 @@
-"""What a run came to, on one screen: the claim, the numbers that bear it, and where the figures
-lie."""
+"""What a run came to, on one screen, in the blocks MODEL, PROVED, PREDICTED and SEEN, and where the
+figures lie."""
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,187 +13,223 @@ from rich.table import Table
 from rich.text import Text
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.words import SETTLED, decides, judged
+from ssm_study.report.words import NO_FASTER, SETTLED, decides, judged
 
 WIDTH = 80
 MISSING = "–"
-LIMITS = ("limit_lower", "limit_upper", "limited_rate", "unlimited_from", "unlimited_to")
-LIMITED = "{} to {}: rate {} from everywhere, the full rate from outputs {} to {}"
-EACH_ITS_OWN = "a range of each output (see the exported header)"
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the
 # range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
-SCORE_UNITS = {
-    "emps": " mm",
-    "cascaded_tanks": " V",
-    "ced": " ticks/s",
-}  # as the benchmarks publish them
+SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as published
+THEOREMS = {"controller": "Theorem 1", "observer": "Theorem 2"}
+Row = tuple[str, str, str]  # the column that must be known, label, value
 
 
 def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: Console) -> None:
     """The end-of-run table, at most 80 columns wide, and where the figures lie."""
     console.print(outcome_table(record), width=min(WIDTH, console.width))
-    for reason in _reasons(record):
+    for reason in reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
-    kinds: dict[
-        str, list[str]
-    ] = {}  # a line per figure, from where the user stands: `figures/rates.png, .pdf`
+    for line in figure_lines(figures):
+        # a path is never broken
+        console.print(Text(f"  {line}"), soft_wrap=True, highlight=False)
+
+
+def figure_lines(figures: Sequence[Path]) -> list[str]:
+    """A line per figure, from where the user stands: `figures/hankel_spectrum.png, .pdf`."""
+    kinds: dict[str, list[str]] = {}
     for path in figures:
-        kinds.setdefault(str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/"), []).append(
-            path.suffix
-        )
-    for stem, suffixes in kinds.items():
-        console.print(
-            Text(f"  {stem}{', '.join(suffixes)}"), soft_wrap=True, highlight=False
-        )  # a path is never broken
+        stem = str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/")
+        kinds.setdefault(stem, []).append(path.suffix)
+    return [f"{stem}{', '.join(suffixes)}" for stem, suffixes in kinds.items()]
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
-    """The numbers of `record.json` in the order of the argument: model, certificate, plant."""
-    verdict = judged(pd.DataFrame([dict(record)])).iloc[0]
+    """The numbers of `record.json` in the order of the argument: model, proof, prediction, plant."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
     table.add_column(overflow="fold")
     table.add_row("Run", Text(f"{record.get('study', MISSING)}/{record.get('run', MISSING)}"))
-    on = "" if _on_plant(record) or verdict != SETTLED else ", on the identified model"
-    style = "bold yellow" if record.get("evidence") == CANNOT_JUDGE else verdict.style
-    table.add_row("Outcome", Text(f"{verdict.word}: {verdict.sentence}{on}", style=style))
-    for column, label, value in _rows(record):
-        if record.get(column) is not None:
-            table.add_row(label, Text(value))
+    table.add_row("Outcome", outcome_text(record))
+    blocks = (
+        ("MODEL", "", model_rows(record)),
+        ("PROVED", "of the model", proved_rows(record)),
+        ("PREDICTED", "", predicted_rows(record)),
+        ("SEEN", f"on the {loop_place(record)}", seen_rows(record)),
+    )
+    for title, subject, rows in blocks:
+        known = [(label, value) for name, label, value in rows if record.get(name) is not None]
+        if known:
+            table.add_row(Text(title, style="bold"), subject)
+        for label, value in known:
+            table.add_row(f"  {label}", Text(value))
     return table
+
+
+def outcome_text(record: Mapping[str, Any]) -> Text:
+    """The verdict with its sentence; `cannot judge` stands before it."""
+    verdict = judged(pd.DataFrame([dict(record)])).iloc[0]
+    settles = verdict in (SETTLED, NO_FASTER)
+    where = ", on the identified model" if settles and not _on_plant(record) else ""
+    sentence = f"{verdict.word}: {verdict.sentence}{where}"
+    if record.get("evidence") != CANNOT_JUDGE:
+        return Text(sentence, style=verdict.style)
+    return Text(f"cannot judge: the evidence allows no judgement. {sentence}", style="bold yellow")
 
 
 def _on_plant(record: Mapping[str, Any]) -> bool:
     return record.get("loop_on") != "identified model"
 
 
-def _rows(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Column that must be known for the line to make sense, label, value."""
+def loop_place(record: Mapping[str, Any]) -> str:
+    """Where the loop was closed: `simulated plant` or `identified model`."""
+    place = record.get("loop_on")
+    return "simulated plant" if place in (None, "plant") else str(place)
 
-    def number(name: str, form: str = ".3g", unit: str = "") -> str:
-        value = record.get(name)
-        return (
-            MISSING
-            if value is None
-            else f"{value:{form}}{unit}"
-            if isinstance(value, (int, float))
-            else str(value)
-        )
 
-    yield "fit_test_percent", "Fit on the test record", number("fit_test_percent", ".1f", " %")
+def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
+    """The value of a column as text with its unit; a dash where it is missing."""
+    value = record.get(name)
+    if value is None:
+        return MISSING
+    return f"{value:{form}}{unit}" if isinstance(value, int | float) else str(value)
+
+
+def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+    """What was identified: fit, benchmark scores, slopes, how fast it decays without control."""
+    yield (
+        "fit_test_percent",
+        "Fit on the test record",
+        printed(record, "fit_test_percent", ".1f", " %"),
+    )
     for name in sorted(key for key in record if key.startswith("score_test_")):
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
-        yield (
-            name,
-            f"Benchmark score, record {name.removeprefix('score_test_')}",
-            number(name, ".4g", unit),
-        )
-    slopes = (
-        f"[{number('input_slope_lower')}, {number('input_slope_upper')}] ({number('bound_method')})"
-    )
+        number = name.removeprefix("score_test_")
+        yield name, f"Score, record {number}", printed(record, name, ".4g", unit)
+    lower = printed(record, "input_slope_lower")
+    upper = printed(record, "input_slope_upper")
+    slopes = f"[{lower}, {upper}] ({printed(record, 'bound_method')})"
     yield "input_slope_lower", "Slopes of S_u", slopes
-    for side in ("controller", "observer"):
+    if not record.get("neurons"):  # with neurons the linear part does not say it
+        rate = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
+        yield "spectral_radius", "Open loop", f"contracts at rate {rate:.3g} per sample"
+
+
+def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+    """What exact arithmetic holds of the gains that are used, on the model."""
+    for side, theorem in THEOREMS.items():
+        name = f"{side}_certified_rate"
+        limit = f"at most {printed(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
-        shown = f"{number(f'rate_{side}')} {chosen}, at most {number(f'{side}_rate_limit')}: {_certified(record, side)}"
-        yield f"rate_{side}", f"{side.capitalize()} rate", shown
-    rates = f"controller {number('controller_certified_rate')}, observer {number('observer_certified_rate')}"
-    alone = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
-    told = (
-        "" if record.get("neurons") else f"; model alone {alone:.3g}"
-    )  # with neurons A says it not
-    yield "controller_certified_rate", "Rate proved of the gains", f"{rates}{told}"
-    yield from _proved(number, record)
-    yield "evidence", "Evidence", str(record.get("evidence"))
-    yield _prediction(record)
-    where = {None: "simulated plant", "plant": "simulated plant"}.get(
-        record.get("loop_on"), record.get("loop_on")
-    )
-    settled = (
-        f"{number('stable_count', '.0f')} of {number('initial_conditions', '.0f')} on the {where}"
-    )
-    yield "stable_count", "InitialStates settled", settled
-    time_s, alone_s = record.get("settling_time_mean_s"), record.get("settling_time_open_loop_s")
-    ratio = f" (ratio {time_s / alone_s:.2f})" if time_s is not None and alone_s else ""
-    shown = (
-        f"{number('settling_time_mean_s', '.3f', ' s')}, uncontrolled {alone_s or 0:.3f} s{ratio}"
-    )
-    yield "settling_time_open_loop_s", "Mean settling time", shown
+        asked = (
+            f"{printed(record, f'rate_{side}')} {chosen}, {limit}: {certified_word(record, side)}"
+        )
+        label = f"{side.capitalize()} rate"
+        if record.get(name) is None:
+            yield f"rate_{side}", label, asked
+        else:
+            proved = f"{printed(record, name)} per sample ({theorem})"
+            yield name, label, f"{proved}; {asked}"
+    yield from limit_rows(record)
+    yield from covered_rows(record)
 
 
-def _proved(
-    number: Callable[[str], str], record: Mapping[str, Any]
-) -> Iterator[tuple[str, str, str]]:
-    """What is proved beside the rates: with limited inputs, of a wrong model, of noise."""
-    label, neurons = LIMITS_OF[_on_plant(record)], record.get("neurons")
-    if neurons and record.get("controller_certified"):
+def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+    """What is proved with a limited input, and from which initial outputs the full rate holds."""
+    label = LIMITS_OF[_on_plant(record)]
+    if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
-    tolerated = "rest is proved up to {}" if neurons else "{} is proved"
-    limited = LIMITED.format(*map(number, LIMITS)).replace(f"rate {MISSING}", "no rate")
-    yield LIMITS[0], label, limited.replace(f"outputs {MISSING} to {MISSING}", EACH_ITS_OWN)
-    tolerance = tolerated.format(number("certified_tolerance"))
-    yield "certified_tolerance", "Mismatch tolerated", tolerance
-    yield from _covered(record)
-    measured = "" if (share := number("noise_gain_measured")) == MISSING else f", measured {share}"
-    more = (record.get("noise_gain_measured") or 0.0) > (
-        record.get("noise_gain_model") or float("inf")
+    low, high = (printed(record, f"limit_{end}") for end in ("lower", "upper"))
+    rate = printed(record, "limited_rate")
+    everywhere = "at no rate" if rate == MISSING else f"at {rate} per sample"
+    outputs = "a range of each initial output (see the exported header)"
+    if record.get("unlimited_from") is not None:
+        first, last = (printed(record, f"unlimited_{end}") for end in ("from", "to"))
+        outputs = f"initial outputs in [{first}, {last}]"
+    value = (
+        f"input {low} to {high}: contracts globally {everywhere}, at the full rate from {outputs}"
     )
-    measured += ": more than noise moves it" if more else ""
-    yield (
-        "noise_gain_model",
-        "Sensor noise",
-        f"reaches the model's output {number('noise_gain_model')}-fold at the worst frequency{measured}",
-    )
+    yield "limit_lower", label, value
 
 
-def _covered(record: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Whether the proof covers the mismatch that records show; below one it covers nothing, and no
-    share is printed."""
-    label, coverage = "Model error covered", record.get("coverage")
-    if coverage is None:
+def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+    """Whether the proof covers the model error that the records show.
+
+    Below one it covers nothing, and no share is printed; of an older run the tolerance is.
+    """
+    label = "Model error covered"
+    coverage = record.get("coverage")
+    if coverage is None and record.get("coverage_reason") is None:
+        until = "rest is proved up to {}" if record.get("neurons") else "{} is proved"
+        value = until.format(printed(record, "certified_tolerance"))
+        yield "certified_tolerance", "Mismatch tolerated", f"{value}, as a gain on the input"
+    elif coverage is None:
         yield "coverage_reason", label, f"not covered: {record.get('coverage_reason')}"
-        return
-    if coverage < 1:
+    elif coverage < 1:
         where = record.get("coverage_reference")
         yield "coverage", label, f"not covered: the records show more than is proved ({where})"
-        return
-    times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
-    covered = f"{times:.2f} times as large as the records show, at every frequency"
-    needed = record.get("coverage_needed")
-    fresh = "" if needed is None else f"; the test record needs {math.ceil(100 * needed) / 100:.2f}"
-    yield "coverage", label, f"{covered}{fresh}"
+    else:
+        times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
+        covered = f"{times:.2f} times as large as the records show, at every frequency"
+        needed = record.get("coverage_needed")
+        if needed is not None:
+            covered += f"; the test record needs {math.ceil(100 * needed) / 100:.2f}"
+        yield "coverage", label, covered
 
 
-def _prediction(record: Mapping[str, Any]) -> tuple[str, str, str]:
-    """What model and validation record say of the plant."""
-    if record.get("evidence") == CANNOT_JUDGE:
-        return "evidence", "Prediction", "none: the evidence allows no judgement"
-    said = "stays stable" if record.get("predicted_stable") else "not predicted to be stable"
-    said += ", with doubts" if record.get("evidence") == DOUBT else ""
-    rests_on = decides(
-        *(record.get(name) for name in ("resolved_margin", "controller_radius", "noise_peak"))
-    )
+def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+    """What model and records say of the plant before the controller is tried on it."""
+    yield "evidence", "Evidence", str(record.get("evidence"))
     label = "Prediction for the plant" if _on_plant(record) else "Prediction"
-    return "predicted_stable", label, f"{said}: {rests_on}" if rests_on else said
+    if record.get("evidence") == CANNOT_JUDGE:
+        yield "evidence", label, "none: the evidence allows no judgement"
+        return
+    word = "stays stable" if record.get("predicted_stable") else "not predicted to be stable"
+    if record.get("evidence") == DOUBT:
+        word += ", with doubts"
+    names = ("resolved_margin", "controller_radius", "noise_peak")
+    grounds = decides(*(record.get(name) for name in names))
+    yield "predicted_stable", label, f"{word}: {grounds}" if grounds else word
 
 
-def _certified(record: Mapping[str, Any], side: str) -> str:
+def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+    """What the closed loop did: starts that settled, how fast, and what the noise reached."""
+    count = printed(record, "stable_count", ".0f")
+    starts = printed(record, "initial_conditions", ".0f")
+    yield "stable_count", "Initial states settled", f"{count} of {starts}"
+    time_s = record.get("settling_time_mean_s")
+    open_loop_s = record.get("settling_time_open_loop_s")
+    ratio = f" (ratio {time_s / open_loop_s:.2f})" if time_s is not None and open_loop_s else ""
+    mean = printed(record, "settling_time_mean_s", ".3f", " s")
+    times = f"{mean}, uncontrolled {open_loop_s or 0:.3f} s{ratio}"
+    yield "settling_time_open_loop_s", "Mean settling time", times
+    measured = record.get("noise_gain_measured")
+    model = record.get("noise_gain_model")
+    noise = f"reaches the output {printed(record, 'noise_gain_measured')}-fold"
+    if measured is None:
+        noise = f"reaches the model's output {printed(record, 'noise_gain_model')}-fold"
+    elif model is not None:
+        noise += f", the model's {model:.3g}-fold"
+        noise += ": more than noise moves it" if measured > model else ""
+    yield "noise_gain_model", "Sensor noise", noise
+
+
+def certified_word(record: Mapping[str, Any], side: str) -> str:
+    """`certified`, `not certified`, `infeasible`, or `not reached`."""
     if record.get(f"{side}_certified"):
         return "certified"
     feasible = record.get(f"{side}_feasible")
-    return "not reached" if feasible is None else "not certified" if feasible else "infeasible"
+    if feasible is None:
+        return "not reached"
+    return "not certified" if feasible else "infeasible"
 
 
-def _reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Whatever the record says about why a run is infeasible, not certified or failed."""
-    told = re.split(
-        r" (?=(?:note|doubt|cannot judge): )", str(record.get("evidence_reasons") or "")
-    )
-    yield from (
-        f"{one[0].upper()}{one[1:]}"
-        for one in told
-        if one.startswith(("doubt: ", "cannot judge: "))
-    )
+def reasons(record: Mapping[str, Any]) -> Iterator[str]:
+    """Whatever the record says about why a run is doubted, infeasible, not certified or failed."""
+    findings = str(record.get("evidence_reasons") or "")
+    for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):
+        if finding.startswith(("doubt: ", "cannot judge: ")):
+            yield f"{finding[0].upper()}{finding[1:]}"
     for name in ("infeasible_reason", "uncertified_reason", "error_message"):
         if record.get(name):
             yield f"{name.replace('_', ' ').capitalize()}: {record[name]}"

@@ -8,7 +8,7 @@ import pandas as pd
 
 from ssm_study.report import style
 from ssm_study.table.columns import column, label
-from ssm_study.table.rank import standing
+from ssm_study.table.rank import outcome_class
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,13 +39,30 @@ def words(name: object) -> str:
 
 
 def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
-    """What a prediction rests on, beside its bounds: `margin 2.03 > 1, own radius 0.892 < 1`; noise
-    where it counts."""
-    told = [] if margin is None else [f"margin {margin:.3g} {'>' if margin > 1 else '≤'} 1"]
-    told += [] if radius is None else [f"own radius {radius:.3g} {'<' if radius < 1 else '≥'} 1"]
+    """What a prediction rests on, each number beside its bound.
+
+    `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
+    """
+    grounds = []
+    if margin is not None:
+        sign = ">" if margin > 1 else "≤"
+        grounds.append(f"stability margin {digits_beside(margin)} {sign} 1")
+    if radius is not None:
+        sign = "<" if radius < 1 else "≥"
+        grounds.append(f"spectral radius of the controller {digits_beside(radius)} {sign} 1")
     if noise is not None and noise > 0:
-        told.append(f"the noise reaches {noise:.3g} {'<' if noise < 1 else '≥'} 1 of the band")
-    return ", ".join(told)
+        sign = "<" if noise < 1 else "≥"
+        grounds.append(f"the noise reaches {digits_beside(noise)} {sign} 1 of the band")
+    return ", ".join(grounds)
+
+
+def digits_beside(value: float, bound: float = 1.0) -> str:
+    """Three digits, or as many as keep the value on its side of the bound it is compared with."""
+    for digits in range(3, 17):
+        text = f"{value:.{digits}g}"
+        if (float(text) < bound) == (value < bound) and (float(text) > bound) == (value > bound):
+            return text
+    return repr(float(value))
 
 
 @dataclass(frozen=True)
@@ -70,6 +87,14 @@ SETTLED = Verdict(
     "o",
     "circle",
     "bold green",
+)
+NO_FASTER = Verdict(
+    "certified, no faster than without control",
+    "both certificates hold and every start settles, but not sooner than uncontrolled",
+    style.GREEN,
+    ">",
+    "triangle-right",
+    "bold yellow",
 )
 LOST = Verdict(
     "certified, does not settle", "both certificates hold for the model, yet some start does not settle",
@@ -100,21 +125,22 @@ INFEASIBLE = Verdict(
     "bold magenta",
 )
 FAILED = Verdict("failed", "the run ended with an error", style.INK, "P", "diamond", "bold red")
-BY_STANDING = (
+BY_CLASS = (
     SETTLED,
+    NO_FASTER,
     LOST,
     UNCERTIFIED,
     IDENTIFIED,
     INFEASIBLE,
     FAILED,
-)  # see `table.rank.standing`
-VERDICTS = (SETTLED, LOST, UNTRIED, *BY_STANDING[2:])
+)  # see `table.rank.outcome_class`
+VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def judged(table: pd.DataFrame) -> pd.Series:
-    """A `Verdict` per row: its standing, where a run that is certified alone may have closed no
+    """A `Verdict` per row: its outcome class, where a run that is certified alone may have closed no
     loop."""
-    found = standing(table).map(lambda place: BY_STANDING[place]).astype(object)
+    found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
     return found.mask((found == LOST) & column(table, "stable_fraction").isna(), UNTRIED)
 
 

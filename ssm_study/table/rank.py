@@ -11,24 +11,37 @@ import pandas as pd
 from ssm_study.refusal import BadRequest
 from ssm_study.table.columns import BY_NAME, column, flag, nearest, text
 
+NO_FASTER = 0.995  # settling time over the uncontrolled one, from where it prints as 1.00
 
-def standing(table: pd.DataFrame) -> pd.Series:
-    """What became of each run: 0 certified and settles, 1 certified only, 2 not certified, 3 a
-    baseline, which has no
-    controller, 4 infeasible, 5 failed, which any other status than ok counts as."""
+
+def outcome_class(table: pd.DataFrame) -> pd.Series:
+    """Class of each run's outcome, the best first.
+
+    0 certified and settles, 1 the same but no faster than without control, 2 certified only, 3 not
+    certified, 4 a baseline, which has no controller, 5 infeasible, 6 failed, which any other status
+    than ok counts as.
+    """
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
     status = text(table, "status")
     no_controller = (
         column(table, "controller_feasible").isna() & column(table, "controller_certified").isna()
     )
+    settles = certified & (column(table, "stable_fraction") >= 1)
     cases = {
-        5: ~status.isin(["ok", "infeasible"]),
-        4: status == "infeasible",
-        3: no_controller,
-        0: certified & (column(table, "stable_fraction") >= 1),
-        1: certified,
+        6: ~status.isin(["ok", "infeasible"]),
+        5: status == "infeasible",
+        4: no_controller,
+        1: settles & (settling_ratio(table) >= NO_FASTER),
+        0: settles,
+        2: certified,
     }  # the first that holds
-    return pd.Series(np.select(list(cases.values()), list(cases), 2), index=table.index)
+    return pd.Series(np.select(list(cases.values()), list(cases), 3), index=table.index)
+
+
+def settling_ratio(table: pd.DataFrame) -> pd.Series:
+    """Mean settling time as a share of the uncontrolled one; NaN where either is unknown."""
+    open_loop_s = column(table, "settling_time_open_loop_s")
+    return column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
 
 
 def predicted(table: pd.DataFrame) -> pd.Series:
@@ -38,7 +51,7 @@ def predicted(table: pd.DataFrame) -> pd.Series:
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """By standing, then those predicted to be stable, then by settling time, then by fit.
+    """By outcome class, then those predicted to be stable, then by settling time, then by fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
     would have chosen
@@ -48,7 +61,7 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
     time, alone = column(table, "settling_time_mean_s"), column(table, "settling_time_open_loop_s")
     time = time / alone if alone[time.notna()].notna().all() else time
     keys = {
-        "standing": standing(table),
+        "class": outcome_class(table),
         "unforeseen": ~predicted(table),
         "time": time.fillna(np.inf),
     }

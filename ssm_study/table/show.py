@@ -13,7 +13,7 @@ from rich.text import Text
 
 from ssm_study.engine.plan import duration
 from ssm_study.refusal import printable
-from ssm_study.table.columns import BY_NAME, RESULTS, listed, requested, setting_of, settings
+from ssm_study.table.columns import BY_NAME, RESULTS, listed, requested, setting_of, settings, text
 from ssm_study.table.filters import where as filtered
 from ssm_study.table.gather import contradicted, gather
 from ssm_study.table.rank import ranked
@@ -160,8 +160,9 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     )
     varied, telling = _varied_settings(table)
     table = table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
+    table = table.assign(predicted_stable=predictions(table))
     first, outcomes = (
-        ["run", "status", *([by] if by else [])],
+        ["run", *([by] if by else []), "status"],
         [n for n in OUTCOMES if table[n].notna().any()],
     )
     columns, taken = dict[str, list[str]](), 0
@@ -182,6 +183,14 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
         columns[name] for name in dict.fromkeys([*first, *varied, *outcomes]) if name in columns
     ]
     return "\n".join("  ".join(line).rstrip() for line in zip(*shown, strict=True))
+
+
+def predictions(table: pd.DataFrame) -> pd.Series:
+    """The prediction of each run as a word, never without the doubt of its evidence."""
+    words = table["predicted_stable"].map({True: "yes", False: "no"}).astype("string")
+    evidence = text(table, "evidence")
+    words = words.mask((evidence == "doubt") & (words == "yes"), "yes, doubt")
+    return words.mask(evidence == "cannot judge", "cannot judge")
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:

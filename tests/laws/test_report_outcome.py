@@ -10,6 +10,7 @@ from rich.console import Console
 
 from ssm_study.report.outcome import print_outcome
 
+RADIUS = "spectral radius of the controller"
 TABLE = report_tables.table(30).astype(object)
 RECORDS = TABLE.where(TABLE.notna(), None).to_dict("records")
 
@@ -60,6 +61,10 @@ def test_every_number_of_the_argument_is_there() -> None:
         "9 of 10",
         "ratio 0.33",
         "at most 0.314: certified",
+        "MODEL",
+        "PROVED",
+        "PREDICTED",
+        "SEEN",
         "Prediction",
         "Slopes of S_u",
     ):
@@ -79,8 +84,8 @@ def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
     text = printed(
         a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21}
     )
-    assert " of 10 on the identified model" in " ".join(text.split())
-    assert "Benchmark score, record 1 4.21 mm" in " ".join(text.split())
+    assert "SEEN on the identified model" in " ".join(text.split())
+    assert "Score, record 1 4.21 mm" in " ".join(text.split())
 
 
 def test_a_run_that_settles_on_the_model_alone_is_not_said_to_settle_on_the_plant() -> None:
@@ -96,7 +101,7 @@ def test_a_run_that_settles_on_the_model_alone_is_not_said_to_settle_on_the_plan
     ):
         for fraction in (1.0, 0.5):
             text = printed(settled | {"loop_on": loop_on, "stable_fraction": fraction}).split(
-                "Fit on"
+                "MODEL"
             )[0]
             assert (", on the identified model" in " ".join(text.split())) is (
                 bool(more) and fraction == 1.0
@@ -107,15 +112,18 @@ def test_the_prediction_says_what_it_rests_on() -> None:
     known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
     for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):
         text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
-        assert f"Prediction for the plant {words}: margin 1.24 > 1, own radius 0.931 < 1" in text
+        assert (
+            f"Prediction for the plant {words}: stability margin 1.24 > 1, {RADIUS} 0.931 < 1"
+            in text
+        )
     missed = " ".join(
         printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split()
     )
-    assert "margin 0.98 ≤ 1, own radius 1 ≥ 1" in missed
+    assert f"stability margin 0.98 ≤ 1, {RADIUS} 1 ≥ 1" in missed
     noisy = " ".join(
         printed(a_run("ok") | known | {"predicted_stable": False, "noise_peak": 1.562}).split()
     )
-    assert "own radius 0.931 < 1, the noise reaches 1.56 ≥ 1 of the band" in noisy
+    assert f"{RADIUS} 0.931 < 1, the noise reaches 1.56 ≥ 1 of the band" in noisy
 
 
 def test_a_path_is_never_broken() -> None:
@@ -156,7 +164,7 @@ def test_outputs_that_share_no_range_are_not_given_one() -> None:
     record = a_run("ok") | {"limit_lower": 2.16, "limit_upper": 4.14, "limited_rate": 0.1}
     told = " ".join(printed(record | {"unlimited_from": None, "unlimited_to": None}).split())
     assert (
-        "2.16 to 4.14: rate 0.1 from everywhere, the full rate from a range of each output (see the"
+        "input 2.16 to 4.14: contracts globally at 0.1 per sample, at the full rate from a range of each"
         in told
     )
 
@@ -167,3 +175,28 @@ def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None
     for measured, told in ((3.51, True), (0.9, False)):
         text = " ".join(printed(record | {"noise_gain_measured": measured}).split())
         assert ("more than noise moves it" in text) is told
+
+
+def test_no_number_is_rounded_across_the_bound_it_is_compared_with() -> None:
+    known = {"predicted_stable": True, "resolved_margin": 1.00004, "controller_radius": 0.99996}
+    text = " ".join(printed(a_run("ok") | known).split())
+    assert f"stability margin 1.00004 > 1, {RADIUS} 0.99996 < 1" in text
+
+
+def settled_run(**values: Any) -> dict[str, Any]:
+    certified = {"controller_certified": True, "observer_certified": True}
+    return a_run("ok") | certified | {"stable_fraction": 1.0, "evidence": "sound"} | values
+
+
+def test_a_controller_that_is_no_faster_than_none_gets_no_word_of_success() -> None:
+    for ratio, helped in ((0.5, True), (0.98, True), (1.0, False), (1.8, False)):
+        record = settled_run(settling_time_open_loop_s=0.2, settling_time_mean_s=0.2 * ratio)
+        text = " ".join(printed(record).split())
+        assert ("certified, settles" in text) is helped
+        assert ("certified, no faster than without control" in text) is not helped
+
+
+def test_cannot_judge_stands_first() -> None:
+    text = " ".join(printed(settled_run(evidence="cannot judge")).split())
+    outcome = text.partition("Outcome ")[2]
+    assert outcome.startswith("cannot judge: the evidence allows no judgement")

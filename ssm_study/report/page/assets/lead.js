@@ -65,13 +65,13 @@ const SUPPORT = { sound: "no check of the records speaks against the prediction"
 
 /** What is proved, what is predicted, what was seen, and what the records say of it: one short line each. */
 function evidence(i) {
-  const value = (name) => (COLUMNS[name] ? COLUMNS[name][i] : null), digits = (name) => printed(Number(value(name).toPrecision(2)));
+  const value = (name) => (COLUMNS[name] ? COLUMNS[name][i] : null);
   const seconds = (name) => `${printed(value(name))}\u00a0s`;
   const { word, sentence } = DATA.verdicts.find((v) => v.word === COLUMNS.verdict[i]), lines = word === "certified, settles" ? [] : [["Outcome", [`${word}: ${sentence}.`, ...reasons(i).map((text) => `${text[0].toUpperCase()}${text.slice(1)}.`)].join(" ")]];
   const on = loopOn(i) === "model" ? "model" : "plant";
-  if (value("certified_tolerance") && value("mismatch_seen")) lines.push(["Proved for the model", `any two motions under control approach each other, also with a mismatch of gain up to ${digits("certified_tolerance")}; the records show ${digits("mismatch_seen")}, ${value("mismatch_seen") > value("certified_tolerance") ? "so the proof alone does not cover the plant" : "which is less"}.`]);
-  if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? "it stays stable" : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
-  else if (value("evidence") === "cannot judge") lines.push(["Predicted for the plant", "nothing: the records allow no judgement."]);
+  if (value("controller_certified_rate") !== null) lines.push(["Proved of the model", `the controller contracts at rate ${printed(value("controller_certified_rate"))} per sample, the observer at ${printed(value("observer_certified_rate"))}${covered(value("coverage"))}.`]);
+  if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? `it stays stable${value("evidence") === "doubt" ? ", with doubts" : ""}` : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
+  else if (value("evidence") === "cannot judge") lines.push([`Predicted for the ${on}`, "nothing: the records allow no judgement."]);
   if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${loopOn(i)}`, `it settles in ${seconds("settling_time_mean_s")} on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${seconds("settling_time_open_loop_s")}`}.`]);
   const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean), isNote = (reason) => reason.startsWith("note: ");
   const first = told.filter((reason) => !isNote(reason)).map((reason) => reason.replace(/^[a-z ]+: /, "")), notes = told.filter(isNote).map((note) => `N${note.slice(1)}`);
@@ -79,10 +79,24 @@ function evidence(i) {
   return lines;
 }
 
+/** What the proof says of the plant; below one it covers nothing. */
+function covered(coverage) {
+  if (coverage === null) return "";
+  return coverage < 1 ? "; the model error that the records show is not covered" : `; it covers a model error ${(Math.floor(100 * coverage) / 100).toFixed(2)} times as large as the records show, at every frequency`;
+}
+
+/** Two digits, or as many as keep the number on its side of one. */
+function besideOne(number) {
+  for (let digits = 2; digits < 16; digits += 1) {
+    const text = Number(number.toPrecision(digits));
+    if (Math.sign(text - 1) === Math.sign(number - 1)) return String(text);
+  }
+  return String(number);
+}
+
 /** The two numbers that a prediction rests on, each with its bound. */
 function decides(margin, radius) {
-  const digits = (number) => printed(Number(number.toPrecision(2)));
-  return [margin === null ? "" : `the prediction margin is ${digits(margin)} (above 1 is needed)`, radius === null ? "" : `the controller's own radius ${margin === null ? "is " : ""}${digits(radius)} (below 1 is needed)`].filter(Boolean).join(" and ");
+  return [margin === null ? "" : `the stability margin is ${besideOne(margin)} (above 1 is needed)`, radius === null ? "" : `the spectral radius of the controller ${margin === null ? "is " : ""}${besideOne(radius)} (below 1 is needed)`].filter(Boolean).join(" and ");
 }
 
 /** What the first run of the table is, and the rule by which it is the best as far as it applied. */

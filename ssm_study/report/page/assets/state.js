@@ -111,6 +111,7 @@ const SHAPES = { // by Vega's names for them
   "circle": "M7 1a6 6 0 1 0 .01 0z",
   "triangle-up": "M7 1l6 11H1z",
   "triangle-left": "M1 7l11-6v12z",
+  "triangle-right": "M13 7L2 1v12z",
   "square": "M2 2h10v10H2z",
   "triangle-down": "M7 13L1 2h12z",
   "cross": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
