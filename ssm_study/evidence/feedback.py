@@ -118,7 +118,7 @@ def is_closed(data: DataSet, earlier: float, present: float) -> bool:
     return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
 
 
-def runs_away(data: DataSet, *, closed: bool, integrated: bool) -> Iterator[Finding]:
+def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Iterator[Finding]:
     """Whether models of three lengths agree on a mode that grows.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below

@@ -45,7 +45,7 @@ def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
 
 def _comparable(table: pd.DataFrame) -> pd.DataFrame:
     """The table with NaN for missing numbers and texts, and false for missing truth values."""
-    columns: dict[str, Any] = {}
+    columns: dict[Any, Any] = {}
     for name, values in table.items():
         if values.dtype == "boolean":
             columns[name] = values.fillna(False).astype(bool)
