@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ssm_study import style
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.reference import StepReference
 from ssm_study.plants.disturbance import NoDisturbance, PeriodicDisturbance, RampDisturbance
-from ssm_study.report import style
 from ssm_study.study.run_files import RunFiles
 
 LAWS = ("step", "step,sine(0.5Hz)", "step,sine(0.5Hz),sine(1Hz)", "ramp")

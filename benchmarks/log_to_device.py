@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from ssm_study import style
 from ssm_study.cli.main import main
-from ssm_study.report import style
 
 PAGE = Path(__file__).parents[1] / "docs" / "log_to_device.md"
 PICTURE = PAGE.parent / "pictures" / "first_trial.png"

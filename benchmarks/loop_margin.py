@@ -20,8 +20,8 @@ from pathlib import Path
 import pandas as pd
 from loop_margin_figures import NEEDED, roc, settling
 
+from ssm_study import style
 from ssm_study.engine.records import read_record
-from ssm_study.report import style
 from ssm_study.report.figures import peers, robustness
 from ssm_study.report.study_folder import StudyFolder
 

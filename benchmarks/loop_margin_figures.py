@@ -16,7 +16,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.words import spoken
 
 NEEDED = (

@@ -22,8 +22,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ssm_study import style
 from ssm_study.models.identified import SSM
-from ssm_study.report import style
 from ssm_study.report.figures.certified_decay import controlled, distances
 from ssm_study.report.study_folder import RecordedCases, StudyFolder
 

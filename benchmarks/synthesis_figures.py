@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from synthesis_certified import FOLDER
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.table.columns import column, flag, text
 
 METHODS = {  # method: label, colour, marker

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ssm_study import style
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
@@ -29,7 +30,6 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import pooled
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.plants.wrapper import SaturatedInput
-from ssm_study.report import style
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import EVERYWHERE, SETS, outputs_of, with_limits
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis

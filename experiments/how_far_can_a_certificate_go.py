@@ -26,11 +26,11 @@ from pathlib import Path
 import numpy as np
 from IPython.display import Image, display
 
+from ssm_study import style
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.cli.main import main
-from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.study.verify import verify
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis

@@ -28,9 +28,10 @@ import pandas as pd
 from IPython.display import Image, Markdown, display
 
 import ssm_study as st
+from ssm_study import style
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
-from ssm_study.report import figures, style
+from ssm_study.report import figures
 
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 RESULTS.mkdir(parents=True, exist_ok=True)

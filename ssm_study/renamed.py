@@ -43,6 +43,7 @@ MODULES: Mapping[str, str] = {
     "engine.code": "engine.fingerprint",
     "engine.durable": "durable",
     "evidence.own_motion": "evidence.autonomous_motion",
+    "report.style": "style",
     "study.labels": "study.recording_labels",
     "study.warm": "study.preload",
     "synthesis.among_starts": "synthesis.model_selection",

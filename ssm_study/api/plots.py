@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from ssm_study import style
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.metrics import Simulation
-from ssm_study.report import style
 from ssm_study.robustness.mismatch import ANGLES
 from ssm_study.robustness.sensitivity import ends, sensitivity
 

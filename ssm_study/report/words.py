@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.table.columns import column, label
 from ssm_study.table.rank import outcome_class
 

@@ -28,7 +28,7 @@ def test_without_a_place_for_compiled_code_there_is_a_warning_and_a_result() -> 
 
 DRAWN = """
 import matplotlib
-from ssm_study.report.style import paper
+from ssm_study.style import paper
 assert matplotlib.rcParams["text.usetex"]
 from matplotlib.figure import Figure
 with paper():

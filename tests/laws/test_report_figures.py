@@ -13,9 +13,10 @@ import structured_cases
 from matplotlib.figure import Figure
 from report_runs import random_run, write_recordings
 
+from ssm_study import style
 from ssm_study.cli import summary as endings
 from ssm_study.refusal import BadRequest
-from ssm_study.report import figures, style
+from ssm_study.report import figures
 from ssm_study.report.figures import learned_dead_zone
 from ssm_study.report.study_folder import RunFolder, StudyFolder
 from ssm_study.table.rank import best_first

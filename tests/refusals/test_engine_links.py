@@ -8,9 +8,9 @@ import pytest
 import report_tables
 from report_runs import random_run
 
+from ssm_study import style
 from ssm_study.export.targets import export
 from ssm_study.refusal import BadRequest
-from ssm_study.report import style
 from ssm_study.report.page.live import is_loopback, serve
 from ssm_study.report.page.writing import write_page
 

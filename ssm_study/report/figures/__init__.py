@@ -11,10 +11,10 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from ssm_study import style
 from ssm_study.durable import write_atomically
 from ssm_study.extensions import modules
 from ssm_study.refusal import require
-from ssm_study.report import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
 if TYPE_CHECKING:

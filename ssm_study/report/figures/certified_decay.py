@@ -12,8 +12,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ssm_study import style
 from ssm_study.models.identified import SSM
-from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 
 PAIRS, SAMPLES, SEED = 200, 60, 0

@@ -7,7 +7,7 @@ when it stays in the grey band."""
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import StudyFolder
 
 

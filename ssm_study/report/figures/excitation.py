@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from scipy.signal import welch
 
+from ssm_study import style
 from ssm_study.data.metrics import HIGHEST_ORDER
-from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 
 LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a smooth estimate

@@ -5,7 +5,7 @@ Below its model's bar a rate can be certified; above it none can, whatever the s
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 from ssm_study.report.words import counts, words
 from ssm_study.table.columns import column, flag

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from ssm_study import style
 from ssm_study.bounds.gramians import hankel_singular_values
-from ssm_study.report import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 from ssm_study.report.words import counts, spoken, words
 from ssm_study.table.columns import column, text

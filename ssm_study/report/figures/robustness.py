@@ -8,7 +8,7 @@ import pandas as pd
 import seaborn as sns
 from matplotlib.figure import Figure
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 from ssm_study.report.words import spoken
 from ssm_study.table.columns import column

@@ -4,7 +4,7 @@ best run."""
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import StudyFolder
 from ssm_study.table.columns import column
 

@@ -3,7 +3,7 @@ the same input."""
 
 from matplotlib.figure import Figure
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import StudyFolder
 
 LONGEST = 1200  # samples; a longer record would be a solid block of ink in a column

@@ -7,7 +7,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.words import VERDICTS, words
 from ssm_study.table.columns import column
 

@@ -4,7 +4,7 @@ the loop ran into a limit."""
 
 from matplotlib.figure import Figure
 
-from ssm_study.report import style
+from ssm_study import style
 from ssm_study.report.study_folder import StudyFolder
 
 
