@@ -19,6 +19,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from ssm_study.refusal import require
+
 PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
 POLL_S = 0.02  # between two attempts to obtain a lock
 LARGEST = 2**27  # bytes of a file that is read at once
@@ -246,3 +248,9 @@ def _take_name(descriptor: int, held_name: ExitStack) -> bool:
         raise
     held_name.callback(name.close)
     return True
+
+
+def refuse_link(folder: Path) -> None:
+    """Raise `BadRequest` for a folder that is a link: what is written into it lands elsewhere."""
+    problem = "is a link to another place, where nothing is written"
+    require(not folder.is_symlink(), "folder", folder, problem, "remove the link")

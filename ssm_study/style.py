@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssm_study.durable import write_atomically
-from ssm_study.engine.runs import refuse_link
+from ssm_study.durable import refuse_link, write_atomically
 
 if TYPE_CHECKING:  # a colour is asked for more often than a figure is drawn
     from matplotlib.axes import Axes

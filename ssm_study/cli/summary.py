@@ -12,9 +12,8 @@ from rich.console import Console
 from rich.text import Text
 
 from ssm_study import __version__
-from ssm_study.durable import write_atomically
+from ssm_study.durable import refuse_link, write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
-from ssm_study.engine.runs import refuse_link
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import study_folder
 

@@ -188,12 +188,6 @@ def _stopped_by_scheduler(error: BaseException) -> bool:
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
-def refuse_link(folder: Path) -> None:
-    """Raise `BadRequest` for a folder that is a link: what is written into it lands elsewhere."""
-    problem = "is a link to another place, where nothing is written"
-    require(not folder.is_symlink(), "folder", folder, problem, "remove the link")
-
-
 def seal_run(folder: Path) -> None:
     """`manifest.json` over the artefacts of the run, its configuration among them."""
     seal_folder(
