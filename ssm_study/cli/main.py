@@ -18,6 +18,7 @@ from ssm_study.refusal import BadRequest, at_least, require
 
 DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
 Command = Callable[[argparse.Namespace], int | None]
+EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 TEMPLATE = Path(__file__).with_name("study_folder")  # what `new` writes
 
 
@@ -240,8 +241,28 @@ def _export(options: argparse.Namespace) -> None:
 
     # What is exported claims to be certified: recompute it first.
     verify(options.run).demand("run", options.run)
+    if not options.yes and not may_overwrite(options.to):
+        print("nothing written")
+        return
     for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
         print(path)
+
+
+def may_overwrite(folder: Path) -> bool:
+    """Ask on the terminal whether an earlier export may be replaced; without one it may."""
+    earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
+    if not earlier or not sys.stdin.isatty():
+        return True
+    question = f"{folder} holds {', '.join(earlier[:4])}{' ...' if len(earlier) > 4 else ''}"
+    answer = input(f"{question}: overwrite? [y/N] ")
+    return answer.strip().lower() in ("y", "yes")
+
+
+def open_page(path: Path) -> None:
+    """Show a page in the browser."""
+    import webbrowser
+
+    webbrowser.open(path.absolute().as_uri())
 
 
 def _export_mcap(options: argparse.Namespace) -> None:
@@ -260,15 +281,16 @@ def _report(options: argparse.Namespace) -> None:
     from ssm_study.report.figures import draw
     from ssm_study.report.page.writing import write_page
 
-    pages = []
     try:  # first: after the figures of 20,000 runs it would take 80 MB more
-        pages += [] if options.only else [write_page(options.study, tuple(options.others))]
+        if not options.only:
+            page = write_page(options.study, tuple(options.others))
+            print(page, flush=True)
+            if options.open:
+                open_page(page)
     finally:
-        for path in [
-            *([] if options.others else draw(options.only, options.study, tell=print)),
-            *pages,
-        ]:
-            print(path)
+        if not options.others:
+            for path in draw(options.only, options.study, tell=print):
+                print(path)
 
 
 def _watch(options: argparse.Namespace) -> None:
@@ -342,7 +364,7 @@ EXCITE: dict[str, dict[str, Any]] = {
 }
 SUBJECTS = {
     "study": "the study folder, e.g. results/paper",
-    "run": "the run folder, or the study with the digits that `show` prints: results/paper/1a2b3c4d5e",
+    "run": "the run folder, or the study with the begin or the end of one name: results/paper/1a2b3c4d5e",
 }
 FIGURES = sorted(
     path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py")
@@ -398,6 +420,10 @@ OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
             "metavar": "TYPE",
             "help": "floats of the C code: double (default) or float",
         },
+        "--yes": {
+            "action": "store_true",
+            "help": "replace an earlier export without asking",
+        },
         "--prefix": {
             "default": "controller",
             "metavar": "NAME",
@@ -412,6 +438,7 @@ OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
             "help": "further studies to show on the same page",
         },
         "--only": {"action": "append", "metavar": "NAME", "help": ONLY},
+        "--open": {"action": "store_true", "help": "show the page in the browser"},
     },
     "watch": {
         "--port": {

@@ -7,10 +7,10 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import OverrideType
+from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import OmegaConf
 
-from ssm_study.engine.compose import Command, Composer, combinations
+from ssm_study.engine.compose import Command, Composer, Loader, combinations
 from ssm_study.engine.jobs import jobs_of
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
@@ -18,10 +18,12 @@ from ssm_study.refusal import require
 from ssm_study.renamed import bring_up_to_date, present_overrides
 from ssm_study.study.allow_list import refuse_foreign_targets
 
+OPEN = "--open"  # shows the page at the end
 OPTIONS = {
     "--dry-run": ("hydra/launcher=processes", "dry_run=true"),
     "--retry-failed": ("retry_failed=true",),
     "--strict": ("strict=true",),
+    OPEN: (),
 }
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
 LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
@@ -63,6 +65,7 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
     request = Command(arguments, folder, name)
+    refuse_no_choices(request)
     bring_up_to_date(request.config)
     refuse_foreign_targets(request.config)
     refuse_empty(request)
@@ -70,10 +73,29 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     return request
 
 
+def overrides_of(request: Command) -> list[Override]:
+    """The words of the request, parsed; raises what Hydra raises for those that it cannot read."""
+    parser = OverridesParser.create(config_loader=request.config_loader)
+    return parser.parse_overrides(list(request.asked.overrides))
+
+
+def refuse_no_choices(request: Command) -> None:
+    """Raise `BadRequest` for a group that is given no name: Hydra would end in an error of its own."""
+    assert isinstance(request.config_loader, Loader)
+    for override in overrides_of(request):
+        key = str(override.key_or_group)
+        if override.is_sweep_override() or not request.config_loader.repository.group_exists(key):
+            continue
+        value = override.value()
+        names = value if isinstance(value, list) else [value]
+        is_choice = value is None or value == {} or all(isinstance(name, str) for name in names)
+        problem = "is no name of a choice"
+        require(is_choice, key, value, problem, "see the choices in `ssm-study run --help`")
+
+
 def refuse_empty(request: Command) -> None:
     """Raise `BadRequest` for `plant={}`: Hydra merges it, so it would change nothing."""
-    parser = OverridesParser.create(config_loader=request.config_loader)
-    for override in parser.parse_overrides(list(request.asked.overrides)):
+    for override in overrides_of(request):
         key = str(override.key_or_group)
         value = override.value()
         changes = value != {} or override.type is not OverrideType.CHANGE

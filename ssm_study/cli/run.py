@@ -17,8 +17,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ssm_study import THREADS, limit_threads
 from ssm_study.cli.hydra_errors import advised, refuse_dashes
-from ssm_study.cli.main import DONE, SOME_FAILED, full_or_forbidden
-from ssm_study.cli.request import JUST_ASKING, check_request, checked, translate
+from ssm_study.cli.main import DONE, SOME_FAILED, full_or_forbidden, open_page
+from ssm_study.cli.request import JUST_ASKING, OPEN, check_request, checked, translate
 from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, forget
 from ssm_study.refusal import BadRequest, require
@@ -71,6 +71,7 @@ def run(overrides: list[str]) -> int:
     warnings.formatwarning = _warned
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
+    opens = OPEN in overrides
     overrides = translate(overrides)
     # Hydra then raises instead of printing, so that a sentence can be made of it.
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -84,10 +85,17 @@ def run(overrides: list[str]) -> int:
             )
             answered(lambda _: None)()
         else:
+            say("reading the request")
             request = check_request(overrides, configuration_folder(), "study")
             with checked(request):
+                say("loading the libraries")
                 request.do(_job())
-            return SOME_FAILED if not request.config.dry_run and concluded(request) else DONE
+            if request.config.dry_run:
+                return DONE
+            failed = concluded(request)
+            if opens:
+                show_page(request)
+            return SOME_FAILED if failed else DONE
         return DONE
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
@@ -105,6 +113,22 @@ def run(overrides: list[str]) -> int:
         raise full_or_forbidden("results_dir", error) from error
     finally:
         forget()
+
+
+def say(what: str) -> None:
+    """A line of progress, on a terminal alone."""
+    if sys.stderr.isatty():
+        print(f"ssm-study: {what} ...", file=sys.stderr, flush=True)
+
+
+def show_page(request: Command) -> None:
+    """Write the page of the study and show it in the browser."""
+    from ssm_study.report.page.writing import write_page
+    from ssm_study.study.line import study_folder
+
+    page = write_page(study_folder(request.config))
+    print(page)
+    open_page(page)
 
 
 def concluded(request: Command) -> bool:

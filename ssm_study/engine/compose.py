@@ -10,10 +10,11 @@ into copies. A test compares both with Hydra's own.
 
 import re
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hydra import version
@@ -45,6 +46,8 @@ class Loader(ConfigLoaderImpl):
     """Lists the choices of a group without copying all that it has read, a hundred times for one
     `--help`."""
 
+    defaults: Mapping[str, Any] = MappingProxyType({})  # by group, to be marked
+
     def get_group_options(
         self,
         group_name: str,
@@ -53,7 +56,9 @@ class Loader(ConfigLoaderImpl):
         overrides: list[str] | None = None,
     ) -> list[str]:
         del config_name, overrides
-        return self.repository.get_group_options(group_name, results_filter)
+        options = self.repository.get_group_options(group_name, results_filter)
+        default = self.defaults.get(group_name)
+        return [f"{option}*" if option == default else option for option in options]
 
 
 class Command(Hydra):
@@ -93,6 +98,9 @@ class Command(Hydra):
         return config
 
     def help(self) -> None:
+        """Print the help, with the defaults marked by a star."""
+        assert isinstance(self.config_loader, Loader)
+        self.config_loader.defaults = dict(self.config.hydra.runtime.choices)
         self.app_help(self.name, get_args_parser(), self.asked)
 
     @property

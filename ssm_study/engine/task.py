@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from ssm_study.engine.plan import plan
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, run_status
 from ssm_study.engine.settings import Settings, digest, plain, yaml_text
-from ssm_study.engine.stages import Facts, StageOutput, Stages
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages
 from ssm_study.engine.store import Store
 from ssm_study.refusal import require
 
@@ -120,7 +121,8 @@ class Task(ABC, Generic[R]):
         request = self.request(settings)
 
         def work(run: Run) -> Facts:
-            self.stages(request, RunStages(store_of(settings).root, run))
+            announces = settings.get("progress") is True and sys.stderr.isatty()
+            self.stages(request, RunStages(store_of(settings).root, run, announces))
             return self.run(request, run)
 
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
@@ -168,6 +170,17 @@ class RunStages(Store):
     store is removed."""
 
     run: Run
+    announces: bool = False
+
+    def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
+        """As the store does it; before a stage is computed its name is printed."""
+
+        def announced(folder: Path) -> None:
+            if self.announces:
+                print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
+            compute(folder)
+
+        return super().keyed(name, key, note, announced)
 
     def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         facts = super().measured(kept, before)

@@ -1,5 +1,4 @@
-"""Which folder is meant: a study by its path, a run by its path or by the digits that end its
-name."""
+"""Which folder is meant: a study by its path, a run by its path or by a part of its name."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -33,16 +32,18 @@ def study_folder(path: Path) -> Path:
 
 
 def run_folder(path: Path) -> Path:
-    """`path` if it holds a record, else the one run of the study whose name ends so:
-    `results/paper/1a2b3c4d5e`.
+    """`path` if it holds a record, else the one run of the study whose name ends or begins so.
 
-    The study itself stands for its only run. Raises `BadRequest` where no run or several are meant.
+    `results/paper/1a2b3c4d5e`, or `results/paper/order8-width32-seed3`. The study itself stands for
+    its only run. Raises `BadRequest` where no run or several are meant.
     """
     if (path / RECORD).is_file():
         return path
-    study, ending = (path, "") if path.is_dir() else (path.parent, path.name)
+    study = path if path.is_dir() else path.parent
+    part = "" if path.is_dir() else path.name
     names = _runs_of(study)
-    meant = [name for name in names if name.endswith(ending)]
+    meant = [name for name in names if name.endswith(part)]
+    meant = meant or [name for name in names if name.startswith(part)]
     if len(meant) == 1:
         return study / meant[0]
     remedy = f"name one{'' if meant else ' of its study'}: {_some(meant or names)}"

@@ -1,0 +1,109 @@
+"""What the terminal offers: defaults, names by a part, questions, the page, progress."""
+
+import io
+import sys
+import webbrowser
+from pathlib import Path
+
+import pytest
+from report_runs import random_run
+
+from ssm_study.cli import main as cli
+from ssm_study.cli.main import DONE, WRONG_REQUEST, main, may_overwrite
+from ssm_study.cli.request import translate
+from ssm_study.cli.run import say
+from ssm_study.engine.records import write_record
+from ssm_study.engine.runs import Run
+from ssm_study.engine.task import RunStages
+from ssm_study.refusal import BadRequest
+from ssm_study.table.folders import run_folder
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_help_marks_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--help"]) == DONE
+    text = capsys.readouterr().out
+    assert "dc_motor*, " in text
+    assert "simulated*" in text
+    assert "riccati*" not in text
+
+
+def test_a_run_is_named_by_the_begin_or_the_end_of_its_name(tmp_path: Path) -> None:
+    for name in ("order4-seed0-aaa", "order4-seed1-bbb", "order8-seed0-ccc"):
+        (tmp_path / name).mkdir()
+        write_record(tmp_path / name, {"status": "ok"})
+    assert run_folder(tmp_path / "order8").name == "order8-seed0-ccc"
+    assert run_folder(tmp_path / "order4-seed1").name == "order4-seed1-bbb"
+    assert run_folder(tmp_path / "aaa").name == "order4-seed0-aaa"
+    with pytest.raises(BadRequest, match="2 runs are there"):
+        run_folder(tmp_path / "order4")
+    with pytest.raises(BadRequest, match="no record"):
+        run_folder(tmp_path / "seed0")
+
+
+@pytest.mark.parametrize(("answer", "expected"), [("y", True), ("yes", True), ("", False)])
+def test_an_export_asks_before_it_overwrites(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, expected: bool
+) -> None:
+    questions: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda text: questions.append(text) or answer)
+    assert may_overwrite(tmp_path / "new")
+    (tmp_path / "controller.h").touch()
+    assert may_overwrite(tmp_path), "without a terminal nobody can be asked"
+    monkeypatch.setattr(sys, "stdin", Terminal())
+    assert may_overwrite(tmp_path) is expected
+    assert len(questions) == 1
+    assert "controller.h" in questions[0]
+
+
+def test_what_is_not_confirmed_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = random_run(tmp_path / "study" / "run", kind="linear", channels=1, seed=0)
+    write_record(run, {"status": "ok"})
+    monkeypatch.setattr("ssm_study.study.verify.verify", lambda _: type("V", (), {"demand": print}))
+    monkeypatch.setattr(cli, "may_overwrite", lambda _: False)
+    assert main(["export", str(run), "--to", str(tmp_path / "to")]) == DONE
+    assert "nothing written" in capsys.readouterr().out
+    assert not (tmp_path / "to").exists()
+    assert main(["export", str(run), "--to", str(tmp_path / "to"), "--yes"]) == DONE
+    assert (tmp_path / "to" / "controller.h").is_file()
+
+
+def test_the_page_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", shown.append)
+    cli.open_page(tmp_path / "report.html")
+    assert shown == [(tmp_path / "report.html").as_uri()]
+    assert translate(["seed=1", "--open"]) == ["seed=1"]
+
+
+def test_progress_is_a_line_a_stage_on_a_terminal_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    say("reading the request")
+    for announces in (True, False):
+        root = tmp_path / f"{announces}"
+        stages = RunStages(root / ".store", Run(path=root), announces)
+        for _ in range(2):  # what is there already is not announced
+            stages.keyed("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
+        assert terminal.getvalue().count("model ...") == 1
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    say("reading the request")
+    assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("word", ["synthesis=[[1]]", "plant=3", "model=true"])
+def test_a_group_takes_the_name_of_a_choice(
+    word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", word, f"results_dir={tmp_path / 'r'}"]) == WRONG_REQUEST
+    answer = capsys.readouterr().err
+    assert answer.count("\n") == 1
+    assert "Unexpected" not in answer
