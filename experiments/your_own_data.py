@@ -25,13 +25,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from IPython.display import Image, Markdown, display
+from IPython.display import Image, display
 
 import ssm_study as st
 from ssm_study import style
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
-from ssm_study.report import figures
 
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 RESULTS.mkdir(parents=True, exist_ok=True)
@@ -77,7 +76,7 @@ for k in range(1199):
 lying_around = pd.DataFrame({"power": power, "temperature": sensor(temperature, seed=1)})
 
 model = st.fit(
-    lying_around["power"], lying_around["temperature"], STEP_S, *SETTINGS, results_dir=RESULTS
+    lying_around["power"], lying_around["temperature"], STEP_S, *SETTINGS, progress=False
 )
 poor = st.control(model)
 
@@ -122,7 +121,7 @@ for k in range(len(power) - 1):
     temperature[k + 1] = warmer(temperature[k], power[k])
 recorded = pd.DataFrame({"power": power, "temperature": sensor(temperature, seed=2)})
 
-model = st.fit(recorded["power"], recorded["temperature"], STEP_S, *SETTINGS, results_dir=RESULTS)
+model = st.fit(recorded["power"], recorded["temperature"], STEP_S, *SETTINGS, progress=False)
 good = st.control(model)
 verdict(good)
 
@@ -131,9 +130,10 @@ verdict(good)
 # show.
 
 # %%
-for name in ("validation_trajectory", "excitation"):
-    png, _ = figures.draw([name], good.folder.parent)
-    display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
+model.plot()
+
+# %%
+good.margin_plot()
 
 # %% [markdown]
 # ## Was the verdict right?
@@ -166,7 +166,7 @@ with style.paper():
             axes.plot(STEP_S * np.arange(100), on_the_heater(design, start), color=style.BLUE)
         axes.set(title=title, xlabel="Time (s)")
     first.set_ylabel("Temperature above rest (K)")
-    png, _ = style.save(figure, RESULTS / "library" / "figures", "two_logs")
+    png, _ = style.save(figure, RESULTS / "figures", "two_logs")
 display(Image(filename=str(png), retina=True))
 
 # %% [markdown]

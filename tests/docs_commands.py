@@ -69,7 +69,7 @@ SMALL_OPTIONS = {
 SMALL_SOURCE = {  # pattern: what stands in its place
     "closed_loop_log.py": {
         r"^SAMPLES, POLE,.*": "SAMPLES, POLE, GAIN, NOISE, DRIFT, SEEDS = 1200, 0.9, 3.0, 0.15, 0.95, 1",
-        r'^OVERRIDES = \("model=ssm"': 'OVERRIDES = ("model=ssm", "training.max_epochs=2"',
+        r'^    "model=ssm",': '    "model=ssm",\n    "training.max_epochs=2",',
     },
     "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
     "plants_error.py": {

@@ -7,7 +7,7 @@ import numpy as np
 
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.parts import Parts
+from ssm_study.api.parts import Parts, part_of
 from ssm_study.api.steps import design_controller
 from ssm_study.api.systems import read_linear_system
 from ssm_study.bounds.slopes import certified_balls
@@ -57,7 +57,9 @@ def control(
     identified = isinstance(model, Model)
     chosen = method or ("auto" if identified else "riccati")
     refuse_settings_of_the_model(overrides)
-    parts = Parts(LOOP | {"synthesis": chosen}, overrides)
+    earlier = model.later_words if isinstance(model, Model) else ()
+    words = (*earlier, *((f"synthesis={method}",) if method else ()), *overrides)
+    parts = Parts(LOOP | {"synthesis": chosen}, words)
     if not identified:
         rate, observer_rate = _rates_of_a_bare_system(parts, rate, observer_rate)
     parts.set_given("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
@@ -72,8 +74,7 @@ def control(
 def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
     """Raise `BadRequest` for a setting that would make another model."""
     for word in overrides:
-        key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
-        part = key.replace("/", ".").partition(".")[0]
+        part = part_of(word)
         remedy = "give it to fit"
         require(
             part not in OF_THE_MODEL,
@@ -110,7 +111,14 @@ def _design_for_identified(model: Model, parts: Parts, limits: tuple[Any, Any]) 
         (loop.input_lower, loop.input_upper),
     )
     words = (*model.overrides, *parts.words_for_command())
-    return Design(certificate=certificate, model=model.ssm, origin=model, overrides=words)
+    return Design(
+        certificate=certificate,
+        model=model.ssm,
+        origin=model,
+        overrides=words,
+        loop=loop,
+        loop_seed=parts.numbers["loop_seed"],
+    )
 
 
 def _design_for_system(

@@ -18,6 +18,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.export import targets
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM, at_rest, model_from_json
 from ssm_study.refusal import BadRequest, require
@@ -47,7 +48,9 @@ class Design:
     origin: Model | None = None
     run_folder: Path | None = None
     overrides: tuple[str, ...] = ()
-    record: dict[str, Any] = field(default_factory=dict)
+    loop: Loop | None = None
+    loop_seed: int = 0
+    stored_record: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def load(cls, folder: Path) -> "Design":
@@ -64,7 +67,7 @@ class Design:
         model = model_from_json(content)
         assert isinstance(model, SSM | StructuredSSM)  # `targets.load` refuses every other
         certificate = Certificates.load(folder / "certificate.json")
-        return cls(certificate=certificate, model=model, run_folder=folder, record=record)
+        return cls(certificate=certificate, model=model, run_folder=folder, stored_record=record)
 
     @cached_property
     def folder(self) -> Path:
@@ -105,7 +108,7 @@ class Design:
     def facts(self) -> dict[str, Any]:
         """Columns of a run's table that speak of the design: rates, limits, gains, prediction."""
         if self.origin is None:
-            return dict(self.record)
+            return dict(self.stored_record)
         balls = certified_balls(self.model)
         facts = design_facts(self.certificate, self.model, balls, self.origin.mismatch)
         evidence = self.origin.evidence
@@ -113,6 +116,29 @@ class Design:
             facts["predicted_stable"] = None
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Columns of a run's table: of data, model and design, and of the loop on the model.
+
+        A loaded design has those of its run.
+        """
+        if self.origin is None:
+            return dict(self.stored_record)
+        return self.origin.facts | self.facts | self._loop_facts()
+
+    def _loop_facts(self) -> dict[str, Any]:
+        """Columns of the loop, closed on the identified model in the place of the plant."""
+        from ssm_study.loop.metrics import behaviour, certified
+
+        assert self.origin is not None
+        if self.loop is None or not self.certificate.feasible or answers_at_once(self.model):
+            return {}
+        data = self.origin.data
+        twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
+        loop = self.loop.within(data.applied).fitted(self.model)
+        runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
+        return {"loop_on": "model"} | behaviour(runs) | certified(runs, self.certificate)
 
     def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:
         """Eigenvalues at the equilibrium: of the model, under control, and of the estimate's error.

@@ -63,6 +63,8 @@ def fit(
         "model": model,
         "training": "default",
         "reduction": "balanced",
+        "synthesis": "auto",
+        "loop": "regulation",
     }
     parts = Parts(choices, overrides)
     parts.set_given("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
@@ -88,6 +90,7 @@ def fit(
         identification=identification,
         seed=seed,
         overrides=parts.words_for_command(),
+        later_words=parts.words_about("synthesis", "loop", "loop_seed"),
     )
 
 

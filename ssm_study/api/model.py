@@ -39,8 +39,7 @@ class Model:
 
     `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
     records with their parts. `facts` are the columns that a run's table has up to the model
-    (`fit_test_percent`, `input_slope_lower`, ...). `overrides` are the words after `step_s` that
-    it was fitted with.
+    (`fit_test_percent`, `input_slope_lower`, ...). `overrides` are the command's words for it, `later_words` those among them that speak of the design.
     """
 
     simulator: Simulator
@@ -48,6 +47,7 @@ class Model:
     identification: "Identification"
     seed: int = 0
     overrides: tuple[str, ...] = ()
+    later_words: tuple[str, ...] = ()
 
     @cached_property
     def facts(self) -> dict[str, Any]:

@@ -24,6 +24,8 @@ MISSING = "???"
 PACKAGE = "_global_"
 GROUPS = ("data", "model", "training", "reduction", "synthesis", "loop")
 NUMBERS = ("seed", "loop_seed")
+# Where a run lies and how it is watched: of no meaning without a run folder.
+OF_THE_PLACE = ("study", "results_dir", "run", "progress")
 REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for st.study"
 
 
@@ -126,6 +128,12 @@ def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
     return pairs
 
 
+def part_of(word: str) -> str:
+    """Name of the part that a word sets: `loop` of `reference@loop.reference=step`."""
+    key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
+    return key.replace("/", ".").partition(".")[0]
+
+
 class Parts:
     """Choices and settings of a study's parts; `build` constructs one of them.
 
@@ -135,7 +143,8 @@ class Parts:
     """
 
     def __init__(self, choices: Mapping[str, str], words: Iterable[str] = ()) -> None:
-        pairs = split_words(words)
+        self.given = tuple(words)
+        pairs = split_words(self.given)
         self.numbers: dict[str, Any] = {"seed": 0, "loop_seed": 0}
         self.choices = dict(choices)
         self.choices |= {key: value for key, value in pairs if key in GROUPS}
@@ -146,7 +155,7 @@ class Parts:
         for key, value in nested:
             self._choose(key, value)
         for key, value in settings:
-            if key not in GROUPS:
+            if key not in (*GROUPS, *OF_THE_PLACE):
                 self._set(key, value)
 
     def _choose(self, key: str, choice: str) -> None:
@@ -185,6 +194,10 @@ class Parts:
         missing = next((key for key, value in tree.items() if value == MISSING), None)
         require(missing is None, f"{part}.{missing}", MISSING, "is missing", "give it a value")
         return construct_part(part, tree)
+
+    def words_about(self, *names: str) -> tuple[str, ...]:
+        """Words among those given that concern these parts, or the seeds named here."""
+        return tuple(word for word in self.given if part_of(word) in names)
 
     def words_for_command(self) -> tuple[str, ...]:
         """Choices and settings as words that `ssm-study run` understands, in order."""

@@ -1,6 +1,8 @@
 """An integrating plant, a motor's position, through the whole line: from its log to rest on the
 true plant."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -69,7 +71,7 @@ def pushed(u: np.ndarray) -> np.ndarray:
     return np.array(y)
 
 
-def test_a_linear_model_with_its_integrator_goes_the_whole_way() -> None:
+def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -> None:
     """No neuron is left of what is linear: the model has an eigenvalue of exactly one, and no
     balanced coordinates."""
     u = np.random.default_rng(0).uniform(-1, 1, 60).repeat(10)
@@ -89,7 +91,7 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way() -> None:
     design = st.control(model, "synthesis=auto_integral", "loop.initial_conditions=2", *FEW)
     assert design.certificate.certified
     assert design.record["stable_fraction"] == 1
-    assert not [one.name for one in verify(design.folder) if not one.holds]
+    assert not [one.name for one in verify(design.save(tmp_path / "saved")) if not one.holds]
     ends = st.simulate(design, np.array([0.5, -0.5])).groupby("case").last()
     assert np.abs(ends["y"]).max() < 0.05
 
