@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CHAPTERS = {
     "Start": ["index.md", "tutorial.md", "glossary.md"],
     "How to": [
+        "howto_python.md",
         "howto_data.md",
         "howto_plant.md",
         "howto_theorem.md",

@@ -138,7 +138,7 @@ class Design:
         twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
         loop = self.loop.within(data.applied).fitted(self.model)
         runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
-        return {"loop_on": "model"} | behaviour(runs) | certified(runs, self.certificate)
+        return {"loop_on": "identified model"} | behaviour(runs) | certified(runs, self.certificate)
 
     def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:
         """Eigenvalues at the equilibrium: of the model, under control, and of the estimate's error.

@@ -89,6 +89,7 @@ def plot_bode(model: "Model") -> "Figure":
             label = " from ".join(map(str, pair))
             magnitude.loglog(rows.frequency_rad_s, rows.magnitude, color=color, label=label)
             phase.semilogx(rows.frequency_rad_s, rows.phase_deg, color=color)
+            _draw_band_of_slopes(magnitude, model, rows, color)
         if len(model.data.inputs) == len(model.data.outputs) == 1:
             _draw_estimated_response(magnitude, phase, model)
         magnitude.set_ylabel("magnitude")
@@ -309,6 +310,21 @@ def _draw_recorded_range(axes: "Axes", design: "Design", j: int) -> None:
     values = np.concatenate([record.u[:, j] for record in design.origin.data.training])
     for end in (values.min(), values.max()):
         axes.axhline(end, color=style.GREY, linestyle="--", linewidth=0.8)
+
+
+def _draw_band_of_slopes(axes: "Axes", model: "Model", rows: Any, color: str) -> None:
+    """Shade the magnitudes that the slopes of the input map allow, for one input and one output."""
+    scaffold = model.ssm.scaffold_in
+    if scaffold.inputs != 1 or len(model.data.outputs) != 1:
+        return
+    slope_at_rest = float(scaffold.jacobian(np.zeros(1))[0, 0])
+    ball = certified_balls(model.ssm).input
+    if slope_at_rest <= 0 or ball.lower <= 0:
+        return
+    low = rows.magnitude * ball.lower / slope_at_rest
+    high = rows.magnitude * ball.upper / slope_at_rest
+    label = "slopes of the input map"
+    axes.fill_between(rows.frequency_rad_s, low, high, color=color, alpha=0.15, label=label)
 
 
 def _draw_estimated_response(magnitude: "Axes", phase: "Axes", model: "Model") -> None:
