@@ -109,7 +109,16 @@ GROUPS = {
         tests=f"{CHOSEN} {VIEWS} {INTEGRAL}",
         planted=20,
     ),
-    "claims": Group(modules=("study/verify.py", "study/claims.py"), tests=CLAIMS, planted=15),
+    "claims": Group(
+        modules=(
+            "study/verify.py",
+            "study/claims.py",
+            "study/design_claims.py",
+            "study/findings.py",
+        ),
+        tests=CLAIMS,
+        planted=15,
+    ),
     "neurons": Group(
         modules=_synthesis("structured_lmi", "structured_riccati", "among_starts")
         + _synthesis(

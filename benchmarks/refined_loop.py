@@ -58,7 +58,7 @@ def iterations(folder: Path, settings: list[str]) -> list[Path]:
 def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
     """The noise-free output of each iteration's loop from its own starts, and its input."""
     from ssm_study import style
-    from ssm_study.study.recordings import read_experiment
+    from ssm_study.study.loop_recordings import read_experiment
 
     fig = style.canvas(style.COLUMN_IN, 1.6 * len(runs))
     panels = fig.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0]

@@ -15,9 +15,17 @@ EIGENVALUE = (
     1e-12  # absolute: what rounding moves the smallest eigenvalue of a matrix with unit diagonal
 )
 
-# Columns that records of 0.1 lack; those have a withdrawn one.
+# Columns that records of 0.1 (`record_version` 1) lack.
 ADDED = "records of 0.1 do not have it"
-ADDED_COLUMNS = frozenset({"noise_gain_model"})
+ADDED_COLUMNS = frozenset(
+    {
+        "coverage",
+        "coverage_needed",
+        "coverage_reason",
+        "coverage_reference",
+        "noise_gain_model",
+    }
+)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ of a command, in `import` lines of other people's code, in the methods that thei
 Nowhere else: the package itself uses today's names alone. An old name is read for one version, and
 a warning says so once.
 
-To rename something that strangers rely on, add a line to the table of its kind. To withdraw
-something, add it to `WITHDRAWN_...` with the version and the reason; a test demands that every entry
+To rename something that strangers rely on, add a line to the table of its kind. To withdraw a
+setting or a choice, add it to `WITHDRAWN_...` with the version and the remedy (withdrawn columns and
+theorems: `columns` and `certificates`); a test demands that every entry
 leads somewhere, and that no withdrawn name is still there. This module imports nothing of the
 science: `import ssm_study` installs it before anything else is imported.
 """
@@ -79,7 +80,13 @@ NAMES: Mapping[str, str] = {
     "robustness.sensitivity.hinf_norm": "bounds.frequency.hinf_norm",
     "robustness.sensitivity.sizes": "robustness.sensitivity.largest_singular_values",
     "study.preload.warm": "study.preload.preload",
-    "study.stages.Simulated": "study.stages.ModelRun",
+    "study.recordings.read_experiment": "study.loop_recordings.read_experiment",
+    "study.recordings.read_rollouts": "study.loop_recordings.read_rollouts",
+    "study.stages.ModelRun": "study.stages.free_run.ModelRun",
+    "study.stages.Simulated": "study.stages.free_run.ModelRun",
+    "study.stages.Trained": "study.stages.model.Trained",
+    "study.stages.read_design": "study.stages.synthesis.read_design",
+    "study.stages.read_model": "study.stages.model.read_model",
     "synthesis.candidates.Found": "synthesis.candidates.GainCandidate",
     "synthesis.deployed.as_deployed": "synthesis.deployed.with_gain_certificates",
     "synthesis.design.Request": "synthesis.design.DesignAttempt",
@@ -197,11 +204,6 @@ def present_target(target: Any) -> Any:
         return target
     module, _, name = target.rpartition(".")
     return ".".join(present_symbol(module, name))
-
-
-def present_theorem(name: str) -> Withdrawn | None:
-    """Why a theorem of this name is no longer there; None for any other."""
-    return WITHDRAWN_THEOREMS.get(name)
 
 
 def warn(old: str, new: str) -> None:

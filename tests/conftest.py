@@ -176,7 +176,7 @@ MADE_AGAIN = (
     "ssm_study.loop.regulation.Loop.run",
     "ssm_study.study.run_files.judge",
     "ssm_study.study.run_files.mismatch",
-    "ssm_study.study.claims.mismatch",
+    "ssm_study.study.design_claims.measure_mismatch",
 )
 
 

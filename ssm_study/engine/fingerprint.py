@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 from ssm_study.durable import sealed, unsealed, write_json_atomically
 from ssm_study.refusal import require
+from ssm_study.renamed import present_module, present_symbol
 
 Symbol = tuple[
     str, str
@@ -116,7 +117,19 @@ class Code:
 
     def _followed(self, symbol: Symbol) -> Symbol:
         top = symbol[0].split(".")[0]
-        return symbol if self._is_followed(top) else (top, LIBRARY)
+        if not self._is_followed(top):
+            return (top, LIBRARY)
+        return self._present(symbol) if top == OURS else symbol
+
+    def _present(self, symbol: Symbol) -> Symbol:
+        """Where a symbol of ours lies today; other people's code may import it by an old name."""
+        module, name = symbol
+        if name in (WHOLE, LIBRARY):
+            return (module if self._read(module) is not None else present_module(module)), name
+        read = self._read(module)
+        if read is not None and (name in read.parts or name in read.imported):
+            return symbol
+        return present_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
         """Whether a package is read: this one, and whatever is not installed as a library (a clone,

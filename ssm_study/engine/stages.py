@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from ssm_study.durable import sha256_of_file
 from ssm_study.engine.fingerprint import code_version
 from ssm_study.engine.settings import digest, targets
 
@@ -21,8 +22,8 @@ Facts = dict[str, Any]
 Compute = Callable[[Path], None]
 
 
-def nothing(*_: Any) -> Any:
-    """Of a stage that leaves files only there is nothing to read, or nothing to measure."""
+def empty_facts(*_: Any) -> Any:
+    """Value, or columns, of a stage that has none: it leaves files only."""
     return {}
 
 
@@ -41,9 +42,12 @@ class Stage(Generic[T]):
 
     name: str
     compute: Callable[..., Any]
-    read: Callable[[Path], T] = nothing
-    measure: Callable[..., Mapping[str, Any]] = nothing
+    read: Callable[[Path], T] = empty_facts
+    measure: Callable[..., Mapping[str, Any]] = empty_facts
     files: tuple[str, ...] = ()
+    # Later stages depend on what its files say, not on how they came about: an edit of its code that
+    # leaves them as they are makes nothing stale behind it.
+    known_by_content: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +77,13 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value_key(self) -> str:
-        """What depends on the value depends on how it is read."""
-        return digest([self.result.key, code_version(self.stage.read)])
+        """Key of the value, by which what depends on it is known: how it was made, or what its files
+        say, and how these are read."""
+        made: Any = self.result.key
+        files = [self.result.path / name for name in self.stage.files]
+        if self.stage.known_by_content and all(path.is_file() for path in files):
+            made = [sha256_of_file(path) for path in files]
+        return digest([made, code_version(self.stage.read)])
 
 
 class Stages(ABC):
@@ -104,11 +113,11 @@ class Stages(ABC):
             computed.extend([] if value is None else [value])
 
         code = code_version(stage.compute, *sorted(targets(settings)))
-        known = [one.value_key for one in before]
+        value_keys = [output.value_key for output in before]
         note = {
             "stage": stage.name,
             "settings": settings,
-            "before": known,
+            "before": value_keys,
             "code": code,
         }  # equal notes, equal results
         kept = StageOutput(

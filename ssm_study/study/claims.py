@@ -6,51 +6,40 @@ Each section is a function of the run that yields `Checked` (a claim that holds 
 record, to be compared) and `NotChecked` (what cannot be derived of this run, with the reason).
 """
 
-import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
-
-import numpy as np
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from ssm_study.bounds.metrics import bound_facts
-from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
-from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
-from ssm_study.certificates.theorems.integral_action import (
-    augmented,
-    controlled_system,
-    internal_model,
-    output_gain,
-)
-from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
-from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
+from ssm_study.columns import ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.settings import plain, run_name
 from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
-from ssm_study.evidence.metrics import evidence_facts, withheld
+from ssm_study.evidence.metrics import evidence_facts
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.coverage import measure_premise
-from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.signals import DataSet, input_limits
-from ssm_study.study import recordings, trials
+from ssm_study.signals import DataSet
+from ssm_study.study import trials
+from ssm_study.study.design_claims import certificate
+from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
 from ssm_study.study.line import STUDY, further
+from ssm_study.study.loop_recordings import NOISE_FREE, closed_on, of_rollouts, read_experiment
 from ssm_study.study.recording_labels import mislabelled
-from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line, unknown
-from ssm_study.study.stages import DATASET, LOOPS, MODEL, SCORE, STAGES, read_judgement
-from ssm_study.synthesis.design import failed_checks
-from ssm_study.synthesis.input_inversion import shown_behind
-from ssm_study.synthesis.measured_discs_run import coverage_facts
-from ssm_study.synthesis.metrics import design_facts
-from ssm_study.systems import System
+from ssm_study.study.recordings import TRIALS, of_records
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line
+from ssm_study.study.stages.catalogue import STAGES
+from ssm_study.study.stages.dataset import DATASET
+from ssm_study.study.stages.evidence import read_judgement
+from ssm_study.study.stages.free_run import SCORE
+from ssm_study.study.stages.loop import LOOPS
+from ssm_study.study.stages.model import MODEL
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
@@ -61,73 +50,52 @@ MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them an
 NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Checked:
-    """One claim, whether it holds, and what was found."""
-
-    claim: str
-    holds: bool
-    found: str
-
-    def __str__(self) -> str:
-        return f"{'holds' if self.holds else 'FAILS'}  {self.claim}: {self.found}"
-
-
-@dataclass(frozen=True)
-class Derived:
-    """Columns as the run's files give them."""
-
-    columns: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class NotChecked:
-    """Columns or files by name, each with the reason why it cannot be checked."""
-
-    reasons: Mapping[str, str]
-
-
-Claims = Iterator[Checked | Derived | NotChecked]
-
-
 def files(run: RunFiles) -> Claims:
     """Every file that such a run leaves is there, sealed, and as it was written."""
     manifest = unsealed(contents(run.path / MANIFEST)) if (run.path / MANIFEST).is_file() else None
-    sums = manifest["files"] if manifest else {}
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
-    yield Checked(
-        claim="files", holds=not damaged, found=changed if damaged else "as they were written"
-    )
+    found = changed if damaged else "as they were written"
+    yield Checked(claim="files", holds=not damaged, found=found)
     if not (run.path / CONFIGURATION).is_file():
         yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
+    yield from foreign_or_absent_files(run, set(manifest["files"] if manifest else ()))
+    yield from files_not_checked(run)
+
+
+def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
+    """Files that are needed and absent, there and not sealed, or sealed and no stage's."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
-    needed |= {"certificate.json", "evidence.json"} if run.claims_certificate else set()
-    there = {CONFIGURATION, *(path.name for path in run.path.iterdir() if path.suffix in READ)} - {
-        MANIFEST,
-        RECORD,
-    }
+    if run.claims_certificate:
+        needed |= {"certificate.json", "evidence.json"}
+    there = {path.name for path in run.path.iterdir() if path.suffix in READ}
+    there = {CONFIGURATION, *there} - {MANIFEST, RECORD}
     stages = (*STAGES, trials.TRIALS) if run.claims_certificate else STAGES_OF_A_BASELINE
     made = {CONFIGURATION, OVERRIDES, *(name for stage in stages for name in stage.files)}
-    made -= {"comparison.csv"} if run.specification.loop.comparison is None else set()
-    for found, names in {
-        "is absent": {name for name in needed if not (run.path / name).is_file()},
-        "is not sealed": there - sums.keys(),
-        "no stage of such a run writes it": sums.keys() - made,
-    }.items():
+    if run.specification.loop.comparison is None:
+        made.discard("comparison.csv")
+    absent = {name for name in needed if not (run.path / name).is_file()}
+    wrong = {
+        "is absent": absent,
+        "is not sealed": there - sealed,
+        "no stage of such a run writes it": sealed - made,
+    }
+    for found, names in wrong.items():
         yield from (Checked(claim=name, holds=False, found=found) for name in sorted(names))
+
+
+def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
+    """Files and entries from which nothing is derived again, with the reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
-    yield NotChecked(
-        dict.fromkeys(repeated, NOT_REPEATED) | {OVERRIDES: "the configuration alone says what ran"}
-    )
+    reasons = dict.fromkeys(repeated, NOT_REPEATED)
+    yield NotChecked(reasons | {OVERRIDES: "the configuration alone says what ran"})
     if run.specification.loop.comparison is not None:
         yield NotChecked({"comparison.csv": "its loops are not kept"})
     if isinstance(run.specification.refine, int):
-        yield NotChecked(
-            {trials.TRIED: "its loops are made again; that these designs were chosen is not"}
-        )
+        reason = "its loops are made again; that these designs were chosen is not"
+        yield NotChecked({trials.TRIED: reason})
 
 
 def requested(run: RunFiles) -> Claims:
@@ -195,12 +163,12 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
         kept, made = getattr(run.simulated, split), getattr(records, split)
-        pairs = recordings.of_records(kept.records, made)
+        pairs = of_records(kept.records, made)
         pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
     if records.mismatch_records or run.trials:
-        pairs = recordings.of_records(run.trials, records.mismatch_records)
-        yield agreement(f"{recordings.TRIALS} records", pairs, ITERATED, "made again alike")
+        pairs = of_records(run.trials, records.mismatch_records)
+        yield agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
         judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))
         found = f"records and model give {judged['evidence']}"
@@ -232,116 +200,6 @@ def model(run: RunFiles) -> Claims:
     yield entries(run, "model.json", run.model)
 
 
-def entries(run: RunFiles, file: str, read: Any) -> Checked:
-    """Whether the file says only what its reader reads."""
-    extra = unknown(run.stored(file), read.to_json())
-    return Checked(
-        claim=f"{file} entries",
-        holds=not extra,
-        found=f"unknown: {', '.join(extra)}" if extra else "known",
-    )
-
-
-def certificate(run: RunFiles) -> Claims:
-    """Both theorems in exact rational arithmetic on the stored matrices, and the columns that
-    follow from them."""
-    design, system, spec = run.design, run.model.system, run.specification.loop
-    balls, feedback = certified_balls(run.model), run.design.state_feedback
-    controlled = requested_system(run)
-    broken = failed_checks(run.certificate, system, balls, controlled)
-    yield entries(run, "certificate.json", design)
-    if unfit := [sentence for sentence in broken if sentence.endswith(UNFIT)]:
-        yield Checked(claim="certificate.json", holds=False, found="; ".join(unfit))
-        return
-    yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
-    for label, part in design.content.items():
-        wrong = [
-            sentence for sentence in broken if re.match(rf"{label}\b", sentence)
-        ] + information(part)
-        if label in SIDES and part.method != run.record.get("synthesis_method"):
-            wrong.append(f"method {part.method}: another one was requested")
-        why = part.reason if isinstance(part, Infeasible) else part.solver_status
-        found = f"exact arithmetic finds it {'certified' if part.certified else f'without certificate: {why}'}"
-        at = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
-        yield Checked(
-            claim=f"certificate.{label}{at}", holds=not wrong, found="; ".join(wrong) or found
-        )
-    if (words := getattr(run.specification.synthesis, "modes", ())) and isinstance(
-        feedback, StateFeedback
-    ):
-        asked = internal_model(words, run.model.step_s, run.model.scale.outputs)
-        made = {"modes": (feedback.a[run.model.order :, run.model.order :], asked)}
-        yield agreement(
-            "certificate internal model", made, ONE_FORMULA, f"{', '.join(words)} was requested"
-        )
-    told = {
-        label: part
-        for label, part in design.extra_certificates.items()
-        if isinstance(part, UnlimitedStart)
-    }
-    ends = run.model.scale.scaled_input(
-        np.stack(input_limits(spec.input_lower, spec.input_upper, run.applied))
-    ).T
-    pairs = {label: (part.limits, ends) for label, part in told.items()}
-    yield from (
-        [agreement("certificate limits", pairs, ONE_FORMULA, "given, or the records' range")]
-        if told
-        else []
-    )
-    kept = run.simulated.validation
-    shown = (shown_behind if design.inverts else measure_mismatch)(
-        run.model, kept.records, kept.start_up_samples, run.trials
-    )
-    facts = design_facts(design, run.model, balls, shown)
-    facts |= coverage_again(run)
-    yield Derived(withheld(facts, run.record.get("evidence")))
-
-
-def coverage_again(run: RunFiles) -> dict[str, Any]:
-    """The columns of the coverage, from the run's own recordings: what they need is measured
-    again."""
-    kept, test = run.simulated.validation, run.simulated.test
-    records = kept.records, kept.start_up_samples, run.trials
-    shown = measure_mismatch(run.model, *records)
-    premise = measure_premise(run.model, kept.records, shown, kept.start_up_samples, run.trials)
-    fresh = None
-    if run.specification.plant is None:
-        fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
-    return coverage_facts(run.design, run.model, premise, fresh)
-
-
-def requested_system(run: RunFiles) -> System:
-    """What the state feedback is certified for, or would be: the model, and the internal model.
-
-    A design without a state feedback states none, so the one that was requested counts.
-    """
-    feedback = run.design.state_feedback
-    if isinstance(feedback, StateFeedback):
-        return controlled_system(run.model, feedback)
-    words = getattr(run.specification.synthesis, "modes", ())
-    if not words:
-        return run.model.system
-    modes = internal_model(words, run.model.step_s, run.model.scale.outputs)
-    return augmented(run.model.system, output_gain(run.model), modes)
-
-
-def information(part: Theorem | Infeasible) -> list[str]:
-    """What stands beside the matrices and decides nothing: the margin and the condition number,
-    derived again."""
-    if isinstance(part, Infeasible):
-        return []
-    again = margin(next(iter(part.as_floats(**part.numbers).values())))
-    wrong = (
-        []
-        if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE
-        else [f"margin: it is {again:.6g}"]
-    )
-    number = condition(getattr(part, part.metric_matrix))
-    return wrong + (
-        [] if abs(number / part.condition - 1) <= ITERATED else [f"condition: it is {number:.6g}"]
-    )
-
-
 def fits(run: RunFiles) -> Claims:
     """The stored model replays the stored simulations, and the errors are theirs."""
     again = {}
@@ -359,74 +217,64 @@ def fits(run: RunFiles) -> Claims:
 def loop(run: RunFiles) -> Claims:
     """The recorded loops are those of the stored model and gains on the configured plant; the
     columns are theirs."""
-    there = {name for name in LOOPS if (run.path / name).is_file()}
-    needed = {"closed_loop.mcap", "closed_loop_model.mcap"} if run.closes_loop else set()
-    needed |= {"comparison.csv"} if run.closes_loop and run.specification.loop.comparison else set()
-    yield from (
-        Checked(claim=name, holds=False, found="is absent") for name in sorted(needed - there)
-    )
+    yield from loop_files(run)
     if not run.closes_loop:
-        yield from (
-            Checked(claim=name, holds=False, found="such a run closes no loop")
-            for name in sorted(there)
-        )
         return
-    spec, plant, controller = (
-        run.specification,
-        run.plant,
-        ObserverFeedback.of(run.model, run.design),
-    )
-    kept, loop_on = recordings.read_experiment(run.path)
-    apart = replay_error(controller, kept.controlled, run.loop.limits)
-    said = f"the certified gains give it from the measured output to {apart:.1e}"
-    yield Checked(claim="closed_loop.mcap input", holds=apart <= ITERATED, found=said)
-    same = loop_on == recordings.closed_on(spec.plant)
-    yield Checked(claim="closed_loop.mcap loop_on", holds=same, found=f"recorded on the {loop_on}")
-    yield Derived({"loop_on": loop_on} | behaviour(kept) | certified(kept, run.design))
+    controller = ObserverFeedback.of(run.model, run.design)
+    stored, loop_on = read_experiment(run.path)
+    yield from loop_signals(run, controller, stored, loop_on)
+    yield Derived({"loop_on": loop_on} | behaviour(stored) | certified(stored, run.design))
     fitted = run.loop.fitted(run.model)
-    on_model = fitted.on_model(plant, controller, kept.controlled.y[:, 0])
-    made: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
-        "closed_loop_model.mcap": (kept.on_model, on_model)
+    on_model = fitted.on_model(run.plant, controller, stored.controlled.y[:, 0])
+    pairs: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
+        "closed_loop_model.mcap": (stored.on_model, on_model)
     }
-    if plant.real:
-        yield NotChecked(
-            {"closed_loop.mcap output, states": "recorded on a device, which is not run again"}
-        )
+    if run.plant.real:
+        reason = "recorded on a device, which is not run again"
+        yield NotChecked({"closed_loop.mcap output, states": reason})
     else:
-        again = fitted.on_plant(plant, controller, spec.loop_seed)
-        pairs = recordings.of_rollouts(kept.controlled, again.controlled)
-        pairs |= {
-            name: (getattr(kept, name), getattr(again, name))
-            for name in ("settling_band", "input_equilibrium")
-        }
-        pairs["uncontrolled"] = kept.uncontrolled.y, again.uncontrolled.y
-        yield agreement(
-            "closed_loop.mcap",
-            pairs,
-            ITERATED,
-            "the configured plant with the certified gains gives it",
-        )
-        made[recordings.NOISE_FREE] = kept.noise_free, again.noise_free
-    for name, pair in made.items():
+        again = fitted.on_plant(run.plant, controller, run.specification.loop_seed)
+        yield loop_on_plant(stored, again)
+        pairs[NOISE_FREE] = stored.noise_free, again.noise_free
+    for name, pair in pairs.items():
         if pair != (None, None):
-            yield agreement(
-                name, recordings.of_rollouts(*pair), ITERATED, "stored model and gains give it"
-            )
+            yield agreement(name, of_rollouts(*pair), ITERATED, "stored model and gains give it")
 
 
-def agreement(
-    claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str
-) -> Checked:
-    """Whether each stored value is the one made again, to `tolerance` of its largest entry."""
-    apart = {name: recordings.distance(*pair) for name, pair in pairs.items()}
-    worst = max(apart, key=lambda name: apart[name])
-    wrong = [name for name in apart if not apart[name] <= tolerance]  # so written that NaN is wrong
-    found = (
-        f"{said} to {apart[worst]:.1e}"
-        if not wrong
-        else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
-    )
-    return Checked(claim=claim, holds=not wrong, found=found)
+def loop_files(run: RunFiles) -> Iterator[Checked]:
+    """Recordings of loops that are absent, or there although such a run closes no loop."""
+    there = {name for name in LOOPS if (run.path / name).is_file()}
+    needed: set[str] = set()
+    if run.closes_loop:
+        needed = {"closed_loop.mcap", "closed_loop_model.mcap"}
+    if run.closes_loop and run.specification.loop.comparison:
+        needed.add("comparison.csv")
+    for name in sorted(needed - there):
+        yield Checked(claim=name, holds=False, found="is absent")
+    for name in sorted(there) if not run.closes_loop else ():
+        yield Checked(claim=name, holds=False, found="such a run closes no loop")
+
+
+def loop_signals(
+    run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
+) -> Iterator[Checked]:
+    """That the recorded input is the controller's answer to the recorded output, and on what."""
+    error = replay_error(controller, stored.controlled, run.loop.limits)
+    found = f"the certified gains give it from the measured output to {error:.1e}"
+    yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=found)
+    holds = loop_on == closed_on(run.specification.plant)
+    found = f"recorded on the {loop_on}"
+    yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=found)
+
+
+def loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
+    """That the configured plant with the certified gains gives the recorded loops."""
+    pairs = of_rollouts(stored.controlled, again.controlled)
+    for name in ("settling_band", "input_equilibrium"):
+        pairs[name] = getattr(stored, name), getattr(again, name)
+    pairs["uncontrolled"] = stored.uncontrolled.y, again.uncontrolled.y
+    said = "the configured plant with the certified gains gives it"
+    return agreement("closed_loop.mcap", pairs, ITERATED, said)
 
 
 SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (

@@ -9,8 +9,9 @@ from ssm_study.certificates.certificate import Infeasible
 from ssm_study.columns import Column
 from ssm_study.durable import opened
 from ssm_study.loop.regulation import IdentifiedPlant
-from ssm_study.study.claims import Checked, Claims, NotChecked
-from ssm_study.study.recordings import NOISE_FREE, RecordedCases
+from ssm_study.study.findings import Checked, Claims, NotChecked
+from ssm_study.study.loop_recordings import NOISE_FREE
+from ssm_study.study.recordings import RecordedCases
 from ssm_study.study.run_files import RunFiles
 from ssm_study.table.columns import declared
 

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from ssm_study.certificates.certificate import Design
     from ssm_study.signals import DataSet
     from ssm_study.study.specification import Specification
-    from ssm_study.study.stages import ModelRun, Trained
+    from ssm_study.study.stages.free_run import ModelRun
+    from ssm_study.study.stages.model import Trained
 
 LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jobs on this machine
 
@@ -137,36 +138,40 @@ class Study(Task["Specification"]):
         bounded: StageOutput["ModelRun"],
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
         """Controller and observer by what these records show, and the loop that they close."""
-        from ssm_study.study.stages import EVIDENCE, LOOP, MISMATCH, SYNTHESIS
+        from ssm_study.study.stages.evidence import EVIDENCE
+        from ssm_study.study.stages.loop import LOOP
+        from ssm_study.study.stages.mismatch import MISMATCH
+        from ssm_study.study.stages.synthesis import SYNTHESIS
 
         plant = ("plant",) if request.plant else ()
         shown = stages.run_stage(MISMATCH, {}, {}, data, bounded)
         judged = stages.run_stage(EVIDENCE, {}, {}, data, bounded, shown)
-        settings, parts = request.select("synthesis")
         limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
         bounded_law = (
             request.plant is None or request.synthesis.invert_input
         )  # to what the records visited
         limits["applied"] = bounded_law or any(end is not None for end in limits.values())
-        settings, parts = settings | {"limits": limits}, parts | {"limits": limits}
-        design = stages.run_stage(SYNTHESIS, settings, parts, data, bounded, shown, judged)
-        return design, stages.run_stage(
-            LOOP, *request.select("loop", "loop_seed", *plant), data, bounded, design
-        )
+        inputs = request.select("synthesis", computed={"limits": limits})
+        design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, shown, judged)
+        inputs = request.select("loop", "loop_seed", *plant)
+        return design, stages.run_stage(LOOP, *inputs, data, bounded, design)
 
     def identified(
         self, request: "Specification", stages: Stages
     ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
         """The data, the model as trained, and as it goes on: what is proved of it, or how well a
         baseline simulates."""
-        from ssm_study.study.stages import BOUNDS, DATASET, MODEL, SCORE
+        from ssm_study.study.stages.bounds import BOUNDS
+        from ssm_study.study.stages.dataset import DATASET
+        from ssm_study.study.stages.free_run import SCORE
+        from ssm_study.study.stages.model import MODEL
 
         plant = ("plant", "excitation") if request.plant else ()
-        settings, parts = request.select("data", "seed", *plant)
-        data = stages.run_stage(DATASET, settings, parts)
-        settings, parts = request.select("model", "training", "seed")
-        parts |= {"progress": request.progress}  # in no key: a bar on the screen changes no number
-        model = stages.run_stage(MODEL, settings, parts, data)
+        data = stages.run_stage(DATASET, *request.select("data", "seed", *plant))
+        # In no key: a bar on the screen changes no number.
+        unkeyed = {"progress": request.progress}
+        inputs = request.select("model", "training", "seed", unkeyed=unkeyed)
+        model = stages.run_stage(MODEL, *inputs, data)
         if not request.model.gives_ssm:
             return data, model, stages.run_stage(SCORE, {}, {}, data, model)
         return data, model, stages.run_stage(BOUNDS, *request.select("reduction"), data, model)

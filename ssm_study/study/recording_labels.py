@@ -8,7 +8,8 @@ import numpy as np
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
-from ssm_study.study.recordings import LOOPS, NOISE_FREE, TRIALS, RecordedCases, closed_on
+from ssm_study.study.loop_recordings import NOISE_FREE, closed_on
+from ssm_study.study.recordings import LOOPS, TRIALS, RecordedCases
 from ssm_study.study.run_files import RunFiles
 
 # Of the words of a recording those that are numbers: the signals are compared with them.

@@ -18,7 +18,7 @@ from ssm_study.engine.runs import Outcome
 from ssm_study.refusal import require
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.line import STUDY
-from ssm_study.study.recordings import read_experiment
+from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
 from ssm_study.study.trials import named, of_loops, read_logs
 

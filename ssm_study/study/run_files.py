@@ -25,7 +25,7 @@ from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
-from ssm_study.study.stages import ModelRun
+from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.trials import repeated
 
 LEFT_AT_REST = (

@@ -4,6 +4,7 @@ before any work."""
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,9 @@ if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
     from ssm_study.plants.plant import Plant
     from ssm_study.synthesis.design import Synthesis
     from ssm_study.training.training import Training
+
+
+NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,15 +163,25 @@ class Specification:
         problem = f"the {whose} rests at the input {', '.join(f'{u:g}' for u in rest)}"
         require(inside or elsewhere, names, shown, problem, "choose limits around it")
 
-    def select(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What a stage depends on: the settings of these parts, and the parts themselves."""
+    def select(
+        self,
+        *names: str,
+        computed: Mapping[str, Any] = NONE,
+        unkeyed: Mapping[str, Any] = NONE,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Settings and arguments of a stage, made together so that key and argument cannot differ.
+
+        The settings, of which its key is made, are those of the named parts and the `computed`
+        values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
+        """
         settings = Settings({name: self.configuration[name] for name in names})
         sums = (
             {"files": [sha256_of_file(path) for path in found]}
             if (found := files_of(settings))
             else {}
         )
-        return Settings(settings | sums), {name: getattr(self, name) for name in names}
+        arguments = {name: getattr(self, name) for name in names}
+        return Settings({**settings, **sums, **computed}), {**arguments, **computed, **unkeyed}
 
 
 def files_of(settings: Mapping[str, Any]) -> list[Path]:

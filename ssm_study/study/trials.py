@@ -22,13 +22,15 @@ from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.refusal import at_least, require
 from ssm_study.signals import DataSet, Trajectories, Trajectory
-from ssm_study.study import recordings
-from ssm_study.study.stages import read_dataset, read_json, read_model, write_dataset, write_json
+from ssm_study.study.recordings import LOOPS, write_records
+from ssm_study.study.stages.dataset import read_dataset, write_dataset
+from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.model import read_model
 
 if TYPE_CHECKING:
     from ssm_study.data.recorded import RecordedSource
     from ssm_study.study.specification import Specification
-    from ssm_study.study.stages import Experiment
+    from ssm_study.study.stages.loop import Experiment
 
 TRIED = "tried_designs.json"  # the designs that were tried before, oldest first
 FEWEST = 30  # samples of a trial: a third of them tell its initial state
@@ -58,7 +60,7 @@ def compute_logged(
 
 def _write(folder: Path, data: DataSet, loops: Trajectories) -> None:
     write_dataset(folder, replace(data, mismatch_records=(*data.mismatch_records, *loops)))
-    recordings.write_records(folder / recordings.LOOPS, data, loops)
+    write_records(folder / LOOPS, data, loops)
 
 
 def of_loops(run: Rollouts) -> Trajectories:
@@ -144,5 +146,5 @@ def named(settings: Any, refine: int | list[str] | None) -> str:
     return shown + run_name(type(settings)({**settings, "refine": refine}))
 
 
-TRIALS = Stage("trials", compute_tried, read_dataset, files=(recordings.LOOPS, TRIED))
-LOGS = Stage("trials", compute_logged, read_dataset, files=(recordings.LOOPS,))
+TRIALS = Stage("trials", compute_tried, read_dataset, files=(LOOPS, TRIED))
+LOGS = Stage("trials", compute_logged, read_dataset, files=(LOOPS,))

@@ -17,7 +17,8 @@ from ssm_study.columns import ADDED, ADDED_COLUMNS, Column
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
 from ssm_study.refusal import printable, require
 from ssm_study.renamed import WITHDRAWN_COLUMNS
-from ssm_study.study.claims import OF_A_BASELINE, SECTIONS, Checked, Derived, NotChecked
+from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
+from ssm_study.study.findings import Checked, Derived, NotChecked
 from ssm_study.study.form import form
 from ssm_study.study.run_files import RunFiles, one_line
 from ssm_study.table.columns import declared
@@ -181,7 +182,7 @@ def judge(
     """The finding on a column of the record, or why it is not checked; empty where the record
     claims nothing."""
     column = declared(name)
-    if name in ADDED_COLUMNS and name not in record and WITHDRAWN_COLUMNS.keys() & record.keys():
+    if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
         return ADDED
     if name in derived and name not in unchecked:
         return compared(name, record.get(name), derived[name])

@@ -18,7 +18,8 @@ from ssm_study.engine.runs import Run, execute, run_status
 from ssm_study.engine.store import intact_manifest
 from ssm_study.engine.task import folder_of
 from ssm_study.refusal import BadRequest
-from ssm_study.study.stages import with_gaps, write_json
+from ssm_study.study.stages.files import write_json
+from ssm_study.study.stages.model import with_gaps
 
 
 def good(run: Run) -> dict[str, object]:

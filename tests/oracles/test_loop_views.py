@@ -17,7 +17,7 @@ from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.return_to_rest import AT_REST
 from ssm_study.signals import Trajectory, repetition
-from ssm_study.study.recordings import read_mismatch, write_mismatch
+from ssm_study.study.stages.mismatch import read_mismatch, write_mismatch
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
 

@@ -31,10 +31,12 @@ from ssm_study.models.metrics import Simulation, fit_facts
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.study.claims import SECTIONS, Checked, Derived, NotChecked
+from ssm_study.study.claims import SECTIONS
 from ssm_study.study.claims import data as section_data
 from ssm_study.study.claims import loop as section_loop
-from ssm_study.study.recordings import read_experiment, read_simulation
+from ssm_study.study.findings import Checked, Derived, NotChecked
+from ssm_study.study.loop_recordings import read_experiment
+from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compared, judge, verify
 from ssm_study.synthesis.metrics import design_facts

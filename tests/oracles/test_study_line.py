@@ -18,7 +18,7 @@ from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, by_convolution
 from ssm_study.study.line import further
-from ssm_study.study.recordings import read_rollouts
+from ssm_study.study.loop_recordings import read_rollouts
 from ssm_study.study.reproduce import compared
 from ssm_study.study.verify import verify
 

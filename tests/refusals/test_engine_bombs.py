@@ -10,7 +10,7 @@ import yaml  # type: ignore[import-untyped]
 
 from ssm_study.engine.settings import stored_yaml, yaml_text
 from ssm_study.refusal import BadRequest
-from ssm_study.study.claims import Checked
+from ssm_study.study.findings import Checked
 from ssm_study.study.verify import UNGIVEN, finding_lines
 
 ALIASES = "\n".join(

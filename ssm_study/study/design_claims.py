@@ -1,0 +1,146 @@
+"""What `certificate.json` claims, decided again in exact arithmetic, and the columns that follow from it."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
+from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
+from ssm_study.certificates.theorems.integral_action import (
+    augmented,
+    controlled_system,
+    internal_model,
+    output_gain,
+)
+from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
+from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
+from ssm_study.evidence.metrics import withheld
+from ssm_study.robustness.coverage import measure_premise
+from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.signals import input_limits
+from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
+from ssm_study.study.run_files import RunFiles
+from ssm_study.synthesis.design import failed_checks
+from ssm_study.synthesis.input_inversion import shown_behind
+from ssm_study.synthesis.measured_discs_run import coverage_facts
+from ssm_study.synthesis.metrics import design_facts
+from ssm_study.systems import System
+
+
+def certificate(run: RunFiles) -> Claims:
+    """Both theorems in exact rational arithmetic on the stored matrices, and the columns that
+    follow from them."""
+    design = run.design
+    balls = certified_balls(run.model)
+    sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
+    yield entries(run, "certificate.json", design)
+    misfits = [sentence for sentence in sentences if sentence.endswith(UNFIT)]
+    if misfits:
+        yield Checked(claim="certificate.json", holds=False, found="; ".join(misfits))
+        return
+    yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
+    for label, part in design.content.items():
+        yield verdict_on_part(run, label, part, sentences)
+    yield from internal_model_claim(run)
+    yield from limits_claim(run)
+    facts = design_facts(design, run.model, balls, mismatch_again(run))
+    facts |= coverage_again(run)
+    yield Derived(withheld(facts, run.record.get("evidence")))
+
+
+def verdict_on_part(
+    run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
+) -> Checked:
+    """Whether one part of the file is what exact arithmetic finds, by the method that was requested."""
+    wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
+    wrong += information(part)
+    if label in SIDES and part.method != run.record.get("synthesis_method"):
+        wrong.append(f"method {part.method}: another one was requested")
+    reason = part.reason if isinstance(part, Infeasible) else part.solver_status
+    verdict = "certified" if part.certified else f"without certificate: {reason}"
+    at_rate = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
+    found = "; ".join(wrong) or f"exact arithmetic finds it {verdict}"
+    return Checked(claim=f"certificate.{label}{at_rate}", holds=not wrong, found=found)
+
+
+def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
+    """That the internal model of the state feedback is the one that was requested, if any."""
+    words = getattr(run.specification.synthesis, "modes", ())
+    feedback = run.design.state_feedback
+    if not words or not isinstance(feedback, StateFeedback):
+        return
+    order = run.model.order
+    requested = internal_model(words, run.model.step_s, run.model.scale.outputs)
+    pairs = {"modes": (feedback.a[order:, order:], requested)}
+    said = f"{', '.join(words)} was requested"
+    yield agreement("certificate internal model", pairs, ONE_FORMULA, said)
+
+
+def limits_claim(run: RunFiles) -> Iterator[Checked]:
+    """That the input limits of the certificates are those of the loop, or of the records."""
+    loop = run.specification.loop
+    physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.applied))
+    limits = run.model.scale.scaled_input(physical).T
+    pairs = {
+        label: (part.limits, limits)
+        for label, part in run.design.extra_certificates.items()
+        if isinstance(part, UnlimitedStart)
+    }
+    if pairs:
+        said = "given, or the records' range"
+        yield agreement("certificate limits", pairs, ONE_FORMULA, said)
+
+
+def mismatch_again(run: RunFiles) -> Any:
+    """The mismatch that the run's own recordings show to its design."""
+    validation = run.simulated.validation
+    measure = shown_behind if run.design.inverts else measure_mismatch
+    return measure(run.model, validation.records, validation.start_up_samples, run.trials)
+
+
+def coverage_again(run: RunFiles) -> dict[str, Any]:
+    """The columns of the coverage, from the run's own recordings: what they need is measured
+    again."""
+    kept, test = run.simulated.validation, run.simulated.test
+    records = kept.records, kept.start_up_samples, run.trials
+    shown = measure_mismatch(run.model, *records)
+    premise = measure_premise(run.model, kept.records, shown, kept.start_up_samples, run.trials)
+    fresh = None
+    if run.specification.plant is None:
+        fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
+    return coverage_facts(run.design, run.model, premise, fresh)
+
+
+def requested_system(run: RunFiles) -> System:
+    """What the state feedback is certified for, or would be: the model, and the internal model.
+
+    A design without a state feedback states none, so the one that was requested counts.
+    """
+    feedback = run.design.state_feedback
+    if isinstance(feedback, StateFeedback):
+        return controlled_system(run.model, feedback)
+    words = getattr(run.specification.synthesis, "modes", ())
+    if not words:
+        return run.model.system
+    modes = internal_model(words, run.model.step_s, run.model.scale.outputs)
+    return augmented(run.model.system, output_gain(run.model), modes)
+
+
+def information(part: Theorem | Infeasible) -> list[str]:
+    """What stands beside the matrices and decides nothing: the margin and the condition number,
+    derived again."""
+    if isinstance(part, Infeasible):
+        return []
+    again = margin(next(iter(part.as_floats(**part.numbers).values())))
+    wrong = (
+        []
+        if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE
+        else [f"margin: it is {again:.6g}"]
+    )
+    number = condition(getattr(part, part.metric_matrix))
+    return wrong + (
+        [] if abs(number / part.condition - 1) <= ITERATED else [f"condition: it is {number:.6g}"]
+    )

@@ -1,0 +1,47 @@
+"""The records of a run: simulated, or read from the user's logs."""
+
+from pathlib import Path
+from typing import Any
+
+from ssm_study.data.metrics import data_facts
+from ssm_study.engine.stages import Stage
+from ssm_study.plants.plant import Plant
+from ssm_study.signals import DataSet
+from ssm_study.study.recordings import TRIALS, write_records
+from ssm_study.study.stages.files import read_json, write_json
+
+
+def compute_dataset(
+    folder: Path, *, data: Any, seed: int, plant: Plant | None = None, excitation: Any = None
+) -> None:
+    """Simulate or read the records; kept as tensors."""
+    records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
+    write_dataset(folder, records)
+    write_records(folder / "excitation.mcap", records, records.training, outputs=False)
+    if records.mismatch_records:
+        write_records(folder / TRIALS, records, records.mismatch_records)
+
+
+def write_dataset(folder: Path, records: DataSet) -> None:
+    """What `read_dataset` reads."""
+    from safetensors.numpy import save_file
+
+    from ssm_study.data.assembly import dataset_to_tensors
+
+    arrays, about = dataset_to_tensors(records)
+    save_file(arrays, folder / "records.safetensors")
+    write_json(folder / "records.json", about)
+
+
+def read_dataset(folder: Path) -> DataSet:
+    """The records in physical units, with their splits."""
+    from safetensors.numpy import load_file
+
+    from ssm_study.data.assembly import dataset_from_tensors
+
+    return dataset_from_tensors(
+        load_file(folder / "records.safetensors"), read_json(folder / "records.json")
+    )
+
+
+DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap", TRIALS))

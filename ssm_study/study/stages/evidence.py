@@ -1,0 +1,31 @@
+"""The evidence: what data and model allow to be said of the plant."""
+
+from pathlib import Path
+
+from ssm_study.engine.stages import Stage
+from ssm_study.evidence.metrics import Judgement, evidence_facts, judge
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import DataSet
+from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.free_run import ModelRun
+
+
+def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mismatch) -> None:
+    """What data and model allow to be said of the plant, before anything is."""
+    judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
+    write_json(folder / "evidence.json", judged.to_json())
+
+
+def read_judgement(folder: Path) -> Judgement:
+    """What the records allow to be said of the plant."""
+    return Judgement.from_json(read_json(folder / "evidence.json"))
+
+
+EVIDENCE = Stage(
+    "evidence",
+    compute_evidence,
+    read_judgement,
+    evidence_facts,
+    ("evidence.json",),
+    known_by_content=True,
+)

@@ -1,0 +1,70 @@
+"""The free run: the model simulated beside the validation and test records, and its score."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ssm_study.data.metrics import benchmark_rmse
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.models.metrics import Simulation, fit_facts
+from ssm_study.signals import DataSet
+from ssm_study.study.recordings import read_simulation, write_records
+from ssm_study.study.stages.files import write_json
+from ssm_study.study.stages.model import Trained, read_model
+from ssm_study.training.metrics import mean_fit
+
+if TYPE_CHECKING:
+    from ssm_study.bounds.reduction import Reduction
+
+SIMULATED = ("model.json", "validation.mcap", "test.mcap")
+
+
+class ModelRun:
+    """A model and its free runs beside the validation and test records; each is read when first
+    asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def model(self) -> Any:
+        return read_model(self.folder)
+
+    @cached_property
+    def validation(self) -> Simulation:
+        return read_simulation(self.folder / "validation.mcap")
+
+    @cached_property
+    def test(self) -> Simulation:
+        return read_simulation(self.folder / "test.mcap")
+
+
+def compute_simulated(
+    folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None
+) -> None:
+    """The model and its free runs beside the validation and test records.
+
+    In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is
+    claimed of it.
+    """
+    model = trained.model if reduction is None else reduction.reduce(trained.model)
+    write_json(folder / "model.json", model.to_json())
+    for name, records in (("validation", data.validation), ("test", data.test)):
+        free, start_up = (
+            Simulation.of(model, records, data.start_up_samples).simulated,
+            str(data.start_up_samples),
+        )
+        write_records(
+            folder / f"{name}.mcap", data, records, simulated=free, start_up_samples=start_up
+        )
+
+
+def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
+    """The columns of the free run: fits in percent, errors in the output's unit, a benchmark's
+    score."""
+    scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
+    train = {"fit_train_percent": mean_fit(simulated.model, data.training, data)}
+    return train | fit_facts(simulated.validation, simulated.test, scores)
+
+
+SCORE = Stage("score", compute_simulated, ModelRun, measure_score, SIMULATED)

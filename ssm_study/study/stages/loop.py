@@ -1,0 +1,77 @@
+"""The closed loop: the certified gains on the plant, or on the identified model."""
+
+from pathlib import Path
+from typing import Any
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.peers.peer import Identified
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once
+from ssm_study.signals import DataSet
+from ssm_study.study.loop_recordings import (
+    NOISE_FREE,
+    closed_on,
+    read_experiment,
+    write_experiment,
+)
+from ssm_study.study.stages.free_run import ModelRun
+
+Experiment = tuple[LoopRuns, str]  # and what it was done on
+LOOPS = ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE, "comparison.csv")
+
+
+def compute_loop(
+    folder: Path,
+    data: DataSet,
+    bounded: ModelRun,
+    design: Design,
+    *,
+    loop: Loop,
+    loop_seed: int,
+    plant: Any = None,
+) -> Experiment | None:
+    """The certified pair on the true plant, or on the identified model where there is no plant;
+    none without a pair.
+
+    None either where the model, in the place of a plant, answers its input at once: it is scored
+    and certified.
+    """
+    import pandas as pd
+
+    model = bounded.model
+    if not design.feasible or (plant is None and answers_at_once(model)):
+        return None
+    twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
+    on, loop_on = plant or twin, closed_on(plant)
+    fitted = (loop.within(data.applied) if plant is None or design.inverts else loop).fitted(model)
+    closed = fitted.run(on, model, design, loop_seed)
+    write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
+    if fitted.comparison is not None:
+        rows = fitted.comparison.rows(
+            on, Identified.of(model, certified_balls(model), data), fitted, loop_seed
+        )
+        table = pd.DataFrame(
+            rows, dtype=object
+        )  # else whole numbers beside an empty field become fractions
+        table.to_csv(folder / "comparison.csv", index=False, lineterminator="\n")
+    return closed, loop_on  # as `read_loop` reads it back, to the last bit
+
+
+def read_loop(folder: Path) -> Experiment | None:
+    """None where there was no pair to close the loop with."""
+    return read_experiment(folder) if (folder / "closed_loop.mcap").is_file() else None
+
+
+def measure_loop(
+    experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
+) -> Facts:
+    """The columns of the closed loop; none without a loop."""
+    if experiment is None:
+        return {}
+    closed, loop_on = experiment
+    return {"loop_on": loop_on} | behaviour(closed) | certified(closed, design)
+
+
+LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)

@@ -1,0 +1,84 @@
+"""The identified model: trained on the records, kept as explicit numbers."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.models.metrics import size_facts
+from ssm_study.models.structured import model_from_json
+from ssm_study.signals import DataSet
+from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.training.metrics import training_facts
+
+if TYPE_CHECKING:
+    from ssm_study.models.spec import ModelSpec
+    from ssm_study.training.training import Training
+
+
+@dataclass(frozen=True)
+class Trained:
+    """An identified model, how long its training took in seconds, and why it ended."""
+
+    model: Any
+    seconds: float
+    ended: str
+    baseline: dict[str, Any] | None = None
+
+
+def compute_model(
+    folder: Path,
+    data: DataSet,
+    *,
+    model: "ModelSpec",
+    training: "Training",
+    seed: int,
+    progress: bool,
+) -> None:
+    """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has
+    no infinity."""
+    late = getattr(model, "dead_time", 0)  # of one layer; fitted without it
+    identified = training.identify(
+        model, data.shift_out_dead_time(late) if late else data, seed, folder, progress
+    )
+    made: Any = identified.model
+    write_json(folder / "model.json", (made.delayed(late) if late else made).to_json())
+    facts = {"seconds": identified.seconds, "ended": identified.ended}
+    if data.metadata.get("source") == "recorded":
+        from ssm_study.models.baselines.regression import baseline_facts
+
+        facts["baseline"] = baseline_facts(data)
+    write_json(folder / "training.json", facts)
+    write_json(folder / "training_curve.json", with_gaps(identified.curve))
+    if identified.choice:
+        write_json(folder / "choice.json", list(identified.choice))
+
+
+def read_trained(folder: Path) -> Trained:
+    """The model with the seconds its training took and why it ended."""
+    return Trained(read_model(folder), **read_json(folder / "training.json"))
+
+
+def measure_model(trained: Trained, _: DataSet) -> Facts:
+    """The columns of the training: its time, its end, the model's size, and a baseline's fit."""
+    facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+    return facts | (trained.baseline or {})
+
+
+def read_model(folder: Path) -> Any:
+    """The model as explicit numbers, without torch."""
+    return model_from_json(read_json(folder / "model.json"))
+
+
+def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
+    """The curve with null for what is not finite."""
+    return [
+        {name: value if math.isfinite(value) else None for name, value in row.items()}
+        for row in curve
+    ]
+
+
+MODEL = Stage(
+    "model", compute_model, read_trained, measure_model, ("training_curve.json", "choice.json")
+)

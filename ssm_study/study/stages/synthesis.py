@@ -1,0 +1,102 @@
+"""The design: controller and observer with their certificates."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.evidence.finding import CANNOT_JUDGE
+from ssm_study.evidence.metrics import Judgement, withheld
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import DataSet, input_limits
+from ssm_study.study.stages.free_run import ModelRun
+from ssm_study.synthesis.input_inversion import shown_to
+from ssm_study.synthesis.metrics import design_facts, opinion_facts
+
+if TYPE_CHECKING:
+    from ssm_study.robustness.coverage import Premise
+    from ssm_study.synthesis.design import Synthesis
+
+
+def compute_synthesis(
+    folder: Path,
+    data: DataSet,
+    bounded: ModelRun,
+    shown: Mismatch,
+    judged: Judgement,
+    *,
+    synthesis: "Synthesis",
+    limits: dict[str, Any],
+) -> None:
+    """Controller and observer, decided in exact arithmetic; chosen from the model and the records
+    alone.
+
+    Without evidence `auto` takes the largest margin; within `limits` that are `applied` (given, or
+    a log's) it scores.
+    """
+    from ssm_study.synthesis.auto import Auto
+    from ssm_study.synthesis.deployed import with_gain_certificates
+    from ssm_study.synthesis.measured_discs_run import with_coverage
+
+    premise = measured_premise(bounded.model, data, shown)
+    chosen_by: Any = synthesis
+    model, balls, shown = (
+        bounded.model,
+        certified_balls(bounded.model),
+        shown_to(synthesis, bounded.model, data, shown),
+    )
+    ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
+    if isinstance(synthesis, Auto):
+        judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
+        judgeable = judgeable.covering(premise)
+        chosen_by = (
+            judgeable.within(*map(model.scale.scaled_input, ends))
+            if limits["applied"]
+            else judgeable
+        )
+    design = with_gain_certificates(
+        chosen_by.design(model, balls, data.validation, shown), model, balls, ends
+    )
+    with_coverage(design, model, balls, premise).save(folder / "certificate.json")
+
+
+def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
+    """What the records for the mismatch show of it by frequency."""
+    from ssm_study.robustness.coverage import measure_premise
+
+    records = data.mismatch_records
+    return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
+
+
+def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
+    """What the test record of a log shows, which neither fit nor design has seen; None for a
+    simulated plant."""
+    from ssm_study.robustness.coverage import measure_premise
+
+    if data.metadata.get("source") == "simulated":
+        return None
+    return measure_premise(model, data.test, mismatch, data.start_up_samples)
+
+
+def read_design(folder: Path) -> Design:
+    """Controller and observer, or why there is none."""
+    return Design.load(folder / "certificate.json")
+
+
+def measure_synthesis(
+    design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
+) -> Facts:
+    """The columns of the design and of its prediction."""
+    from ssm_study.synthesis.measured_discs_run import coverage_facts
+
+    model, balls = bounded.model, certified_balls(bounded.model)
+    facts = design_facts(design, model, balls, shown_to(design, model, data, shown))
+    premise = measured_premise(model, data, shown)
+    facts |= coverage_facts(design, model, premise, fresh_premise(model, data, shown))
+    return withheld(facts, judged.level) | opinion_facts(design, model, balls)
+
+
+SYNTHESIS = Stage(
+    "synthesis", compute_synthesis, read_design, measure_synthesis, ("certificate.json",)
+)

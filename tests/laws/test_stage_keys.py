@@ -1,0 +1,291 @@
+"""Keys of stages: an edit makes stale exactly the stages whose result it can change.
+
+Each row of the table edits one file and walks a request down the line, without computing. A key that
+is too wide costs time; one that is too narrow costs truth: the second half of this file.
+"""
+
+import re
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from ssm_study.engine import fingerprint
+from ssm_study.engine import stages as engine_stages
+from ssm_study.engine.fingerprint import Code, symbol_of
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
+from ssm_study.study.line import STUDY
+from ssm_study.study.specification import Specification
+from ssm_study.study.stages.evidence import EVIDENCE
+
+ROOT = Path(__file__).resolve().parents[2]
+ALL = ["dataset", "model", "bounds", "mismatch", "evidence", "synthesis", "loop"]
+COLUMNS = " columns"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _each_text_is_scanned_once() -> Iterator[None]:
+    """The same file is read a score of times, before and after each edit."""
+    scan = fingerprint._scanned
+    scanned: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
+
+    def scan_once(path: Path, module: str) -> fingerprint.Module:
+        key = path.read_bytes(), module, path.name == "__init__.py"
+        if key not in scanned:
+            scanned[key] = scan(path, module)
+        return scanned[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fingerprint, "_scanned", scan_once)
+        yield
+
+
+@dataclass(frozen=True)
+class KeysOfStages(Stages):
+    """Notes the key of every stage and of its columns; computes nothing."""
+
+    keys: dict[str, str] = field(default_factory=dict)
+    folder: Path = Path("nowhere")
+
+    def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
+        self.keys[name] = key
+        path = self.folder / name
+        return StageResult(path=path, key=key, seconds=0.0, reused=False, name=name)
+
+    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        self.keys[kept.stage.name + COLUMNS] = measure_key(kept, before)
+        return {}
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the package, to be edited; each test leaves it as it was."""
+    to = tmp_path_factory.mktemp("sources") / "ssm_study"
+    return Path(shutil.copytree(ROOT / "ssm_study", to, ignore=shutil.ignore_patterns("*.pyc")))
+
+
+def request_of(*overrides: str) -> Specification:
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return Specification.from_config(compose("study", ["study=s", *overrides]))
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Specification:
+    return request_of("experiment=smoke")
+
+
+def keys_of(
+    request: Specification, package: Path, folder: Path = Path("nowhere")
+) -> dict[str, str]:
+    """Key of every stage and of its columns, with the sources in `package`."""
+    sources = Code({"ssm_study": package})
+
+    def version(*roots: Callable[..., Any] | type | str) -> str:
+        return sources.version(*sorted({symbol_of(root) for root in roots}))
+
+    stages = KeysOfStages(folder=folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine_stages, "code_version", version)
+        STUDY.stages(request, stages)
+    return stages.keys
+
+
+def edit(package: Path, file: str, pattern: str, instead: str) -> str:
+    """Replace the first match of `pattern`; the text before."""
+    path = package / file
+    text = path.read_text()
+    edited, count = re.subn(pattern, instead, text, count=1, flags=re.MULTILINE)
+    assert count == 1, f"{pattern} is not in {file}"
+    path.write_text(edited)
+    return text
+
+
+def stale(
+    request: Specification,
+    package: Path,
+    file: str,
+    pattern: str,
+    instead: str,
+    folder: Path = Path("nowhere"),
+) -> list[str]:
+    """Stages that an edit makes stale, in the order of the line; then columns alone."""
+    before = keys_of(request, package, folder)
+    text = edit(package, file, pattern, instead)
+    try:
+        after = keys_of(request, package, folder)
+    finally:
+        (package / file).write_text(text)
+    return [name for name in after if after[name] != before[name]]
+
+
+def stages_among(names: list[str]) -> list[str]:
+    return [name for name in names if not name.endswith(COLUMNS)]
+
+
+DOCSTRING = (r'\A"""', '"""Edited. ')
+NEW_CODE = (r"^from pathlib import Path$", "from pathlib import Path\nEDITED = 1\nprint(EDITED)")
+NOWHERE = {
+    "docstring": ("study/stages/dataset.py", *DOCSTRING),
+    "docstring of a theorem": ("certificates/theorems/state_feedback.py", *DOCSTRING),
+    "comment": ("plants/dc_motor.py", r"^import numpy as np$", "# why\nimport numpy as np\n"),
+    "figure": ("report/figures/closed_loop_responses.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+    "page": ("report/page/data.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+    "command": ("cli/run.py", *NEW_CODE),
+    "table": ("table/gather.py", *NEW_CODE),
+    "verification": ("study/claims.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+    "line": ("study/line.py", *NEW_CODE),
+    "another plant": ("plants/cascaded_tanks.py", r"^class CascadedTanks\(", "class CascadedTanks(object, "),
+    "a reader of logs": ("data/readers/csv.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", NOWHERE)
+def test_what_no_result_depends_on(row: str, scratch: Path, simulated: Specification) -> None:
+    assert stale(simulated, scratch, *NOWHERE[row]) == []
+
+
+MEASURES = {
+    "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$", r"def input_coverage(\1):\n    del EDITED"),
+    "loop": ("loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len'),
+    "synthesis": ("synthesis/metrics.py", r"^def opinion_facts\(", "@edited\ndef opinion_facts("),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("stage", MEASURES)
+def test_a_measure_makes_its_columns_stale(
+    stage: str, scratch: Path, simulated: Specification
+) -> None:
+    assert stale(simulated, scratch, *MEASURES[stage]) == [stage + COLUMNS]
+
+
+ROWS = {
+    "mismatch": ("robustness/mismatch.py", r"^def measure_mismatch\(", "@edited\ndef measure_mismatch(", ALL[3:]),
+    "a field of the mismatch": (
+        "robustness/mismatch.py", r"^class Mismatch:$", "class Mismatch:\n    edited: float = 0.0\n", ALL[3:]
+    ),
+    "theorem": (
+        "certificates/theorems/state_feedback.py", r"^class StateFeedbackTheorem\(|^class \w+\(", r"@edited\n\g<0>", ALL[5:]
+    ),
+    "auto": ("synthesis/auto.py", r"^class Auto\b", "@edited\nclass Auto", ALL[5:]),
+    "training": ("training/fit.py", r"^class InitialStates\(", "@edited\nclass InitialStates(", ALL[1:]),
+    "plant": ("plants/dc_motor.py", r"^class DCMotor\(", "class DCMotor(object, ", ALL),
+    "simulated data": ("data/simulated.py", r"^class SimulatedData", "@edited\nclass SimulatedData", ALL),
+    "loop": ("loop/rollout.py", r"^def close_loop\(", "@edited\ndef close_loop(", ["loop"]),
+    "evidence": ("evidence/metrics.py", r"^def judge\(", "@edited\ndef judge(", ALL[4:]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_exactly_these_stages(row: str, scratch: Path, simulated: Specification) -> None:
+    *change, expected = ROWS[row]
+    assert stages_among(stale(simulated, scratch, *change)) == expected
+
+
+def test_a_rule_that_leaves_the_evidence_as_it_was_makes_no_design_stale(
+    scratch: Path, simulated: Specification, tmp_path: Path
+) -> None:
+    """Once judged anew, the content of evidence.json decides: the same words, the same design."""
+    file = tmp_path / EVIDENCE.name / EVIDENCE.files[0]
+    file.parent.mkdir()
+    file.write_text('{"level": "sound"}')
+    *change, _ = ROWS["evidence"]
+    assert stages_among(stale(simulated, scratch, *change, folder=tmp_path)) == ["evidence"]
+    before = keys_of(simulated, scratch, tmp_path)
+    file.write_text('{"level": "doubt"}')
+    after = keys_of(simulated, scratch, tmp_path)
+    assert [name for name in ALL if after[name] != before[name]] == ["synthesis", "loop"]
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Specification:
+    log = tmp_path / "log.csv"
+    log.write_text("time,u,y\n" + "".join(f"{0.1 * k},{k % 3},{k % 5}\n" for k in range(200)))
+    words = ("data=recorded", f"data.path={log}", "data.input=u", "data.output=y", "model=ssm")
+    return request_of(*words, "model.order=2")
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern"),
+    [
+        ("data/splits.py", r"^def periodic_segments\("),
+        ("data/readers/csv.py", r"^class \w+\("),
+        ("data/recorded.py", r"^class RecordedData\("),
+    ],
+)
+def test_reader_and_split_make_all_stale(
+    file: str, pattern: str, scratch: Path, recorded: Specification
+) -> None:
+    edited = stale(recorded, scratch, file, pattern, r"@edited\n\g<0>")
+    assert stages_among(edited) == ALL
+
+
+TOO_NARROW = {
+    "a class that the configuration names": (
+        "bounds/reduction.py", r"^class Reduction", "@edited\nclass Reduction", "bounds"
+    ),
+    "a function imported inside a function": (
+        "synthesis/deployed.py", r"^def with_gain_certificates\(", "@edited\ndef with_gain_certificates(", "synthesis"
+    ),
+    "a compiled kernel of the plant": (
+        "plants/dc_motor_kernel.py", r"^def advance_batch\(", "@edited\ndef advance_batch(", "dataset"
+    ),
+    "a compiled kernel of the design": (
+        "synthesis/game_kernel.py", r"^def solved\(", "@edited\ndef solved(", "synthesis"
+    ),
+    "a constant": ("robustness/mismatch.py", r"^(HOLDS|[A-Z_]{4,}) = ", r"EDITED = 1\n\1 = EDITED * ", "mismatch"),
+    "a member found by its file": (
+        "models/scaffolds/mlp.py", r"^class \w+\(", r"@edited\n\g<0>", "model"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", TOO_NARROW)
+def test_no_dependency_is_overlooked(row: str, scratch: Path, simulated: Specification) -> None:
+    *change, stage = TOO_NARROW[row]
+    assert stage in stale(simulated, scratch, *change)
+
+
+PLUG_IN = """
+from ssm_study.synthesis.problem import Problem
+from ssm_study.synthesis.theorems.guaranteed_cost import guaranteed_cost
+
+class OwnTheorem:
+    def solve(self, problem: Problem):
+        from own.gains import factor
+        return factor(guaranteed_cost(problem))
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern", "instead"),
+    [
+        ("own/theorem.py", "return factor", "return 2 * factor"),
+        ("own/gains.py", "return x", "return -x"),
+        ("ssm_study/synthesis/guaranteed_cost.py", r"^def guaranteed_cost\(", "@edited\n\\g<0>"),
+    ],
+)
+def test_a_plug_in_counts_also_what_it_imports_by_an_old_name(
+    file: str, pattern: str, instead: str, scratch: Path, tmp_path: Path
+) -> None:
+    """Its own code, what its functions import, and ours under the names of an earlier version."""
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "__init__.py").write_text("")
+    (own / "theorem.py").write_text(PLUG_IN)
+    (own / "gains.py").write_text("def factor(x):\n    return x\n")
+    root = ("own.theorem", "OwnTheorem")
+
+    def version() -> str:
+        return Code({"ssm_study": scratch, "own": own}).version(root)
+
+    before = version()
+    package = scratch.parent if file.startswith("ssm_study") else tmp_path
+    text = edit(package, file, pattern, instead)
+    after = version()
+    (package / file).write_text(text)
+    assert after != before
+    assert version() == before
