@@ -175,7 +175,7 @@ MADE_AGAIN = (
     "ssm_study.data.simulated.SimulatedData.build",
     "ssm_study.loop.regulation.Loop.run",
     "ssm_study.study.run_files.judge",
-    "ssm_study.study.run_files.mismatch",
+    "ssm_study.study.run_files.measure_mismatch",
     "ssm_study.study.design_claims.measure_mismatch",
 )
 
