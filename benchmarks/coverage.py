@@ -1,0 +1,200 @@
+"""Sampled plants at the edge of a covered disc: does any of them keep the loop moving?
+
+    python benchmarks/coverage.py RUN --samples 3000      one run's certificate
+    python benchmarks/coverage.py --models 1000           random models of one layer
+
+Each sample is a plant `y = m + e` with `e = c m + s kappa (Q_1 floor m + Q_2 W m + Q_3 V u)`: `(Q_1,
+Q_2, Q_3)` all-passes, each times a share, the shares on the unit sphere, so that e lies on the
+disc's edge at every frequency; slopes of S_u fixed at an end of the ball, or drawn anew at every
+sample; neurons are true static maps, the same in plant and observer. A loop that has not shrunk to
+`SETTLED` of its largest input within the horizon counts as lost. The seeds are fixed. Beside the
+proved kappa (s = 1) the same plants are taken at `BEYOND` times as far out: some of them must be
+lost, or the samples show nothing.
+"""
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design, StateFeedback
+from ssm_study.certificates.theorem import VerificationContext
+from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import model_from_json
+from ssm_study.robustness.coverage import Weights
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.measured_discs_search import largest_kappa
+from ssm_study.systems import Balls, JacobianBall, StateSpace
+
+SETTLED = 1e-2
+BEYOND = 1.5
+HORIZON = 3000  # samples
+FIRST_ORDER = Weights(
+    floor=0.5,
+    output=np.array([[0.7, 1.0], [0.1, 0.4]]),
+    input=np.array([[0.5, 1.0], [0.02, 0.1]]),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeLoops:
+    """Loops of one input and one output on N plants at the edge of one certificate's disc."""
+
+    proof: MeasuredDiscs
+    known: VerificationContext
+
+    def lost(self, samples: int, seed: int, distance: float) -> int:
+        """How many of the loops have not come to rest within the horizon."""
+        inputs = self.inputs(samples, np.random.default_rng(seed), distance)
+        largest = np.nanmax(np.abs(inputs), axis=0)
+        last = np.abs(inputs[-HORIZON // 20 :]).max(axis=0)
+        return int(np.sum(~(last < SETTLED * largest)))
+
+    def inputs(
+        self, samples: int, rng: np.random.Generator, distance: float
+    ) -> Float[np.ndarray, "T N"]:
+        """The inputs of all loops, from random starts."""
+        proof, system, gains = self.proof, self.known.controlled, self.known.gains
+        observed, order = self.known.system, self.known.system.order
+        ball = self.known.balls.input
+        ends = np.array([ball.lower, ball.upper])
+        varies = rng.random(samples) < 0.5
+        fixed = rng.choice(ends, samples)
+        shares = rng.standard_normal((3, samples))
+        shares *= distance * proof.kappa / np.linalg.norm(shares, axis=0)
+        poles = rng.uniform(-0.98, 0.98, (3, samples))
+        x = rng.standard_normal((system.order, samples))
+        estimate = rng.standard_normal((order, samples))
+        filters = [proof.weight_output, proof.weight_input]
+        states = [np.zeros((len(weight) - 1, samples)) for weight in filters]
+        passes = np.zeros((3, samples))
+        neurons = getattr(observed, "e", np.zeros((order, 0))).shape[1]
+        maps = rng.integers(0, 3, (neurons, samples))
+        inputs = np.empty((HORIZON, samples))
+        for k in range(HORIZON):
+            u = gains["k"][:, :order] @ estimate + gains["k"][:, order:] @ x[order:]
+            slope = np.where(varies, rng.choice(ends, samples), fixed)
+            drive = slope * u
+            w = self._neurons(x[:order], drive, maps, None)
+            m = proof.alpha_out * (observed.c @ x[:order] + observed.d @ drive)
+            m = m + proof.alpha_out * self._at_output(w)
+            entering = [proof.floor * m]
+            for i, (weight, signal) in enumerate(zip(filters, (m, u), strict=True)):
+                size = len(weight) - 1
+                entering.append(weight[size:, :size] @ states[i] + weight[size:, size:] * signal)
+                states[i] = weight[:size, :size] @ states[i] + weight[:size, size:] @ signal
+            driven = np.concatenate(entering)
+            passed = passes - poles * driven
+            passes = poles * passes + (1 - poles**2) * driven
+            e = proof.centre * m + (shares * passed).sum(axis=0, keepdims=True)
+            injected = proof.alpha_out * (observed.c @ (estimate - x[:order]))
+            wh = np.zeros_like(w)
+            if neurons:
+                injected = injected - e if not observed.h.any() else injected
+                wh = self._neurons(estimate, drive, maps, injected)
+            read = proof.alpha_out * (observed.c @ estimate + observed.d @ drive)
+            read = read + proof.alpha_out * self._at_output(wh)
+            correction = gains["l"] @ (read - m - e)
+            forward = system.a @ x + system.b @ drive
+            estimate = system.a[:order, :order] @ estimate + system.b[:order] @ drive + correction
+            if neurons:
+                forward = forward + system.e @ w
+                estimate = estimate + system.e[:order] @ wh
+            forward[order:] += e
+            x = forward
+            inputs[k] = u[0]
+        return inputs
+
+    def _at_output(self, w: Float[np.ndarray, "q N"]) -> Any:
+        return self.known.system.h @ w if len(w) else 0.0
+
+    def _neurons(
+        self, x: Float[np.ndarray, "n N"], drive: Float[np.ndarray, "m N"], maps: Any, injected: Any
+    ) -> Float[np.ndarray, "q N"]:
+        if not len(maps):
+            return np.zeros((0, x.shape[1]))
+        z = self.known.system.f @ x + self.known.system.g @ drive
+        if injected is not None and not self.known.system.h.any():
+            z = z + self.known.gains["l_z"] @ injected
+        return np.where(maps == 0, np.tanh(z), np.where(maps == 1, np.clip(z, -0.5, 0.5), z))
+
+
+def of_run(run: Path) -> EdgeLoops:
+    """The certificate of a run; exits where it has none."""
+    model = model_from_json(json.loads((run / "model.json").read_text()))
+    design = Design.load(run / "certificate.json")
+    proof = design.extra_certificates.get("coverage")
+    if not isinstance(proof, MeasuredDiscs) or not isinstance(design.state_feedback, StateFeedback):
+        raise SystemExit(f"{run} has no certificate of coverage")
+    known = VerificationContext(
+        system=model.system,
+        controlled=controlled_system(model, design.state_feedback),
+        balls=certified_balls(model),
+        gains=design.gains,
+    )
+    return EdgeLoops(proof=proof, known=known)
+
+
+def of_random_model(seed: int) -> EdgeLoops | None:
+    """A random model of order 2 to 4 with a certified pair of gains and a certified kappa; None
+    without one."""
+    rng = np.random.default_rng(seed)
+    order = int(rng.integers(2, 5))
+    a = rng.normal(size=(order, order))
+    linear = StateSpace(
+        a=rng.uniform(0.6, 0.97) * a / np.abs(np.linalg.eigvals(a)).max(),
+        b=rng.normal(size=(order, 1)),
+        c=rng.normal(size=(1, order)),
+        d=np.zeros((1, 1)),
+    )
+    lower = float(rng.uniform(0.4, 0.9))
+    unit = JacobianBall(alpha=1.0, beta=0.0)
+    balls = Balls(input=JacobianBall.from_slopes(lower, 1.0), output=unit)
+    weight = float(10 ** rng.uniform(-2, 1))
+    asked = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.2, input_weight=weight)
+    design = asked.design(SSM.of(linear, 0.01), balls)
+    if not design.certified:
+        return None
+    known = VerificationContext(system=linear, controlled=linear, balls=balls, gains=design.gains)
+    centre = float(rng.choice([0.0, -0.1, -0.25]))
+    proof = largest_kappa(known, FIRST_ORDER, centre)
+    return None if proof is None else EdgeLoops(proof=proof, known=known)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", nargs="?", type=Path)
+    parser.add_argument("--samples", type=int, default=3000)
+    parser.add_argument("--models", type=int, default=0)
+    asked = parser.parse_args()
+    if asked.run is not None:
+        loops = of_run(asked.run)
+        for distance in (1.0, BEYOND, 2 * BEYOND):
+            lost = loops.lost(asked.samples, 0, distance)
+            print(
+                f"{distance:g} times the proved kappa: {lost} of {asked.samples} lost", flush=True
+            )
+    certified = lost = beyond = 0
+    for seed in range(asked.models):
+        found = of_random_model(seed)
+        if found is None:
+            continue
+        certified += 1
+        lost += found.lost(10, seed, 1.0)
+        beyond += found.lost(10, seed, 2 * BEYOND)
+    if asked.models:
+        print(
+            f"{certified} of {asked.models} models certified, {10 * certified} loops: {lost} lost"
+        )
+        print(f"{2 * BEYOND:g} times as far out: {beyond} lost")
+
+
+if __name__ == "__main__":
+    main()
