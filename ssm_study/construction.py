@@ -90,6 +90,8 @@ def _argument(path: str, kind: type, key: str, value: Any) -> Any:
     remedy = f"its fields are {', '.join(names)}"
     require(key in names, field, value, f"{kind.__name__} has no such field", remedy)
     if isinstance(value, dict | list):
+        problem = f"is not {_words_for_type(hints[key])}" if key in hints else ""
+        require(not _is_single_value(hints.get(key)), field, value, problem, "give one value")
         return construct(field, value)
     if key not in hints:
         return value
@@ -105,6 +107,13 @@ def _argument(path: str, kind: type, key: str, value: Any) -> Any:
         largest = WIDEST.get(field) or WIDEST.get(path.split(".")[0], LARGEST_NUMBER)
         require(value <= largest, field, value, f"more than {largest}", "use a smaller number")
     return argument
+
+
+def _is_single_value(hint: Any) -> bool:
+    """Whether a type takes single numbers, texts and truth values alone."""
+    is_union = get_origin(hint) in (Union, UnionType)
+    types = get_args(hint) if is_union else (hint,)
+    return hint is not None and all(kind in TYPE_WORDS for kind in types)
 
 
 def _words_for_type(hint: Any) -> str:

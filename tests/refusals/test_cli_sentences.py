@@ -19,6 +19,8 @@ WRONG = {
     "a number for strict": (["strict=-1"], "strict = -1: is neither true nor false"),
     "a number for dry_run": (["dry_run=0"], "dry_run = 0: is neither true nor false"),
     "nothing for a plant": (["plant={}"], "plant = {}: changes nothing"),
+    "a list for a number": (["plant.step_s=[]"], "plant.step_s = []: is not a number"),
+    "numbers for a group": (["loop=[1,[2,[3]]]"], "is no name of a choice"),
     "nothing for a part of one": (["model.scaffold_in={}"], "changes nothing"),
 }
 
