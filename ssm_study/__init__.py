@@ -18,6 +18,7 @@ _PUBLIC = {
     "control": "api.controlling",
     "fit": "api.fitting",
     "load": "api.loading",
+    "look": "api.looking",
     "simulate": "api.simulation",
 }
 __all__ = [*_PUBLIC, "study"]

@@ -109,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     for words, settings in EXCITE.items():
         excited.add_argument(words, **settings)
     excited.set_defaults(command=_excite)
+    add_look(commands)
     for name, (action, subject, told) in ACTIONS.items():
         command = commands.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".")
         command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
@@ -116,6 +117,37 @@ def _parser() -> argparse.ArgumentParser:
         for words, settings in OPTIONS.get(name, {}).items():
             command.add_argument(words, **settings)
     return parser
+
+
+def add_look(commands: Any) -> None:
+    """Add `look FILE`: what is in a log, a picture of it, and the command that fits it."""
+    words = "show what is in a log: columns, clock, holes, dynamics; and the command that fits it"
+    looked = commands.add_parser("look", help=words, description=words[0].upper() + words[1:] + ".")
+    looked.add_argument("file", type=Path, metavar="FILE", help="the log")
+    for name in ("input", "output", "time"):
+        looked.add_argument(f"--{name}", metavar="COLUMN", help=f"the column of the {name}")
+    looked.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
+    looked.add_argument("--picture", type=Path, metavar="PNG", help="where to draw it (FILE.png)")
+    looked.set_defaults(command=_look)
+
+
+def _look(options: argparse.Namespace) -> None:
+    from ssm_study.data.look import look
+
+    seen = look(
+        options.file,
+        input=options.input,
+        output=options.output,
+        time=options.time,
+        step_s=options.step_s,
+    )
+    print(seen)
+    if seen.records:
+        from ssm_study.report.figure_of_a_log import draw_log
+
+        picture = options.picture or Path(f"{options.file.stem}_look.png")
+        draw_log(seen).savefig(picture, dpi=150)
+        print(picture)
 
 
 def _on_its_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:

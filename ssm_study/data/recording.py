@@ -247,8 +247,8 @@ class Columns:
             time_s, words = clock_seconds(str(self.time), table)
             remarks.append(words)
         elif time_s is None and self.searches_clock:
-            time_s, words = self._found_clock(file, reader, table, list(units))
-            remarks += words
+            time_s, clock_remarks = self._found_clock(file, reader, table, list(units))
+            remarks += clock_remarks
         return _LogFile(table=table, time_s=time_s, remarks=remarks)
 
     def _found_clock(

@@ -1,0 +1,28 @@
+"""The picture of `ssm-study look`: inputs and outputs over time, pieces apart."""
+
+from typing import TYPE_CHECKING
+
+from ssm_study.report import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ssm_study.data.look import LogLook
+
+
+def draw_log(seen: "LogLook") -> "Figure":
+    """Output above, input below, over the time of the log; a hole is left white."""
+    from matplotlib.figure import Figure
+
+    with style.paper():
+        figure = Figure(figsize=(style.PAGE_IN, 3.6), layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for record in seen.records:
+            time_s = record.first * record.step_s + record.time_s
+            upper.plot(time_s, record.y[:, 0], color=style.BLUE, linewidth=0.8)
+            lower.step(time_s, record.u[:, 0], where="post", color=style.VERMILLION, linewidth=0.8)
+        upper.set_ylabel(seen.output or "output")
+        lower.set_ylabel(seen.input or "input")
+        lower.set_xlabel("time (s)")
+        upper.set_title(seen.path.name, fontsize="medium")
+    return figure
