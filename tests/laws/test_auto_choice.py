@@ -24,7 +24,9 @@ from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.auto import LOSS, OWN_SHARE, Auto, expected_area
+from ssm_study.synthesis.auto import Auto
+from ssm_study.synthesis.candidate_grid import OWN_SHARE
+from ssm_study.synthesis.expected_response import LOSS, expected_area
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.structured_lmi import StructuredLmi
 from ssm_study.systems import Balls, Gains, JacobianBall

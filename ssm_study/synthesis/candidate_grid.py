@@ -1,0 +1,213 @@
+"""The grid of rates and weights over which `auto` solves for gains. Source: docs/closed_loop.md."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.certificates.frontier import controller_frontier
+from ssm_study.certificates.problem import NoSolution, Solution, dual
+from ssm_study.certificates.theorems.integral_action import internal_model, with_modes
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import Model, phi
+from ssm_study.synthesis.candidates import Candidates, GainCandidate
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.systems import Balls, JacobianBall, StateSpace, System
+
+Slopes = Float[np.ndarray, "q"]
+# Share of the rate that a model has by itself: the most cautious request, whose gain may vanish.
+OWN_SHARE = 0.5
+STATE_WEIGHT = 1e-6  # of the gains' cost, beside `|C x|^2`
+INTEGRAL_WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, where none are given
+HALF_SLOPE = 0.5
+
+
+class SolvedSide(NamedTuple):
+    """Gains of one side of the grid, and the number of its requests that have no solution."""
+
+    candidates: list[GainCandidate]
+    unsolved: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateGrid:
+    """Rates and weights of controllers and observers; `auto` explains each field."""
+
+    rate_controller: float | str
+    rate_observer: float | str
+    stretch_shares: Sequence[float]
+    observer_rates: Sequence[float]
+    input_weights: Sequence[float]
+    output_noises: Sequence[float]
+    integral_weights: Sequence[float]
+    modes: tuple[str, ...]
+
+    def specifications(self) -> list[RiccatiSynthesis]:
+        """Specifications that the grid varies: one for each weight of the internal model."""
+        weights = INTEGRAL_WEIGHTS[:1]
+        if self.modes:
+            weights = tuple(self.integral_weights) or INTEGRAL_WEIGHTS
+        return [
+            RiccatiSynthesis(
+                rate_controller=0.5,
+                rate_observer=0.5,
+                internal_model=self.modes,
+                state_weight=STATE_WEIGHT,
+                integral_weight=weight,
+            )
+            for weight in weights
+        ]
+
+    def candidates(self, model: Model, balls: Balls) -> Candidates | None:
+        """Every gain of the grid that the Riccati equation gives; None if one side has none."""
+        if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
+            return None
+        rest = slopes_at_rest(model)
+        specifications = self.specifications()
+        first = specifications[0]
+        observers, unsolved = self.solve_side(first, model.system, balls.output, True, rest)
+        controllers: list[GainCandidate] = []
+        for specification in specifications:
+            controlled = model.system
+            if specification.modes:
+                weight = specification.integral_weight
+                controlled = with_modes(model, specification.modes, weight)
+            side = self.solve_side(specification, controlled, balls.input, False, rest)
+            controllers += side.candidates
+            unsolved += side.unsolved
+        if not controllers or not observers:
+            return None
+        return Candidates(
+            feedback=tuple(specification for specification, _ in controllers),
+            ks=np.stack([solution.k for _, solution in controllers]),
+            observing=tuple(specification for specification, _ in observers),
+            ls=np.stack([solution.k.T for _, solution in observers]),
+            l_zs=injections(observers),
+            internal=self._internal_model(model),
+            unsolved=unsolved,
+        )
+
+    def _internal_model(self, model: Model) -> Float[np.ndarray, "z z"] | None:
+        if not self.modes:
+            return None
+        return internal_model(self.modes, model.step_s, model.scale.outputs)
+
+    def solve_side(
+        self,
+        specification: RiccatiSynthesis,
+        system: System,
+        ball: JacobianBall,
+        observes: bool,
+        rest: Slopes | None = None,
+    ) -> SolvedSide:
+        """Gains of all rates and weights of one side, the fastest rate first while solving.
+
+        A solution at a faster rate holds at a slower one, so the search for that one starts there.
+        """
+        rates, start = self._rates_below_limit(specification, system, ball, observes)
+        side = "observer" if observes else "controller"
+        name = "output_noise" if observes else "input_weight"
+        weights = self.output_noises if observes else self.input_weights
+        candidates: list[GainCandidate] = []
+        faster: dict[float, Solution] = {}  # by weight
+        unsolved = 0
+        for rate, weight in product(rates, sorted(weights, reverse=True)):
+            latest = candidates[-1][1] if candidates else start
+            near = faster.get(weight, latest)
+            settings: dict[str, Any] = {f"rate_{side}": rate, name: weight}
+            settings["near"] = {} if near is None else {observes: near}
+            request = replace(specification, **settings)
+            try:
+                solution = request.solve(request.problem(system, ball, observes))
+            except NoSolution:
+                unsolved += 1
+                continue
+            faster[weight] = solution
+            candidates.append((replace(request, near={observes: solution}), solution))
+        if rest is not None and rates:
+            slowest = rates[-1]
+            candidates += self._at_frozen_slopes(
+                specification, system, ball, observes, rest, slowest
+            )
+        return SolvedSide(candidates[::-1], unsolved)
+
+    def _rates_below_limit(
+        self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
+    ) -> tuple[list[float], Solution | None]:
+        """Rates of one side below its limit, the fastest first, and a solution to start from."""
+        own = 0.0  # with neurons the spectral radius proves nothing
+        fastest = None
+        if isinstance(system, StateSpace):
+            own = max(1 - system.spectral_radius**2, 0.0)
+            limit = controller_frontier(dual(system) if observes else system, ball).rate_limit
+        else:
+            from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
+
+            problem = specification.problem(system, ball, observes)
+            limit, fastest = structured_lmi.fastest(problem)
+        rates = self._rates(observes, isinstance(system, StateSpace), own, limit)
+        below = [rate for rate in rates if 0 < rate < limit]
+        return sorted(below, reverse=True), fastest
+
+    def _rates(self, observes: bool, linear: bool, own: float, limit: float) -> list[float]:
+        """The requested rate of one side; else from half of the model's own to near the limit."""
+        requested = self.rate_observer if observes else self.rate_controller
+        if requested != "auto":
+            return [float(requested)]
+        rates = [OWN_SHARE * own]
+        if observes:
+            rates += self.observer_rates
+        if not (observes and linear):
+            rates += [own + share * (limit - own) for share in self.stretch_shares]
+        return rates
+
+    def _at_frozen_slopes(
+        self,
+        specification: RiccatiSynthesis,
+        system: Any,
+        ball: JacobianBall,
+        observes: bool,
+        rest: Slopes,
+        rate: float,
+    ) -> list[GainCandidate]:
+        """Gains for one layer, the neurons' slopes frozen at rest or half way, proved for all.
+
+        A cost for the worst slopes guards against what the model may never do; the certificate does
+        not need that guard.
+        """
+        from ssm_study.synthesis.structured_lmi import StructuredLmi
+
+        problem = specification.problem(system, ball, observes).at(rate)
+        program = StructuredLmi.of_gains(problem)
+        side = "rate_observer" if observes else "rate_controller"
+        proved_candidates = []
+        for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
+            frozen = system.at_slopes(slopes)
+            for request, solution in self.solve_side(
+                specification, frozen, ball, observes
+            ).candidates:
+                try:
+                    proved = program.proved(solution.k)
+                except NoSolution:
+                    continue
+                settings: dict[str, Any] = {side: rate, "near": {observes: proved}}
+                proved_candidates.append((replace(request, **settings), proved))
+        return proved_candidates
+
+
+def slopes_at_rest(model: Model) -> Slopes | None:
+    """Slopes of the neurons at the equilibrium; None for a model without neurons."""
+    if isinstance(model, SSM) or not model.neurons:
+        return None
+    return phi(model.neurons, model.bias, "slope")
+
+
+def injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
+    """Gains `L_z` of the observers into the neurons; None where the first has none."""
+    gains = [solution.k_w for _, solution in observers]
+    if gains[0] is None:
+        return None
+    return np.stack([k_w.T for k_w in gains if k_w is not None])

@@ -1,0 +1,112 @@
+"""Order of certified pairs of gains by the response that is expected of them on the plant.
+
+    P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
+
+The mismatch is not a number but a sample: the fastest design that just passes is the one that any
+optimism of the measured mismatch lets through. Source: docs/closed_loop.md, "Rates chosen for you".
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.models.structured import Model
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.prediction import noise_peak, robustness_measure
+from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_radius
+from ssm_study.signals import Ends, Trajectories
+from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.systems import Balls
+
+Pair = Int[np.ndarray, "2"]
+ATTEMPTS = 20  # pairs verified exactly before the search gives up: each costs two certificates
+# Pairs compared with all that the records show: the fastest, and of the rest as many.
+COMPARED = 200
+LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
+# No record is known better than this: Welch's estimate alone scatters by half of it.
+LEAST_SPREAD = 0.1
+
+
+def expected_area(area: float, loop_gain: float, spread: float) -> float:
+    """`P area + (1 - P) LOSS`, `P = Phi(-ln(loop_gain) / spread)`; `loop_gain` is 1 / margin."""
+    from scipy.special import ndtr  # here: what only reads a study does without
+
+    logarithm = np.log(max(loop_gain, np.finfo(float).tiny))
+    probability = float(ndtr(-logarithm / max(spread, LEAST_SPREAD)))
+    return probability * area + (1 - probability) * LOSS
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpectedResponse:
+    """What is needed to score the pairs of one grid against the records."""
+
+    model: Model
+    balls: Balls
+    candidates: Candidates
+    mismatch: Mismatch
+    margin: float
+
+    def loop_gain(self, pair: Pair, shared: Responses) -> float:
+        """Inverse of the pair's stability margin; cut short from `1 / margin` on."""
+        gains = self.candidates.gains(pair)
+        refused = 1 / self.margin
+        return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
+
+    def expected(self, pair: Pair, area: float, shared: Responses) -> float:
+        """Expected area of the pair, its loop gain taken on the angles of `shared`."""
+        return expected_area(float(area), self.loop_gain(pair, shared), self.mismatch.spread)
+
+    def resists_noise(self, pair: Pair) -> bool:
+        """Whether the sensor's noise alone leaves the output within the band of settling."""
+        gains = self.candidates.gains(pair)
+        return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
+
+    def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
+        """Pairs with a large enough coarse margin whose controller is stable by itself."""
+        if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
+            return np.empty((0, 2), dtype=int)
+        pairs = np.argwhere(self.margin * peaks < 1)
+        gains = self.candidates.gains(pairs)
+        return pairs[controller_radius(self.model.system, gains, self.balls) < 1]
+
+    def ordered_pairs(
+        self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
+    ) -> Iterator[Pair]:
+        """Pairs that pass, the best expected response first.
+
+        An expected area is never below the area, so the search ends where the areas exceed the
+        expected ones of the passing pairs, and goes on only where none of those is taken (the gains
+        of a verified design may differ from its candidate's).
+        """
+        pairs = self.stable_pairs(peaks)
+        if not len(pairs) or not self.mismatch.rests:
+            return
+        areas = relative_areas(self.model, self.candidates.gains(pairs), validation, limits)
+        coarse = Responses(angles=FINE_ANGLES[::2])
+        fine = Responses(angles=FINE_ANGLES)
+        passing: list[tuple[float, int]] = []
+        remaining = compared_indices(areas)
+        while remaining or passing:
+            while remaining and not (passing and areas[remaining[0]] >= min(passing)[0]):
+                index = remaining.pop(0)
+                loop_gain = self.loop_gain(pairs[index], coarse)
+                if self.margin * loop_gain < 1 and self.resists_noise(pairs[index]):
+                    score = expected_area(float(areas[index]), loop_gain, self.mismatch.spread)
+                    passing.append((score, index))
+            passing.sort()
+            # between two frequencies of the coarser grid a loop may come nearer to its limit
+            best = [index for _, index in passing[:ATTEMPTS]]
+            scores = [self.expected(pairs[index], areas[index], fine) for index in best]
+            for _, index in sorted(zip(scores, best, strict=True)):
+                yield pairs[index]
+            del passing[:ATTEMPTS]
+
+
+def compared_indices(areas: Float[np.ndarray, "N"]) -> list[int]:
+    """Indices of the `COMPARED` smallest areas, and as many spread over the rest."""
+    order = np.argsort(areas, kind="stable")
+    step = max(len(order) // COMPARED, 1)
+    return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
