@@ -1,10 +1,10 @@
-"""The numbers one experiment is judged by: the columns of the study's table, each with its unit and
-definition."""
+"""Columns of the study's table that judge one closed-loop experiment, each with its unit."""
 
 from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.columns import Column
@@ -16,6 +16,7 @@ from ssm_study.loop.rollout import (
     empirical_rate,
     motions,
     overshoots,
+    remaining_swings,
     settling_times_s,
 )
 
@@ -40,6 +41,20 @@ COLUMNS = (
         "open s",
         "Mean settling time, uncontrolled",
         "s",
+    ),
+    Column(
+        "faster_than_open_loop",
+        "boolean",
+        "high",
+        "faster",
+        "All settle, sooner on average than without control",
+    ),
+    Column(
+        "swings_at_rest",
+        "Float64",
+        "low",
+        word="Swing that settled loops keep up without noise",
+        unit="settling bands",
     ),
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),
     Column("input_peak_v", "Float64", "low", "peak u", "Input peak", "unit of the input"),
@@ -79,94 +94,157 @@ COLUMNS = (
 
 
 def behaviour(loop: LoopRuns) -> Columns:
-    """What the controlled plant did, as docs/closed_loop.md defines each column; times in s, inputs
-    in their unit.
+    """Columns that describe the controlled plant: settling, overshoot, input, remaining error.
 
-    None where nothing is defined, never NaN: `empirical_rate` when several plants are pooled.
+    Definitions: docs/closed_loop.md; times in s, inputs in their unit. None where nothing is
+    defined, never NaN: `empirical_rate` when several plants are pooled.
     """
-    rate = empirical_rate(loop.controlled, loop.settling_band)
-    return pooled([loop]) | {
-        "empirical_rate": rate,
-        "noise_gain_measured": noise_gain(loop.controlled),
-    }
+    columns = pooled([loop])
+    columns["empirical_rate"] = empirical_rate(loop.controlled, loop.settling_band)
+    columns["noise_gain_measured"] = noise_gain(loop.controlled)
+    return columns
 
 
 def noise_gain(run: Rollouts) -> float | None:
     """`std(y) / std(n)` over the second half of the horizon, cases that stayed, the worst output;
     None without noise.
 
-    What the sensor's noise n leaves of the true output at rest; `noise_gain_model` of the design is
-    it for the model.
+    The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
+    the design is it for the model.
     """
     half = run.y.shape[1] // 2
     if not run.stayed.any() or np.array_equal(run.y, run.measured):
         return None
-    y, seen = (signal[run.stayed, half:] for signal in (run.y, run.measured))
-    noise = np.maximum((seen - y).std(axis=(0, 1)), np.finfo(float).tiny)
-    return float((np.sqrt(y.var(axis=1).mean(axis=0)) / noise).max())
+    y = run.y[run.stayed, half:]
+    measured = run.measured[run.stayed, half:]
+    noise = np.maximum((measured - y).std(axis=(0, 1)), np.finfo(float).tiny)
+    output = np.sqrt(y.var(axis=1).mean(axis=0))
+    return float((output / noise).max())
 
 
 def pooled(loops: list[LoopRuns]) -> Columns:
     """`behaviour` over the cases of several experiments of the same length, as if they were one."""
-    judged = [(loop.judged, loop.settling_band) for loop in loops]
-    settled = [time_s for run in judged for time_s in settling_times_s(*run) if time_s is not None]
-    motion = Counter(kind for run in judged for kind in motions(*run) if kind != "settled")
-    alone = [
-        time_s
-        for loop in loops
-        for time_s in settling_times_s(loop.uncontrolled, loop.settling_band)
-    ]
-    left = [int(k) for loop in loops for k in loop.controlled.left_at_sample if k != STAYED]
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
-    final = [
-        error[:, -max(error.shape[1] // 10, 1) :].mean(axis=1) for error in errors
-    ]  # noise averages out
-    cases, step_s = sum(map(len, errors)), loops[0].controlled.step_s
+    cases = sum(len(error) for error in errors)
+    step_s = loops[0].controlled.step_s
+    per_case = step_s / cases
+    return {
+        **settling_columns(loops, cases),
+        "overshoot_worst": max(worst_overshoot(loop) for loop in loops),
+        "input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),
+        "control_energy": sum_of_squares(efforts) * per_case,
+        "integral_squared_error": sum_of_squares(errors) * per_case,
+        "final_error_worst": max(final_error(error) for error in errors),
+        **bound_columns(loops, step_s),
+    }
+
+
+def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
+    """How many cases settle, how soon, against the plant left alone, and what the others do."""
+    times_s: list[float | None] = []
+    alone_s: list[float | None] = []
+    motion: Counter[str] = Counter()
+    for loop in loops:
+        times_s += settling_times_s(loop.judged, loop.settling_band)
+        alone_s += settling_times_s(loop.uncontrolled, loop.settling_band)
+        motion.update(motions(loop.judged, loop.settling_band))
+    settled = [time_s for time_s in times_s if time_s is not None]
+    unsettled = [f"{count} {kind}" for kind, count in sorted(motion.items()) if kind != "settled"]
     return {
         "initial_conditions": cases,
         "stable_count": len(settled),
         "stable_fraction": len(settled) / cases,
-        "unsettled_as": ", ".join(f"{count} {kind}" for kind, count in sorted(motion.items()))
-        or None,
+        "unsettled_as": ", ".join(unsettled) or None,
         "judged_noise_free": any(loop.noise_free is not None for loop in loops),
         "settling_time_mean_s": mean(settled),
         "settling_time_worst_s": max(settled) if len(settled) == cases else None,
-        "settling_time_open_loop_s": mean(alone),
-        "overshoot_worst": max(
-            float(overshoots(loop.controlled, loop.settling_band).max()) for loop in loops
-        ),
-        "input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),
-        "control_energy": sum(float((effort**2).sum()) for effort in efforts) / cases * step_s,
-        "integral_squared_error": sum(float((error**2).sum()) for error in errors) / cases * step_s,
-        "final_error_worst": max(float(np.abs(error).max()) for error in final),
+        "settling_time_open_loop_s": mean(alone_s),
+        "faster_than_open_loop": is_faster(times_s, alone_s),
+        "swings_at_rest": worst_swing_at_rest(loops),
+    }
+
+
+def is_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
+    """Whether every controlled case settles, and sooner on average than without control.
+
+    A case that never settles without control counts as slower there. A word of success stands only
+    where this holds: a controller may be certified, and settle, and help nobody.
+    """
+    if None in times_s:
+        return False
+    if None in alone_s:
+        return True
+    controlled = mean(times_s)
+    uncontrolled = mean(alone_s)
+    assert controlled is not None
+    assert uncontrolled is not None
+    return controlled < uncontrolled
+
+
+def worst_swing_at_rest(loops: list[LoopRuns]) -> float | None:
+    """Largest swing of a settled case without noise, in bands of settling; None if none settles."""
+    swings = []
+    for loop in loops:
+        run = loop.quiet or loop.judged
+        amplitudes = remaining_swings(run, loop.settling_band)
+        swings += [float(swing) / loop.settling_band for swing in amplitudes]
+    return max(swings, default=None)
+
+
+def worst_overshoot(loop: LoopRuns) -> float:
+    """Largest overshoot of the controlled cases, as a share of their starts."""
+    return float(overshoots(loop.controlled, loop.settling_band).max())
+
+
+def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
+    """Sum over all signals of their squares."""
+    return sum(float((signal**2).sum()) for signal in signals)
+
+
+def final_error(error: Float[np.ndarray, "N T p"]) -> float:
+    """Largest mean error over the last tenth of the horizon, where noise averages out."""
+    last = max(error.shape[1] // 10, 1)
+    return float(np.abs(error[:, -last:].mean(axis=1)).max())
+
+
+def bound_columns(loops: list[LoopRuns], step_s: float) -> Columns:
+    """How many cases were stopped at the bound, and when first."""
+    left: list[int] = []
+    for loop in loops:
+        at_sample = loop.controlled.left_at_sample
+        left += at_sample[at_sample != STAYED].tolist()
+    return {
         "left_bound_count": len(left),
         "left_bound_first_s": min(left) * step_s if left else None,
     }
 
 
-def certified(loop: LoopRuns, design: Design) -> Columns:
-    """What was certified beside what was measured (docs/closed_loop.md); all None without a run on
-    the model.
+CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")
 
-    `certified_bound_excess_plant` is None too where plant and model follow different references.
+
+def certified(loop: LoopRuns, design: Design) -> Columns:
+    """Measured distances against the certified ones (docs/closed_loop.md).
+
+    All None without a run on the model; `certified_bound_excess_plant` is None too where plant and
+    model follow different references.
     """
-    if (model := loop.on_model) is None:
-        return dict.fromkeys(
-            ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")
-        )
-    plant, parts = loop.controlled, design.parts()
-    alike = np.allclose(plant.reference, model.reference)
+    model = loop.on_model
+    if model is None:
+        return dict.fromkeys(CERTIFIED)
+    plant = loop.controlled
+    parts = design.parts()
+    beyond = None
+    if np.allclose(plant.reference, model.reference):
+        beyond = excess(plant.estimate, model.states[:, 0], *parts)
     return {
         "certified_bound_violations": violations(model.states, model.estimate, *parts),
         "estimate_decay_rate": decay_rate(model.states, model.estimate, *parts),
-        "certified_bound_excess_plant": excess(plant.estimate, model.states[:, 0], *parts)
-        if alike
-        else None,
+        "certified_bound_excess_plant": beyond,
     }
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """Of those that there are; None of none."""
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    """Mean of the values that are not None; None if there are none."""
+    numbers = [value for value in values if value is not None]
+    return float(np.mean(numbers)) if numbers else None

@@ -150,7 +150,7 @@ class LoopRuns:
     `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the
     output's unit.
     `noise_free`: without measurement noise, where that alone crosses the band; settling is then
-    judged on it.
+    judged on it. `quiet`: without measurement noise, whatever it does; None where there is none.
     """
 
     controlled: Rollouts
@@ -159,6 +159,7 @@ class LoopRuns:
     settling_band: float
     input_equilibrium: Float[np.ndarray, "m"]
     noise_free: Rollouts | None = None
+    quiet: Rollouts | None = None
 
     @property
     def judged(self) -> Rollouts:
@@ -241,20 +242,33 @@ class Loop:
     def on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
         """Any controller: at one seed all meet the same initial states, noise, reference and
         disturbance."""
-        rest, band, (y0, noise) = plant.equilibrium(), plant.settling_band, self.draw(plant, seed)
-        controlled, noise_free = self.simulate(plant, controller, y0, noise), None
-        if noise.any() and None in settling_times_s(controlled, band):
-            still = replace(self, reference=Rest(), disturbance=NoDisturbance())
-            shaken = still.simulate(plant, controller, np.tile(rest.y, (len(y0), 1)), noise)
-            if (np.abs(shaken.y - shaken.reference) > band).any():
-                noise_free = self.simulate(plant, controller, y0, np.zeros_like(noise))
+        rest = plant.equilibrium()
+        y0, noise = self.draw(plant, seed)
+        controlled = self.simulate(plant, controller, y0, noise)
+        quiet = None
+        noise_free = None
+        if noise.any():
+            quiet = self.simulate(plant, controller, y0, np.zeros_like(noise))
+            is_settled = None not in settling_times_s(controlled, plant.settling_band)
+            if not is_settled and self._noise_crosses_band(plant, controller, noise):
+                noise_free = quiet
         return LoopRuns(
             controlled=controlled,
             uncontrolled=self.simulate(plant, Uncontrolled.of(plant), y0, noise),
-            settling_band=band,
+            settling_band=plant.settling_band,
             input_equilibrium=rest.u,
             noise_free=noise_free,
+            quiet=quiet,
         )
+
+    def _noise_crosses_band(
+        self, plant: Plant, controller: Controller, noise: Float[np.ndarray, "N T p"]
+    ) -> bool:
+        """Whether a plant that starts at rest is carried out of the band by the noise alone."""
+        still = replace(self, reference=Rest(), disturbance=NoDisturbance())
+        y0 = np.tile(plant.equilibrium().y, (len(noise), 1))
+        shaken = still.simulate(plant, controller, y0, noise)
+        return bool((np.abs(shaken.y - shaken.reference) > plant.settling_band).any())
 
     def on_model(
         self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]

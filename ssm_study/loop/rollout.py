@@ -69,87 +69,109 @@ def close_loop(
     bound: Float[np.ndarray, "p"],
     limits: Limits = UNLIMITED,
 ) -> Rollouts:
-    """`u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`, all cases
-    at once.
+    """Simulate `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
 
-    `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is stopped, in the output's
-    unit; input limits
-    (input's unit) are known to the controller. Raises `BadRequest` for unmatched plant and
-    controller.
+    All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
+    stopped, in the output's unit; input limits (input's unit) are known to the controller. Raises
+    `BadRequest` for unmatched plant and controller.
     """
-    _matched(plant, controller)
-    (cases, samples, p), memory, x = noise.shape, controller.start(len(noise)), x0
-    targets, rest, amplitude = (
-        controller.targets(reference),
-        plant.equilibrium(),
-        np.array(plant.input_amplitude),
-    )
+    _check_dimensions(plant, controller)
+    cases, samples, outputs = noise.shape
+    memory = controller.start(cases)
+    x = x0
+    targets = controller.targets(reference)
     if any(np.isfinite(end).any() for end in limits):
-        _reachable(controller.demanded(reference), limits)
-    widths = {"u": len(plant.inputs), "y": p, "measured": p, "states": x0.shape[1]}
+        _check_reachable(controller.demanded(reference), limits)
+    widths = {"u": len(plant.inputs), "y": outputs, "measured": outputs, "states": x0.shape[1]}
     widths["estimate"] = controller.estimate(memory).shape[1]
     log = {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
-    left, going = np.full(cases, STAYED), np.arange(cases)
+    left_at_sample = np.full(cases, STAYED)
+    going = np.arange(cases)
     for k in range(samples):
         y = plant.output(x)
-        seen = y + noise[going, k]
-        u = np.clip(controller.input(memory, seen, targets[k]), *limits)
-        sizes = np.hstack([(u - rest.u) / amplitude, controller.estimate(memory)])
-        inside = (np.abs(y - rest.y) <= bound).all(axis=1) & (np.abs(sizes) < LARGEST_SIGNAL).all(
-            axis=1
-        )
+        measured = y + noise[going, k]
+        u = np.clip(controller.input(memory, measured, targets[k]), *limits)
+        inside = _inside_bound(plant, y, u, controller.estimate(memory), bound)
         if not inside.all():  # only those that stay go on
-            left[going[~inside]] = k
-            for name, value in {
-                "u": np.tile(rest.u, (len(y), 1)),
-                "y": y,
-                "measured": seen,
-                "states": x,
-            }.items():
-                log[name][going[~inside], k:] = value[~inside, None]
-            x, y, seen, u, memory, going = (part[inside] for part in (x, y, seen, u, memory, going))
+            stopped = going[~inside]
+            left_at_sample[stopped] = k
+            at_rest = np.tile(plant.equilibrium().u, (len(y), 1))
+            values = {"u": at_rest, "y": y, "measured": measured, "states": x}
+            for name, value in values.items():
+                log[name][stopped, k:] = value[~inside, None]
+            x, y, measured = x[inside], y[inside], measured[inside]
+            u, memory, going = u[inside], memory[inside], going[inside]
             controller = controller.among(inside)
-        values = {
-            "u": u,
-            "y": y,
-            "measured": seen,
-            "states": x,
-            "estimate": controller.estimate(memory),
-        }
+        values = {"u": u, "y": y, "measured": measured, "states": x}
+        values["estimate"] = controller.estimate(memory)
         for name, value in values.items():
             log[name][going, k] = value
-        memory, x = (
-            controller.advance(memory, u, seen, targets[k]),
-            plant.advance(x, u, disturbance[going, k]),
-        )
-    for case in np.flatnonzero(left > 0):
-        for values_of in log.values():
-            values_of[case, left[case] :] = values_of[case, left[case] - 1]
+        memory = controller.advance(memory, u, measured, targets[k])
+        x = plant.advance(x, u, disturbance[going, k])
+    _repeat_last_values(log, left_at_sample)
     return Rollouts(
-        step_s=plant.step_s, reference=reference, bound=bound, left_at_sample=left, **log
+        step_s=plant.step_s, reference=reference, bound=bound, left_at_sample=left_at_sample, **log
     )
 
 
-def _matched(plant: Plant, controller: Controller) -> None:
-    has, given = (len(plant.inputs), len(plant.outputs)), controller.dimensions
-    remedy = "identify the model on this plant's records"
-    require(given == has, "controller inputs, outputs", given, f"the plant has {has}", remedy)
-    alike = bool(np.isclose(controller.step_s, plant.step_s, rtol=1e-9))
-    problem, remedy = (
+def _inside_bound(
+    plant: Plant,
+    y: Float[np.ndarray, "N p"],
+    u: Float[np.ndarray, "N m"],
+    estimate: Float[np.ndarray, "N n"],
+    bound: Float[np.ndarray, "p"],
+) -> Bool[np.ndarray, "N"]:
+    """Whether output, input and estimate of each case are within what counts as staying."""
+    rest = plant.equilibrium()
+    amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
+    sizes = np.hstack([amplitudes, estimate])
+    near = (np.abs(y - rest.y) <= bound).all(axis=1)
+    return np.asarray(near & (np.abs(sizes) < LARGEST_SIGNAL).all(axis=1))
+
+
+def _repeat_last_values(
+    log: dict[str, Float[np.ndarray, "N T _"]], left_at_sample: Int[np.ndarray, "N"]
+) -> None:
+    """Fill each case that left the bound with its last values inside it."""
+    for case in np.flatnonzero(left_at_sample > 0):
+        left = left_at_sample[case]
+        for values in log.values():
+            values[case, left:] = values[case, left - 1]
+
+
+def _check_dimensions(plant: Plant, controller: Controller) -> None:
+    """Refuse a controller made for other inputs, outputs or another sampling time."""
+    needed = len(plant.inputs), len(plant.outputs)
+    dimensions = controller.dimensions
+    require(
+        dimensions == needed,
+        "controller inputs, outputs",
+        dimensions,
+        f"the plant has {needed}",
+        "identify the model on this plant's records",
+    )
+    require(
+        bool(np.isclose(controller.step_s, plant.step_s, rtol=1e-9)),
+        "controller.step_s",
+        controller.step_s,
         f"the plant is sampled every {plant.step_s} s",
         "identify the model at the plant's sampling time",
     )
-    require(alike, "controller.step_s", controller.step_s, problem, remedy)
 
 
-def _reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
-    excess = float(np.abs(demanded - np.clip(demanded, *limits)).max(initial=0.0))
+def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
+    """Refuse a reference whose values need inputs beyond the limits."""
+    beyond = np.abs(demanded - np.clip(demanded, *limits))
+    excess = float(beyond.max(initial=0.0))
     if excess == 0.0:
         return
-    ends = tuple(np.asarray(end).tolist() for end in limits)
-    problem = f"what the loop is to hold is held by inputs from {demanded.min():.4g} to {demanded.max():.4g}"
-    remedy = f"widen the limits by {excess:.4g}, or choose a smaller loop.reference"
-    raise BadRequest("loop.input_lower, loop.input_upper", ends, problem, remedy)
+    lowest, highest = demanded.min(), demanded.max()
+    raise BadRequest(
+        "loop.input_lower, loop.input_upper",
+        tuple(np.asarray(end).tolist() for end in limits),
+        f"what the loop is to hold is held by inputs from {lowest:.4g} to {highest:.4g}",
+        f"widen the limits by {excess:.4g}, or choose a smaller loop.reference",
+    )
 
 
 def last_step(reference: Float[np.ndarray, "T p"]) -> int:
@@ -181,26 +203,50 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
 
 
 def motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
-    """What each case does: `settled`, `lost`, `slow`, `oscillating` or `drifting`.
+    """Kind of motion of each case: `settled`, `lost`, `slow`, `oscillating` or `drifting`.
 
     Lost: it left the bound. Slow: the error still shrinks from the third quarter of the horizon to
-    the last.
-    Oscillating: over these two, the swing about a straight line exceeds what the line itself rises.
-    Drifting: the rest,
-    an error that stays where it is among them.
+    the last. Oscillating: over these two, the swing about a straight line exceeds what the line
+    itself rises. Drifting: the rest, an error that stays where it is among them.
     """
     settled = [time_s is not None for time_s in settling_times_s(rollouts, band)]
     error = rollouts.y - rollouts.reference
-    size, worst = np.linalg.norm(error, axis=2), np.argmax(np.abs(error).max(axis=1), axis=1)
+    size = np.linalg.norm(error, axis=2)
     quarter = max(size.shape[1] // 4, 1)
-    third, last = size[:, -2 * quarter : -quarter].max(axis=1), size[:, -quarter:].max(axis=1)
-    tail = np.take_along_axis(error, worst[:, None, None], axis=2)[:, -2 * quarter :, 0]
-    time = np.linspace(-0.5, 0.5, 2 * quarter)
-    rise = tail @ time / (time @ time)  # least-squares slope over the second half
-    swing = np.ptp(tail - tail.mean(axis=1, keepdims=True) - rise[:, None] * time, axis=1)
-    moving = np.where(swing > np.maximum(np.abs(rise), band), "oscillating", "drifting")
-    kinds = np.where(rollouts.stayed, np.where(last < STEADY * third, "slow", moving), "lost")
+    third_quarter = size[:, -2 * quarter : -quarter].max(axis=1)
+    last_quarter = size[:, -quarter:].max(axis=1)
+    worst_output = np.argmax(np.abs(error).max(axis=1), axis=1)
+    tail = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, -2 * quarter :, 0]
+    rise, swing = rise_and_swing(tail)
+    oscillates = swing > np.maximum(np.abs(rise), band)
+    moving = np.where(oscillates, "oscillating", "drifting")
+    kinds = np.where(last_quarter < STEADY * third_quarter, "slow", moving)
+    kinds = np.where(rollouts.stayed, kinds, "lost")
     return tuple(str(kind) for kind in np.where(settled, "settled", kinds))
+
+
+def rise_and_swing(
+    signals: Float[np.ndarray, "N K"],
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Rise of the least-squares line of each row, and the peak-to-peak deviation from that line."""
+    time = np.linspace(-0.5, 0.5, signals.shape[1])
+    rise = signals @ time / (time @ time)
+    centred = signals - signals.mean(axis=1, keepdims=True)
+    return rise, np.ptp(centred - rise[:, None] * time, axis=1)
+
+
+def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
+    """Amplitude, about a straight line, of the last tenth of each settled case: the worst output.
+
+    A loop that swings for ever inside the band of settling is settled by definition, and not at
+    rest. In the output's unit.
+    """
+    settled = np.array([time_s is not None for time_s in settling_times_s(rollouts, band)])
+    error = (rollouts.y - rollouts.reference)[settled]
+    last = max(int(np.ceil(DWELL * error.shape[1])), 2)
+    tails = error[:, -last:]
+    swings = [rise_and_swing(tails[:, :, output])[1] for output in range(tails.shape[2])]
+    return np.asarray(np.max(swings, axis=0) / 2)
 
 
 def overshoots(rollouts: Rollouts, band: float) -> Float[np.ndarray, "N"]:

@@ -47,7 +47,7 @@ class CandidateGrid:
 
     def specifications(self) -> list[RiccatiSynthesis]:
         """Specifications that the grid varies: one for each weight of the internal model."""
-        weights = INTEGRAL_WEIGHTS[:1]
+        weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
         if self.modes:
             weights = tuple(self.integral_weights) or INTEGRAL_WEIGHTS
         return [

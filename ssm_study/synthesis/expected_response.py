@@ -2,7 +2,8 @@
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
-The mismatch is not a number but a sample: the fastest design that just passes is the one that any
+Pairs that are faster than the open loop on the model come before all others: a controller that does
+next to nothing is safe, and helps nobody. The mismatch is not a number but a sample: the fastest design that just passes is the one that any
 optimism of the measured mismatch lets through. Source: docs/closed_loop.md, "Rates chosen for you".
 """
 
@@ -22,10 +23,13 @@ from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.systems import Balls
 
 Pair = Int[np.ndarray, "2"]
+Rank = tuple[bool, float]
 ATTEMPTS = 20  # pairs verified exactly before the search gives up: each costs two certificates
 # Pairs compared with all that the records show: the fastest, and of the rest as many.
 COMPARED = 200
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
+# Area on the model, in areas of the plant left alone, below which a pair counts as faster than none.
+FASTER = 0.9
 # No record is known better than this: Welch's estimate alone scatters by half of it.
 LEAST_SPREAD = 0.1
 
@@ -37,6 +41,11 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
     logarithm = np.log(max(loop_gain, np.finfo(float).tiny))
     probability = float(ndtr(-logarithm / max(spread, LEAST_SPREAD)))
     return probability * area + (1 - probability) * LOSS
+
+
+def rank(area: float, score: float) -> Rank:
+    """Rank of a pair, the smallest first: slower than `FASTER` or not, then its expected area."""
+    return bool(area >= FASTER), float(score)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +84,7 @@ class ExpectedResponse:
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
     ) -> Iterator[Pair]:
-        """Pairs that pass, the best expected response first.
+        """Pairs that pass: those faster than the open loop first, by expected response.
 
         An expected area is never below the area, so the search ends where the areas exceed the
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains
@@ -87,20 +96,24 @@ class ExpectedResponse:
         areas = relative_areas(self.model, self.candidates.gains(pairs), validation, limits)
         coarse = Responses(angles=FINE_ANGLES[::2])
         fine = Responses(angles=FINE_ANGLES)
-        passing: list[tuple[float, int]] = []
+        passing: list[tuple[Rank, int]] = []
         remaining = compared_indices(areas)
         while remaining or passing:
-            while remaining and not (passing and areas[remaining[0]] >= min(passing)[0]):
+            while remaining:
+                best_possible = rank(areas[remaining[0]], areas[remaining[0]])
+                if passing and best_possible >= min(passing)[0]:
+                    break
                 index = remaining.pop(0)
                 loop_gain = self.loop_gain(pairs[index], coarse)
                 if self.margin * loop_gain < 1 and self.resists_noise(pairs[index]):
                     score = expected_area(float(areas[index]), loop_gain, self.mismatch.spread)
-                    passing.append((score, index))
+                    passing.append((rank(areas[index], score), index))
             passing.sort()
             # between two frequencies of the coarser grid a loop may come nearer to its limit
             best = [index for _, index in passing[:ATTEMPTS]]
             scores = [self.expected(pairs[index], areas[index], fine) for index in best]
-            for _, index in sorted(zip(scores, best, strict=True)):
+            ranks = [rank(areas[index], score) for index, score in zip(best, scores, strict=True)]
+            for _, index in sorted(zip(ranks, best, strict=True)):
                 yield pairs[index]
             del passing[:ATTEMPTS]
 

@@ -23,7 +23,7 @@ COMMITTED = sorted(path.parent for path in (ROOT / "results" / "reference").glob
 ADDED = {
     "ssm_study/loop/metrics.py": {
         "COLUMNS = (": 'Column("input_mean_square", "Float64", "low", word="Mean square of the input", unit="V²"),',
-        '"stable_count": len(settled),': '"input_mean_square": float((efforts[0] ** 2).mean()),',
+        '"input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),': '"input_mean_square": float((efforts[0] ** 2).mean()),',
     },
     "ssm_study/training/metrics.py": {
         "COLUMNS = (": 'Column("curve_rows", "Int64", word="Rows of the curve", unchecked="the curve is not kept"),',

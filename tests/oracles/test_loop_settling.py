@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssm_study.loop.metrics import COLUMNS, noise_gain, pooled
+from ssm_study.loop.metrics import COLUMNS, is_faster, noise_gain, pooled
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import (
     STAYED,
@@ -13,6 +13,7 @@ from ssm_study.loop.rollout import (
     empirical_rate,
     motions,
     overshoots,
+    remaining_swings,
     settling_times_s,
 )
 
@@ -138,3 +139,44 @@ def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
     )
     assert noise_gain(replace(run, measured=run.y)) is None
     assert noise_gain(replace(run, measured=run.y + noise, left_at_sample=np.full(3, 3))) is None
+
+
+@pytest.mark.parametrize(
+    ("controlled", "alone", "faster"),
+    [
+        ([0.1, 0.2], [0.3, 0.3], True),
+        ([0.3, 0.3], [0.3, 0.3], False),
+        ([0.4, 0.4], [0.3, 0.3], False),
+        ([0.1, None], [0.3, 0.3], False),
+        ([0.1, None], [None, None], False),
+        ([0.4, 0.4], [0.3, None], True),
+    ],
+)
+def test_faster_than_the_open_loop_needs_every_case_and_a_smaller_mean(controlled, alone, faster):
+    assert is_faster(controlled, alone) is faster
+
+
+def test_a_swing_within_the_band_is_settled_and_not_at_rest():
+    time = np.arange(200)
+    swinging = 0.04 * np.sin(0.9 * time)
+    sloping = 0.04 - 1e-4 * time
+    lost = np.full(200, 5.0)
+    run = rollouts(swinging.tolist(), sloping.tolist(), lost.tolist())
+    assert settling_times_s(run, 0.1) == (0.0, 0.0, None)
+    swings = remaining_swings(run, 0.1)
+    assert swings.shape == (2,)  # the third is not settled
+    assert swings[0] == pytest.approx(0.04, rel=0.05)
+    assert swings[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_swing_is_that_of_the_run_without_noise():
+    still = rollouts([0.0] * 100)
+    swinging = rollouts((0.05 * np.cos(np.pi * np.arange(100))).tolist())
+    loop = LoopRuns(
+        controlled=still, uncontrolled=still, settling_band=0.1, input_equilibrium=np.zeros(1)
+    )
+    assert pooled([loop])["swings_at_rest"] == 0.0
+    loop = replace(loop, quiet=swinging)
+    assert pooled([loop])["swings_at_rest"] == pytest.approx(0.5, rel=0.05)
+    gone = rollouts([5.0] * 100)
+    assert pooled([replace(loop, controlled=gone, quiet=gone)])["swings_at_rest"] is None
