@@ -11,7 +11,7 @@ from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import frequencies
@@ -26,7 +26,7 @@ from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidate_grid import CandidateGrid
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.design import Synthesis, contraction_rate
-from ssm_study.synthesis.expected_response import ATTEMPTS, ExpectedResponse
+from ssm_study.synthesis.expected_response import ATTEMPTS, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import designed
 from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.systems import Balls
@@ -138,12 +138,20 @@ class Auto:
             model=model, balls=balls, candidates=candidates, mismatch=mismatch, margin=self.margin
         )
 
-        def certified_and_predicted(pair: Int[np.ndarray, "2"]) -> Design | None:
-            design = candidates.specification(pair).design(model, balls)
+        faster_designs: list[Design] = []
+
+        def certified_and_predicted(ranked: RankedPair) -> Design | None:
+            if faster_designs and not ranked.is_faster:
+                return None  # an idle controller, covered or not, while a faster one is predicted
+            design = candidates.specification(ranked.pair).design(model, balls)
             if not design.certified:
                 return None
             prediction = predict(model, design.pair, balls, mismatch)
-            return design if prediction.predicts_stability(self.margin) else None
+            if not prediction.predicts_stability(self.margin):
+                return None
+            if ranked.is_faster:
+                faster_designs.append(design)
+            return design
 
         pairs = response.ordered_pairs(peaks, validation, self.limits)
         if self.premise is None or not (self.cover or isinstance(model, SSM)):

@@ -9,6 +9,7 @@ optimism of the measured mismatch lets through. Source: docs/closed_loop.md, "Ra
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -41,6 +42,13 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
     logarithm = np.log(max(loop_gain, np.finfo(float).tiny))
     probability = float(ndtr(-logarithm / max(spread, LEAST_SPREAD)))
     return probability * area + (1 - probability) * LOSS
+
+
+class RankedPair(NamedTuple):
+    """A pair of gains, and whether it is faster than the open loop on the model."""
+
+    pair: Pair
+    is_faster: bool
 
 
 def rank(area: float, score: float) -> Rank:
@@ -83,7 +91,7 @@ class ExpectedResponse:
 
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
-    ) -> Iterator[Pair]:
+    ) -> Iterator[RankedPair]:
         """Pairs that pass: those faster than the open loop first, by expected response.
 
         An expected area is never below the area, so the search ends where the areas exceed the
@@ -114,7 +122,7 @@ class ExpectedResponse:
             scores = [self.expected(pairs[index], areas[index], fine) for index in best]
             ranks = [rank(areas[index], score) for index, score in zip(best, scores, strict=True)]
             for _, index in sorted(zip(ranks, best, strict=True)):
-                yield pairs[index]
+                yield RankedPair(pairs[index], bool(areas[index] < FASTER))
             del passing[:ATTEMPTS]
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_cases import BALLS, motor_model
 
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.synthesis import expected_response
@@ -26,15 +27,21 @@ def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: AREAS)
     gains: Any = np.zeros((4, 1, 1))
     grid = Candidates(feedback=(), ks=gains, observing=(), ls=gains[:1])
-    none: Any = None
     return ExpectedResponse(
-        model=none, balls=none, candidates=grid, mismatch=Mismatch(views=()), margin=1.0
+        model=motor_model(),
+        balls=BALLS,
+        candidates=grid,
+        mismatch=Mismatch(views=()),
+        margin=1.0,
     )
 
 
 def order_of(response: ExpectedResponse) -> list[int]:
     pairs = response.ordered_pairs(np.zeros((4, 1)), (), None)
-    return [int(pair[0]) for pair in islice(pairs, 10)]
+    ranked = list(islice(pairs, 10))
+    for pair, is_faster in ranked:
+        assert is_faster == (expected_response.relative_areas()[pair[0]] < expected_response.FASTER)
+    return [int(pair[0]) for pair, _ in ranked]
 
 
 def test_a_predicted_faster_pair_comes_before_an_idle_one(response):
@@ -48,7 +55,9 @@ def test_by_expected_area_alone_the_idle_one_came_first(response, monkeypatch):
 
 def test_without_a_faster_pair_the_others_are_still_offered(response, monkeypatch):
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: AREAS + 1)
-    assert order_of(response) == [1, 2, 0]
+    order = order_of(response)
+    assert order[0] == 1
+    assert sorted(order) == [0, 1, 2]
 
 
 def test_a_plant_that_does_not_rest_is_offered_nothing(response):

@@ -165,18 +165,18 @@ def test_a_swing_within_the_band_is_settled_and_not_at_rest():
     assert settling_times_s(run, 0.1) == (0.0, 0.0, None)
     swings = remaining_swings(run, 0.1)
     assert swings.shape == (2,)  # the third is not settled
-    assert swings[0] == pytest.approx(0.04, rel=0.05)
+    assert swings[0] == pytest.approx(0.04, rel=0.1)
     assert swings[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_swing_is_that_of_the_run_without_noise():
-    still = rollouts([0.0] * 100)
-    swinging = rollouts((0.05 * np.cos(np.pi * np.arange(100))).tolist())
+    still = rollouts([0.0] * 400)
+    swinging = rollouts((0.05 * np.cos(0.9 * np.arange(400))).tolist())
     loop = LoopRuns(
         controlled=still, uncontrolled=still, settling_band=0.1, input_equilibrium=np.zeros(1)
     )
     assert pooled([loop])["swings_at_rest"] == 0.0
     loop = replace(loop, quiet=swinging)
-    assert pooled([loop])["swings_at_rest"] == pytest.approx(0.5, rel=0.05)
-    gone = rollouts([5.0] * 100)
+    assert pooled([loop])["swings_at_rest"] == pytest.approx(0.5, rel=0.1)
+    gone = rollouts([5.0] * 400)
     assert pooled([replace(loop, controlled=gone, quiet=gone)])["swings_at_rest"] is None
