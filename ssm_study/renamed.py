@@ -99,6 +99,7 @@ NAMES: Mapping[str, str] = {
     "synthesis.modes.solve_riccati": "certificates.riccati.solve_riccati",
     "synthesis.structured_lmi.largest_mismatch": "certificates.semidefinite.largest_mismatch",
     "systems.Pair": "systems.Gains",
+    "systems.held": "systems.frozen_modes",
     "systems.feed": "systems.error_input_matrix",
     "training.fit.Starts": "training.fit.InitialStates",
     "training.levenberg.damped": "training.levenberg.levenberg_marquardt_step",
@@ -110,7 +111,13 @@ NAMES: Mapping[str, str] = {
 # Methods by their class: a subclass that defines the old name answers to the new one, and whoever
 # calls the old name reaches the new method.
 METHODS: Mapping[str, Mapping[str, str]] = {
-    "certificates.theorem.Theorem": {"in_floats": "as_floats"},
+    "certificates.certificate.OfProblem": {"posed": "as_problem"},
+    "certificates.theorem.Theorem": {
+        "broken": "failed_checks",
+        "given": "model_data",
+        "in_floats": "as_floats",
+        "numbers": "variables",
+    },
     "engine.stages.Stages": {"take": "run_stage", "aside": "unrecorded"},
     "engine.task.Task": {"warm": "preload"},
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},

@@ -119,7 +119,7 @@ class OfProblem(Side, abstract=True):
     def _system(cls, known: VerificationContext) -> Any:
         return known.system if cls.observes else known.controlled
 
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         """Every field that is a matrix of the system."""
         system = self._system(known)
         return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
@@ -155,7 +155,7 @@ class OfProblem(Side, abstract=True):
         )
         return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
 
-    def posed(self) -> tuple[Problem, Solution]:
+    def as_problem(self) -> tuple[Problem, Solution]:
         """The stored numbers as a method of design has them, an observer's transposed; no
         weights."""
         of: dict[str, Any] = dict(vars(self))

@@ -155,7 +155,7 @@ class Theorem(ABC):
         field and product."""
 
     @abstractmethod
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         """Fields that are not the theorem's but the model's, as the verifier knows them."""
 
     @staticmethod
@@ -227,7 +227,7 @@ class Theorem(ABC):
         }
 
     @property
-    def numbers(self) -> dict[str, Any]:
+    def variables(self) -> dict[str, Any]:
         """The stored fields that are the theorem's own: all but the products and the information
         beside them."""
         return {
@@ -236,7 +236,7 @@ class Theorem(ABC):
             if name not in {*INFORMATION, *self.products}
         }
 
-    def broken(self, known: VerificationContext) -> list[str]:
+    def failed_checks(self, known: VerificationContext) -> list[str]:
         """Sentences, one per claim of this certificate that does not hold beside what is known of
         the model.
 
@@ -245,9 +245,9 @@ class Theorem(ABC):
         """
         if isinstance(known.system, StructuredSystem) != hasattr(self, "e"):
             return [f": {UNFIT}"]
-        given, stored = self.given(known), vars(self)
+        given, stored = self.model_data(known), vars(self)
         try:
-            conditions = self.exactly(**self.numbers)
+            conditions = self.exactly(**self.variables)
             fits = all(np.shape(stored[name]) == np.shape(value) for name, value in given.items())
         except ValueError:
             fits = False

@@ -15,7 +15,7 @@ from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Scale
-from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix, held
+from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix, frozen_modes
 
 Vector = Float[np.ndarray, "_"]
 
@@ -94,7 +94,7 @@ class PortableController:
         """
         rows = np.flatnonzero(self.e.any(axis=1))
         modes = self.a[rows][:, rows]
-        rest_by_themselves = np.array_equal(held(modes), modes)
+        rest_by_themselves = np.array_equal(frozen_modes(modes), modes)
         count = 0 if rest_by_themselves else int((np.diagonal(modes) == 1).sum())
         first = len(self.a) - len(rows)
         return slice(first, first + count)

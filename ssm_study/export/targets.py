@@ -303,8 +303,8 @@ def _largest_rate(
 ) -> float:
     """The stored rate if it holds; else bisected from below, where any rate at all does; else 0."""
     ball = part.ball(context)
-    stored = float(part.numbers["rate"])
-    numbers = part.numbers | part.given(context) | gain
+    stored = float(part.variables["rate"])
+    numbers = part.variables | part.model_data(context) | gain
     numbers |= {"alpha": ball.alpha, "beta": ball.beta}
     if part.holds(**numbers):
         return stored

@@ -24,7 +24,7 @@ from ssm_study.loop.trajectory import (
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
-from ssm_study.systems import Gains, error_input_matrix, held
+from ssm_study.systems import Gains, error_input_matrix, frozen_modes
 
 Memory = Float[np.ndarray, "N s"]
 Inputs = Float[np.ndarray, "N m"]
@@ -143,7 +143,7 @@ class ObserverFeedback(EstimateFeedback):
     each case, stacked: such a law brings to rest only. With a wider K there is an internal model,
     `z+ = A_z z +
     E (y - y*) / s_y`; no error enters it while a limit keeps the input from what was asked
-    (`systems.held`).
+    (`systems.frozen_modes`).
     With `inverse` the scaled input is `S_u^{-1}(S_u(u*) + K ...)` in either law.
     """
 
@@ -223,7 +223,9 @@ class ObserverFeedback(EstimateFeedback):
             axis=1, keepdims=True
         )
         error, p = (y - target[-y.shape[1] :]) / self.model.scale.output_scale, y.shape[1]
-        z = np.where(free, z @ modes.T + error @ error_input_matrix(modes, p).T, z @ held(modes).T)
+        z = np.where(
+            free, z @ modes.T + error @ error_input_matrix(modes, p).T, z @ frozen_modes(modes).T
+        )
         return np.concatenate([x_hat, z], axis=1)
 
 

@@ -134,7 +134,7 @@ def information(part: Theorem | Infeasible) -> list[str]:
     derived again."""
     if isinstance(part, Infeasible):
         return []
-    again = margin(next(iter(part.as_floats(**part.numbers).values())))
+    again = margin(next(iter(part.as_floats(**part.variables).values())))
     wrong = (
         []
         if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE

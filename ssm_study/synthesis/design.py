@@ -199,7 +199,7 @@ def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str
         broken.append(
             f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which is not inside"
         )
-    return broken + part.broken(known)
+    return broken + part.failed_checks(known)
 
 
 REPAIRS = (

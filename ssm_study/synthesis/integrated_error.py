@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.systems import Gains, StateSpace, error_input_matrix, held
+from ssm_study.systems import Gains, StateSpace, error_input_matrix, frozen_modes
 
 CASES = 12  # states the model is released from, evenly spaced along the validation record
 LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
@@ -136,7 +136,9 @@ def _areas(
         size = np.linalg.norm(y, axis=2)
         area, settled = area + size, np.where(size > SETTLED, sample + 1.0, settled)
         free = (u == asked).all(axis=2, keepdims=True)
-        z = np.clip(np.where(free, z @ modes.T + y @ fed.T, z @ held(modes).T), -LARGEST, LARGEST)
+        z = np.clip(
+            np.where(free, z @ modes.T + y @ fed.T, z @ frozen_modes(modes).T), -LARGEST, LARGEST
+        )
         x = model.advance(x, loaded)
         injected = () if l_z is None else (innovation @ l_z,)
         x_hat = np.clip(

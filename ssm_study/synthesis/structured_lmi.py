@@ -164,7 +164,7 @@ def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Sol
 def at_largest_rate(part: Any) -> Side | None:
     """The part's gains with matrices at the largest rate; None where that is no more than is
     certified already."""
-    started, (problem, gains) = time.perf_counter(), part.posed()
+    started, (problem, gains) = time.perf_counter(), part.as_problem()
     rate = largest_rate(problem, gains) * (1 - INSIDE)
     if rate <= part.rate:
         return None

@@ -85,11 +85,33 @@ def test_an_example_that_is_wrong_is_found(path: Path) -> None:
 
 def test_a_class_that_leaves_a_question_open_is_refused() -> None:
     with pytest.raises(
-        TypeError, match=r"does not answer: .*conditions.*given.*numbers_of.*rate_limit_of"
+        TypeError, match=r"does not answer: .*conditions.*model_data.*numbers_of.*rate_limit_of"
     ):
 
         class Incomplete(StateFeedback):
             pass
+
+
+def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_today() -> None:
+    with pytest.warns(FutureWarning, match="given is now .*model_data"):
+
+        class WithOldName(StateFeedback):
+            @staticmethod
+            def conditions(of):
+                return {"inequality": [[of.p]]}
+
+            def given(self, known):
+                return {"a": known}
+
+            @classmethod
+            def rate_limit_of(cls, known):
+                return known
+
+            @staticmethod
+            def numbers_of(problem, found):
+                return {"a": problem, "p": found}
+
+    assert WithOldName.model_data(None, 1.0) == {"a": 1.0}
 
 
 def test_a_name_that_is_no_theorem_is_refused() -> None:
@@ -150,7 +172,7 @@ class BothEnds(StateFeedback):
 
         return {"lower": at(of.alpha - of.beta), "upper": at(of.alpha + of.beta), "room": [[of.room]]}
 
-    def given(self, known: Any) -> dict[str, Any]:
+    def model_data(self, known: Any) -> dict[str, Any]:
         return {"a": known.controlled.a, "b": known.controlled.b}
 
     @classmethod

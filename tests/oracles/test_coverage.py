@@ -235,7 +235,7 @@ def test_stored_weights_are_not_trusted() -> None:
     model = SSM.of(MODEL, 0.01)
     made = with_coverage(design(), model, BALLS, known)
     part = made.extra_certificates["coverage"]
-    assert part.holds(**part.numbers)
+    assert part.holds(**part.variables)
 
     def times(weight: np.ndarray, factor: float) -> np.ndarray:
         scaled = weight.copy()
@@ -248,7 +248,7 @@ def test_stored_weights_are_not_trusted() -> None:
         weight_output=times(part.weight_output, 10.0),
         weight_input=times(part.weight_input, 10.0),
     )
-    assert not wider.holds(**wider.numbers)
+    assert not wider.holds(**wider.variables)
     same = replace(wider, kappa=part.kappa / 10)
     forged = replace(made, extra_certificates={"coverage": same})
     honest = coverage_facts(made, model, known)

@@ -85,9 +85,14 @@ def test_at_the_same_numbers_the_inequality_is_that_of_the_tolerance() -> None:
     disc = largest_kappa(known, INPUT_ALONE, 0.0)
     assert older is not None
     assert disc is not None
-    same = disc.numbers | {"p": older.p, "lambda_p": older.lambda_p, "kappa": older.s, "floor": 0.0}
+    same = disc.variables | {
+        "p": older.p,
+        "lambda_p": older.lambda_p,
+        "kappa": older.s,
+        "floor": 0.0,
+    }
     made = MeasuredDiscs.as_floats(**same)["inequality"]
-    np.testing.assert_allclose(made, tolerance.Tolerance.as_floats(**older.numbers)["inequality"])
+    np.testing.assert_allclose(made, tolerance.Tolerance.as_floats(**older.variables)["inequality"])
     assert disc.kappa == pytest.approx(older.s, rel=0.02)
 
 
@@ -204,7 +209,7 @@ def test_no_plant_at_the_edge_of_the_disc_keeps_the_loop_moving(seed: int) -> No
     proof = largest_kappa(known, WEIGHTS, -0.1)
     assert proof is not None
     assert proof.certified
-    assert not proof.broken(known)
+    assert not proof.failed_checks(known)
     rng = np.random.default_rng(seed)
     for case in range(16):
         plant = at_the_edge(proof.kappa, -0.1, rng)
@@ -292,7 +297,7 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
     proof = largest_kappa(known, WEIGHTS, -0.1)
     assert proof is not None
     assert proof.certified
-    assert not proof.broken(known)
+    assert not proof.failed_checks(known)
     rng = np.random.default_rng(0)
     gains, alpha_out = known.gains, known.balls.output.alpha
     maps = [np.tanh, lambda z: np.clip(z, -0.3, 0.3), lambda z: np.maximum(z, 0.0), lambda z: z]
@@ -322,13 +327,13 @@ def test_forged_numbers_are_refused() -> None:
     known = context(one_layer(0))
     proof = largest_kappa(known, WEIGHTS, -0.1)
     assert proof is not None
-    assert not proof.broken(known)
-    assert replace(proof, kappa=3 * proof.kappa).broken(known)
-    assert replace(proof, lambda_p=-proof.lambda_p).broken(known)
-    assert replace(proof, p=-proof.p).broken(known)
-    assert replace(proof, k=2 * proof.k).broken(known)
+    assert not proof.failed_checks(known)
+    assert replace(proof, kappa=3 * proof.kappa).failed_checks(known)
+    assert replace(proof, lambda_p=-proof.lambda_p).failed_checks(known)
+    assert replace(proof, p=-proof.p).failed_checks(known)
+    assert replace(proof, k=2 * proof.k).failed_checks(known)
     outside = replace(proof, floor=0.09 / proof.kappa)  # then e = 0 is not in the disc around -0.1
-    assert any("model inside the disc" in sentence for sentence in outside.broken(known))
+    assert any("model inside the disc" in sentence for sentence in outside.failed_checks(known))
 
 
 def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
@@ -337,7 +342,7 @@ def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
     assert proof is not None
     bent = replace(known, balls=BENT)
     with_bend = largest_kappa(context(one_layer(0), BENT), WEIGHTS, -0.1)
-    assert any("beta_out" in sentence for sentence in proof.broken(bent))
+    assert any("beta_out" in sentence for sentence in proof.failed_checks(bent))
     assert with_bend is not None
     assert len(with_bend.lambda_out) == 3
     assert with_bend.kappa < proof.kappa

@@ -47,7 +47,7 @@ def found(
 def test_gains_are_certified_just_inside_their_largest_rate() -> None:
     design = ASKED.design(_Model(drawn(0)), BALLS)
     for part in (design.state_feedback, design.observer):
-        again, limit = at_largest_rate(part), largest_rate(*part.posed())
+        again, limit = at_largest_rate(part), largest_rate(*part.as_problem())
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
         assert max(part.rate, 0.998 * limit) < again.rate < limit
@@ -84,7 +84,7 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
                 hinf_norm(sensitivity(system.at_slopes(slopes), Gains(k=k, l=injected), slope, 0.8))
             )
     assert 0.2 < proved.s * max(peaks) <= 1
-    assert not StructuredTolerance.holds(**(proved.numbers | {"s": 1.001 / max(peaks)}))
+    assert not StructuredTolerance.holds(**(proved.variables | {"s": 1.001 / max(peaks)}))
 
 
 def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:

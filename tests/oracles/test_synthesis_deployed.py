@@ -126,7 +126,7 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
     again = at_largest_rate(part)
     assert again is not None
     bold = replace(again, rate=again.rate + 0.01 * (1 - again.rate))
-    assert not type(bold).holds(**bold.numbers)
+    assert not type(bold).holds(**bold.variables)
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     assert (
         found.s * max(peaks) <= 1
     )  # what holds for slopes that vary is no more than what holds for constant ones
-    assert not Tolerance.holds(**(found.numbers | {"s": 1.001 / max(peaks)}))
+    assert not Tolerance.holds(**(found.variables | {"s": 1.001 / max(peaks)}))
 
 
 @given(SEEDS)

@@ -307,7 +307,7 @@ def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
         )
         assert isinstance(part, Infeasible | StateFeedback)
         if isinstance(part, StateFeedback) and part.certified:
-            assert StateFeedbackOfBall.holds(**part.numbers)
+            assert StateFeedbackOfBall.holds(**part.variables)
 
 
 @pytest.mark.parametrize("inputs", [1, 2])

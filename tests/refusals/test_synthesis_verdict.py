@@ -135,7 +135,7 @@ def test_one_matrix_of_another_order_does_not_fit(name: str) -> None:
         part, name, np.ones((3, 3))
     )  # as a file may hold it: its shapes are checked here only
     known = VerificationContext(system=PLANT, controlled=PLANT, balls=BALLS, gains=design.gains)
-    assert part.broken(known) == [": the matrices do not fit the model"], side
+    assert part.failed_checks(known) == [": the matrices do not fit the model"], side
 
 
 EDGE = {"p": 1.0, "y": 1.0, "sigma": float(np.nextafter(0.5, 0)), "rate": 0.5}
@@ -198,7 +198,7 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
         sigma=0.1,
         rate=rate,
     )
-    conditions = StateFeedbackOfBall.exactly(**forged.numbers)
+    conditions = StateFeedbackOfBall.exactly(**forged.variables)
     assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
     content = json.loads(json.dumps(replace(designed(), state_feedback=forged).to_json()))
     said = failed_checks(content, linear, BALLS)
@@ -236,7 +236,7 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     here."""
     part = designed().state_feedback
     y = part.y @ np.array([[1.0, 0.1], [0.0, 1.2]])
-    numbers = part.numbers | {"y": y}
+    numbers = part.variables | {"y": y}
     ours, exactly = (
         conditions(**numbers)["inequality"]
         for conditions in (type(part).as_floats, type(part).exactly)

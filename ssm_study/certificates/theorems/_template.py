@@ -21,7 +21,7 @@ How to use this file. Copy it to `theorems/<name>.py`, take out `abstract=True`,
 base class says what
 is not answered. The fields are what `certificate.json` stores and reads back; `conditions` is what
 exact arithmetic
-decides and `verify` derives again; `given` and `products` are what a tampered file is held against.
+decides and `verify` derives again; `model_data` and `products` are what a tampered file is held against.
 Where gains are
 searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose
 `solve` returns what
@@ -64,7 +64,7 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
             "rate below 1": [[1 - of.rate]],
         }
 
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         """The fields that are the model's."""
         return {"a": known.controlled.a, "b": known.controlled.b}
 

@@ -103,7 +103,7 @@ def largest_rate(
 def at_largest_rate(part: Any) -> Side | None:
     """The part's gain with a metric at the largest rate; None where that is no more than is
     certified already."""
-    started, (problem, found) = time.perf_counter(), part.posed()
+    started, (problem, found) = time.perf_counter(), part.as_problem()
     limit = largest_rate(problem.a, problem.b, found.k, problem.ball)
     try:
         right = np.linalg.cholesky(

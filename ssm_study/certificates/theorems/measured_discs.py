@@ -192,7 +192,7 @@ class MeasuredDiscs(Theorem):
         del of, rows
         return moved, error
 
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         given = self.loop_of(known)
         ball = known.balls.output
         linear_map = len(self.lambda_out) == 0

@@ -102,6 +102,6 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
             forms.append((1, given.T @ weighted + weighted.T @ given))
         return forms
 
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         looped = known.system.h.any() and self.l_z.any()
-        return super().given(known) | ({"alpha_out": np.nan} if looped else {})
+        return super().model_data(known) | ({"alpha_out": np.nan} if looped else {})

@@ -95,9 +95,9 @@ class StructuredTolerance(Tolerance):
         ]
         return stacked([[linear, stacked(steps)]]), into_u, stacked([first, second])
 
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         looped = known.system.h.any() and self.l_z.any()
-        return super().given(known) | ({"alpha_out": np.nan} if looped else {})
+        return super().model_data(known) | ({"alpha_out": np.nan} if looped else {})
 
     @classmethod
     def candidates(

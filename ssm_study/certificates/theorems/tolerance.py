@@ -157,7 +157,7 @@ class Tolerance(Theorem):
         c_w, d_w = of.weight[w:, :w], of.weight[w:, w:]
         return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
-    def given(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, known: VerificationContext) -> dict[str, Any]:
         return self.loop_of(known) | {"weight": np.eye(len(self.k))}
 
     @classmethod

@@ -105,5 +105,5 @@ def unlimited(
         "method": "limited input",
         "status": "level set",
     }
-    proved: UnlimitedStart = UnlimitedStart.proved(part.numbers | starts, started=started, **told)
+    proved: UnlimitedStart = UnlimitedStart.proved(part.variables | starts, started=started, **told)
     return proved if proved.certified else None
