@@ -74,8 +74,8 @@ def coverage_facts(
         return {}
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs):
-        missing = excluded(design, model) or premise.missing(0.0) or UNPROVED
-        return {"coverage": None, "coverage_reason": missing}
+        reason = excluded(design, model) or premise.missing(0.0) or UNPROVED
+        return {"coverage": None, "coverage_reason": reason}
     missing = premise.missing(part.centre)
     if missing is not None:
         return {"coverage": None, "coverage_reason": missing}

@@ -407,7 +407,9 @@ class WeightProgram:
         `WIDEST`; a margin of `room` times each free signal's own weight is left in the loop."""
         weights = 2 * (self.basis.order + 1)
         own = own_weights(self.forms, self.centre, np.maximum(unknowns[weights:], 0.0))
-        linear = self.linear
+        root = 1 / np.sqrt(own)
+        units = np.outer(root, root)  # each free signal in units of its own weight
+        linear = self.linear * units
         scale = normalised(linear)
         count = len(scale)
         rows_xy, least_xy = self.weight_rows()
@@ -424,7 +426,7 @@ class WeightProgram:
         most = np.concatenate([np.full(count - weights, MOST), np.full(len(bands), WIDEST)])
         none = np.zeros((len(bands), *linear.shape[1:]))
         program = AngleProgram(
-            constant=self.grid.centred[self.centre] - room * np.diag(own),
+            constant=self.grid.centred[self.centre] * units - room * np.eye(len(own)),
             linear=np.concatenate([linear / scale[:, None, None, None], none]),
             rows=np.concatenate([rows, ends]),
             bounds=np.concatenate([right, least, -most]),
