@@ -88,7 +88,8 @@ def refuse_no_choices(request: Command) -> None:
             continue
         value = override.value()
         names = value if isinstance(value, list) else [value]
-        is_choice = value is None or value == {} or all(isinstance(name, str) for name in names)
+        are_names = bool(names) and all(isinstance(name, str) for name in names)
+        is_choice = value is None or value == {} or are_names
         problem = "is no name of a choice"
         require(is_choice, key, value, problem, "see the choices in `ssm-study run --help`")
 
