@@ -1,0 +1,65 @@
+"""One log written in many ways (`benchmarks/log_variants.py`), a small draw: read right or refused
+in a sentence, never wrong in silence."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from ssm_study.data import clock
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from log_variants import Variant, outcome, variants
+
+MILLISECONDS = Variant(
+    separator=";",
+    decimal=",",
+    names="words",
+    clock="ms in brackets",
+    holes=1,
+    missing=3,
+    encoding="cp1252",
+    comments=2,
+    units_row=False,
+    line_end="\r\n",
+    step_s=0.01,
+    trailing=True,
+    seed=1,
+)
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much],
+)
+@given(variant=variants)
+def test_every_spelling_is_read(tmp_path: Path, variant: Variant) -> None:
+    end, said = outcome(variant, tmp_path)
+    assert end == "read", said
+
+
+def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The check itself is checked: milliseconds taken for seconds are noticed."""
+    assert outcome(MILLISECONDS, tmp_path)[0] == "read"
+    monkeypatch.setattr(clock, "clock_unit", lambda *_: 1.0)
+    assert outcome(MILLISECONDS, tmp_path) == ("wrong", "step 10")
+
+
+def test_numbers_that_are_names_and_places_of_different_columns(tmp_path: Path) -> None:
+    from ssm_study.data.recorded import RecordedData
+    from ssm_study.refusal import BadRequest
+
+    rows = "\n".join(f"{0.1 * k:.1f},{(k * 7) % 13}.5,{(k * 5) % 11}.5" for k in range(60))
+    path = tmp_path / "log.csv"
+    path.write_text(f"1,2,3\n{rows}\n")
+    fields: dict[str, object] = {"path": str(path), "input": 1, "output": 2, "step_s": 0.1}
+    with pytest.raises(BadRequest, match=r"is the name of column 0 .*data\.header=true"):
+        RecordedData(**fields).read_pieces(path)
+    named = RecordedData(**(fields | {"input": 2, "output": 3, "header": True})).read_pieces(path)
+    assert named[0][0].u[1, 0] == 7.5
+    counted = RecordedData(**fields, header=False).read_pieces(path)
+    assert counted[0][0].u[:2, 0].tolist() == [2.0, 0.5]
