@@ -77,7 +77,7 @@ def fit(
     reduction = parts.build("reduction")
 
     folder = new_folder() if results_dir is None else Path(results_dir)
-    paths, inputs, outputs = logged(u, y, folder)
+    paths, inputs, outputs = logged(u, y, folder, float(step_s))
     parts.set_given("data", path=paths, input=inputs, output=outputs, step_s=step_s)
     data = parts.build("data").build(parts.numbers["seed"])
 

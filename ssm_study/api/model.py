@@ -99,7 +99,8 @@ class Model:
 
         A frame or series in gives a frame out, with its index.
         """
-        y = self.simulator.simulate(signal(u, "u", len(self.data.inputs))[1])
+        inputs = signal(u, "u", len(self.data.inputs), self.input_names)[1]
+        y = self.simulator.simulate(inputs)
         if not isinstance(u, pd.DataFrame | pd.Series):
             return y
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
@@ -124,8 +125,8 @@ class Model:
         self, u: Values, y: Values
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Outputs measured, and those simulated, of one record."""
-        measured = signal(y, "y")[1]
-        predicted = signal(self.predict(u), "y")[1]
+        measured = signal(y, "y", columns=self.output_names)[1]
+        predicted = np.asarray(self.predict(u), dtype=np.float64)
         problem = f"the model answers with {predicted.shape}"
         remedy = "give the outputs of this input"
         require(measured.shape == predicted.shape, "y", measured.shape, problem, remedy)

@@ -23,7 +23,8 @@ def simulate(
     Raises `BadRequest` for other channels, and for what the command refuses of the loop.
     """
     if isinstance(subject, Model):
-        predicted = pd.DataFrame(subject.predict(pd.DataFrame(signal(given, "u")[1])))
+        inputs = signal(given, "u", columns=subject.input_names)[1]
+        predicted = pd.DataFrame(subject.predict(pd.DataFrame(inputs)))
         return predicted.assign(time_s=np.arange(len(predicted)) * subject.data.step_s)
     on = plant or identified_plant(subject)
     rollouts = close_loop(subject, given, on, overrides)

@@ -2,6 +2,7 @@
 any recording."""
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,17 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from ssm_study.data.recording import plain_name
 from ssm_study.refusal import BadRequest, require
 
+INTERPOLATE_OR_CUT = "interpolate it, or give the stretches around it as a list of experiments"
+# From so many on, a table that is wider than long lies on its side.
+FEWEST_SAMPLES = 20
 
-def logged(u: Any, y: Any, folder: Path) -> tuple[list[str], list[str], list[str]]:
+
+def logged(
+    u: Any, y: Any, folder: Path, step_s: float | None = None
+) -> tuple[list[str], list[str], list[str]]:
     """Each experiment as `logs/<digest>.parquet`, so that equal numbers are the same run; its
     columns by name."""
     several = isinstance(u, list | tuple) and len(u) > 0 and np.ndim(u[0]) > 0
@@ -24,7 +32,9 @@ def logged(u: Any, y: Any, folder: Path) -> tuple[list[str], list[str], list[str
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     paths = []
     for one_u, one_y in zip(*experiments, strict=True):
-        (inputs, applied), (outputs, measured) = signal(one_u, "u"), signal(one_y, "y")
+        check_index(one_u, one_y, step_s)
+        inputs, applied = signal(one_u, "u")
+        outputs, measured = signal(one_y, "y")
         lengths = (len(applied), len(measured))
         require(
             lengths[0] == lengths[1],
@@ -50,30 +60,100 @@ def logged(u: Any, y: Any, folder: Path) -> tuple[list[str], list[str], list[str
 
 
 def signal(
-    values: Any, name: str, channels: int | None = None
+    values: Any, name: str, channels: int | None = None, columns: Sequence[str] | None = None
 ) -> tuple[list[str], Float[np.ndarray, "T c"]]:
-    """Names and numbers of one signal; raises `BadRequest` for what is no table of numbers or has
-    other channels."""
-    remedy = "give an array (T, channels)"
-    try:
-        table = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
-    require(
-        table.ndim in (1, 2) and table.size, name, f"shape {table.shape}", "not a signal", remedy
-    )
-    table = table.reshape(len(table), -1)
+    """Names and numbers of one signal; a frame's columns in the order of `columns`, by name.
+
+    Raises `BadRequest` for what is no table of finite real numbers, lies on its side, or has other
+    channels.
+    """
+    if isinstance(values, pd.DataFrame) and columns is not None:
+        values = in_order(values, name, columns)
+    table = numbers(values, name)
     problem = f"needs one column per channel: {channels}"
-    require(
-        channels in (None, table.shape[1]),
-        name,
-        table.shape,
-        problem,
-        "give those that the model was fitted to",
-    )
+    remedy = "give those that the model was fitted to"
+    require(channels in (None, table.shape[1]), name, table.shape, problem, remedy)
+    refuse_missing(table, values, name)
     if isinstance(values, pd.Series) and values.name is not None:
         return [str(values.name)], table
     if isinstance(values, pd.DataFrame):
         return list(map(str, values)), table
     count = table.shape[1]
     return [name] if count == 1 else [f"{name}_{j + 1}" for j in range(count)], table
+
+
+def in_order(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:
+    """The frame's columns in the order of the model's channels.
+
+    A frame whose columns have no names of their own (0, 1, ...) is taken by place.
+    """
+    own = [plain_name(str(title)) for title in frame]
+    if list(frame) == list(range(len(own))) or len(own) != len(columns):
+        return frame
+    named = sorted(own) == sorted(columns)
+    problem = f"the model's channels are {', '.join(columns)}"
+    require(named, f"{name} (columns)", ", ".join(own), problem, "rename them, or give an array")
+    return frame.iloc[:, [own.index(title) for title in columns]]
+
+
+def numbers(values: Any, name: str) -> Float[np.ndarray, "T c"]:
+    """A table of real numbers; refuses complex numbers, dates, masked samples and tables on their
+    side."""
+    remedy = "give an array (T, channels)"
+    masked = np.ma.isMaskedArray(values) and bool(np.ma.getmaskarray(values).any())
+    first = int(np.argwhere(np.ma.getmaskarray(values))[0][0]) if masked else 0
+    require(not masked, f"{name}[{first}]", "masked", "no number", INTERPOLATE_OR_CUT)
+    raw = np.asarray(values)
+    problem = "are complex; a signal is real"
+    require(raw.dtype.kind != "c", name, "numbers", problem, "give the real part")
+    is_time = raw.dtype.kind in "mM"
+    require(not is_time, name, str(raw.dtype), "holds times, not a signal", "name another column")
+    try:
+        table = np.asarray(raw, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadRequest(name, type(values).__name__, "not a table of numbers", remedy) from error
+    is_table = table.ndim in (1, 2) and table.size > 0
+    require(is_table, name, f"shape {table.shape}", "not a signal", remedy)
+    table = table.reshape(len(table), -1)
+    on_its_side = table.shape[1] > len(table) and table.shape[1] >= FEWEST_SAMPLES
+    problem = "has more channels than samples"
+    require(not on_its_side, name, table.shape, problem, f"transpose it: {name}.T")
+    return table
+
+
+def refuse_missing(table: Float[np.ndarray, "T c"], values: Any, name: str) -> None:
+    """Refuse a number that is not finite, in words of the array: `y[1999] is NaN`."""
+    bad = np.argwhere(~np.isfinite(table))
+    if not len(bad):
+        return
+    row, column = (int(k) for k in bad[0])
+    one = np.ndim(values) == 1
+    where = f"{name}[{row}]" if one else f"{name}[{row}, {column}]"
+    word = "NaN" if np.isnan(table[row, column]) else "infinite"
+    count = f"{where} is {word}, and {len(bad) - 1} more" if len(bad) > 1 else f"{where} is {word}"
+    raise BadRequest(where, word, count, INTERPOLATE_OR_CUT)
+
+
+def check_index(u: Any, y: Any, step_s: float | None) -> None:
+    """Refuse series or frames whose indexes differ, or show another sampling time than is given."""
+    indexes = [one.index for one in (u, y) if isinstance(one, pd.Series | pd.DataFrame)]
+    if len(indexes) == 2 and len(indexes[0]) == len(indexes[1]):
+        same = indexes[0].equals(indexes[1])
+        problem = "their indexes differ: the samples are not of the same times"
+        require(same, "u, y (index)", indexes[1][0], problem, "align them: y.reindex(u.index)")
+    for index in indexes[:1]:
+        period_s = index_period_s(index)
+        agrees = step_s is None or period_s is None or abs(step_s - period_s) <= 1e-3 * period_s
+        problem = f"the index shows {period_s or 0:.6g} s"
+        require(agrees, "step_s", step_s, problem, "correct one of them")
+
+
+def index_period_s(index: Any) -> float | None:
+    """Period of an index of times or of numbers that are no counter of rows, None of others."""
+    if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex) and len(index) > 2:
+        return float((index[-1] - index[0]).total_seconds() / (len(index) - 1))
+    if index.dtype.kind == "f" and len(index) > 2:
+        steps = np.diff(index.to_numpy())
+        even = float(steps.min()) > 0 and float(np.ptp(steps)) < 0.1 * float(steps.mean())
+        return float(steps.mean()) if even else None
+    return None
