@@ -1,6 +1,6 @@
 """Requests and data files of chance: each is done, or refused in one sentence.
 
-    python benchmarks/fuzz_requests.py --count 1000 --seed 0 --table results/reference/engine/fuzz.csv
+    python -P benchmarks/fuzz_requests.py --count 1000 --seed 0 --table results/reference/engine/fuzz.csv
 
 A request is a sound one of a few words, of which some are mutated: another key, a value of another
 type, brackets, interpolations, control characters. It is planned, not run. A data file is a sound

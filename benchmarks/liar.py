@@ -1,6 +1,6 @@
 """Lies of chance in all files of a run: `verify` names each, and accepts the run as it is.
 
-    python benchmarks/liar.py RUN [RUN ...] --minutes 10 --table results/reference/engine/liar.csv
+    python -P benchmarks/liar.py RUN [RUN ...] --minutes 10 --table results/reference/engine/liar.csv
 
 A copy of a run is altered at one place, sealed anew, and verified: a number of a JSON file is
 changed by one part in a thousand to a factor of ten (an integer by one), a truth value turned, a text
