@@ -41,20 +41,23 @@ def release(
     it, and a design that looks fast from there leaves the estimate of that mode behind on the
     plant.
     """
-    linear, visited = at_rest(model), []
+    linear = at_rest(model)
+    visited = []
     for record in validation:
         x = np.zeros(model.order)
         for ubar in model.lift(record.u):
             visited.append(x)
             x = model.advance(x, ubar)
-    x0 = np.array(visited)[np.linspace(0, len(visited) - 1, CASES + 2).astype(int)[1:-1]]
-    slowest = -np.log(
-        min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)
-    )  # decay per sample of the slowest mode
-    horizon = int(np.clip(np.ceil(TIME_CONSTANTS / slowest), *SAMPLES))
-    load = _loads(model, linear, horizon) if loaded else np.zeros((0, linear.b.shape[1]))
-    still, none = np.zeros((len(load), model.order)), np.zeros((len(x0), linear.b.shape[1]))
-    return np.concatenate([x0, still]), np.concatenate([none, load]), horizon
+    spaced = np.linspace(0, len(visited) - 1, CASES + 2).astype(int)
+    x0 = np.array(visited)[spaced[1:-1]]
+    radius = min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)
+    decay = -np.log(radius)  # per sample, of the slowest mode
+    horizon = int(np.clip(np.ceil(TIME_CONSTANTS / decay), *SAMPLES))
+    channels = linear.b.shape[1]
+    load = _loads(model, linear, horizon) if loaded else np.zeros((0, channels))
+    at_origin = np.zeros((len(load), model.order))
+    no_load = np.zeros((len(x0), channels))
+    return np.concatenate([x0, at_origin]), np.concatenate([no_load, load]), horizon
 
 
 def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
@@ -76,11 +79,13 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
 def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:
     """A load over time, up to one, that the internal model makes: constant, a ramp, sines, or their
     mean."""
-    one = modes[::outputs, ::outputs]  # of one output
-    if not len(one):
+    own_modes = modes[::outputs, ::outputs]  # of one output
+    if not len(own_modes):
         return np.ones(horizon)
-    made = np.stack([np.linalg.matrix_power(one, k).sum(axis=1) for k in range(horizon)])
-    return np.asarray((made / np.abs(made).max(axis=0)).mean(axis=1))
+    powers = [np.linalg.matrix_power(own_modes, k).sum(axis=1) for k in range(horizon)]
+    signals = np.stack(powers)
+    shapes = signals / np.abs(signals).max(axis=0)
+    return np.asarray(shapes.mean(axis=1))
 
 
 def relative_areas(
@@ -97,14 +102,14 @@ def relative_areas(
     with integrators. No noise, scaled units, inputs within `limits`, where it is `held`. Below one
     is faster than none.
     """
-    start = *release(model, validation, loaded=len(gains.modes) > 0), limits or (-LARGEST, LARGEST)
-    alone = _areas(model, replace(gains, k=0 * gains.k[:1], l=0 * gains.l[:1], l_z=None), *start)[0]
-    counts, parts = alone > FAINT * alone.max(), -(-len(gains.k) // AT_ONCE)
-    found = [
-        _areas(model, gains.at(some), *start)
-        for some in np.array_split(np.arange(len(gains.k)), parts)
-    ]
-    return (np.concatenate(found)[:, counts] / alone[counts]).mean(axis=1)
+    x0, load, horizon = release(model, validation, loaded=len(gains.modes) > 0)
+    cut = limits or (-LARGEST, LARGEST)
+    no_control = replace(gains, k=0 * gains.k[:1], l=0 * gains.l[:1], l_z=None)
+    alone = _areas(model, no_control, x0, load, horizon, cut)[0]
+    counts = alone > FAINT * alone.max()
+    batches = np.array_split(np.arange(len(gains.k)), -(-len(gains.k) // AT_ONCE))
+    areas = [_areas(model, gains.at(batch), x0, load, horizon, cut) for batch in batches]
+    return (np.concatenate(areas)[:, counts] / alone[counts]).mean(axis=1)
 
 
 def _areas(
@@ -115,33 +120,35 @@ def _areas(
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    n, k, l_, modes = (
-        model.order,
-        gains.k.transpose(0, 2, 1),
-        gains.l.transpose(0, 2, 1),
-        gains.modes,
-    )
-    fed, shape = error_input_matrix(modes, l_.shape[1]), _shape(modes, l_.shape[1], horizon)
+    """Area under the response and time to settle of each pair (rows) from each start (columns)."""
+    n = model.order
+    k = gains.k.transpose(0, 2, 1)
+    l_ = gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
+    modes = gains.modes
+    outputs = l_.shape[1]
+    into_modes = error_input_matrix(modes, outputs)
+    shape = _shape(modes, outputs, horizon)
     x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
-    x_hat, area, settled = np.zeros_like(x), np.zeros(x.shape[:2]), np.zeros(x.shape[:2])
+    x_hat = np.zeros_like(x)
     z = np.zeros((*x.shape[:2], k.shape[1] - n))
+    area = np.zeros(x.shape[:2])
+    settled = np.zeros(x.shape[:2])
     for sample in range(horizon):
-        asked = x_hat @ k[:, :n] + z @ k[:, n:]
-        u = np.clip(asked, *limits)
+        requested = x_hat @ k[:, :n] + z @ k[:, n:]
+        u = np.clip(requested, *limits)
         lifted = model.scaffold_in(u)
         loaded = lifted + load * shape[sample]
         y = model.read_scaled(x, loaded)
         innovation = model.read_scaled(x_hat, lifted) - y
         size = np.linalg.norm(y, axis=2)
-        area, settled = area + size, np.where(size > SETTLED, sample + 1.0, settled)
-        free = (u == asked).all(axis=2, keepdims=True)
-        z = np.clip(
-            np.where(free, z @ modes.T + y @ fed.T, z @ frozen_modes(modes).T), -LARGEST, LARGEST
-        )
+        area = area + size
+        settled = np.where(size > SETTLED, sample + 1.0, settled)
+        is_free = (u == requested).all(axis=2, keepdims=True)
+        moved = z @ modes.T + y @ into_modes.T
+        z = np.clip(np.where(is_free, moved, z @ frozen_modes(modes).T), -LARGEST, LARGEST)
         x = model.advance(x, loaded)
         injected = () if l_z is None else (innovation @ l_z,)
-        x_hat = np.clip(
-            model.advance(x_hat, lifted, *injected) + innovation @ l_, -LARGEST, LARGEST
-        )
+        estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_
+        x_hat = np.clip(estimate, -LARGEST, LARGEST)
     return area + settled

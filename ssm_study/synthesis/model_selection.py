@@ -46,33 +46,31 @@ class LargestCertifiableRate:
             require(0 < rate < 1, "model.among_starts.rate_enough", rate, *between)
 
     def __call__(self, found: "Sequence[Identification]") -> "Identification":
-        """One of `found`."""
-        fits = [one.fit_validation_percent for one in found]
+        """Choose one of the identified models."""
+        best_fit = max(identified.fit_validation_percent for identified in found)
         near = [
-            one
-            for one, fit in zip(found, fits, strict=True)
-            if fit >= max(fits) - self._within(one.model)
+            identified
+            for identified in found
+            if identified.fit_validation_percent >= best_fit - self._within(identified.model)
         ]
         if len(near) == 1:
             return near[0]
 
-        models: list[Any] = [one.model for one in near]
+        models: list[Any] = [identified.model for identified in near]
         rates = [fastest(model.system, certified_balls(model).input) for model in models]
-        enough = [
-            one for one, rate in zip(near, rates, strict=True) if rate >= (self.rate_enough or 1.0)
+        rate_enough = self.rate_enough or 1.0
+        fast_enough = [
+            identified for identified, rate in zip(near, rates, strict=True) if rate >= rate_enough
         ]
-        return (
-            max(enough, key=lambda one: one.fit_validation_percent)
-            if enough
-            else near[int(np.argmax(rates))]
-        )
+        if fast_enough:
+            return max(fast_enough, key=lambda identified: identified.fit_validation_percent)
+        return near[int(np.argmax(rates))]
 
     def _within(self, model: Any) -> float:
-        return (
-            self.one_layer_within_percent
-            if isinstance(model.system, StateSpace)
-            else self.within_percent
-        )
+        """Points of fit that count as about as good, by kind of model."""
+        if isinstance(model.system, StateSpace):
+            return self.one_layer_within_percent
+        return self.within_percent
 
 
 def fastest(system: System, ball: JacobianBall) -> float:
