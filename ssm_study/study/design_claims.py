@@ -15,6 +15,7 @@ from ssm_study.certificates.theorems.integral_action import (
     internal_model,
     output_gain,
 )
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.evidence.metrics import withheld
@@ -104,6 +105,9 @@ def mismatch_again(run: RunFiles) -> Any:
 def coverage_again(run: RunFiles) -> dict[str, Any]:
     """The columns of the coverage, from the run's own recordings: what they need is measured
     again."""
+    claimed = any(run.record.get(name) is not None for name in ("coverage", "coverage_reason"))
+    if not claimed and MeasuredDiscs.part not in run.design.extra_certificates:
+        return {}  # a run of before these columns claims nothing of them
     kept, test = run.simulated.validation, run.simulated.test
     records = kept.records, kept.start_up_samples, run.trials
     shown = measure_mismatch(run.model, *records)
