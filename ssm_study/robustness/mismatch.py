@@ -16,6 +16,7 @@ measured for it".
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -148,61 +149,86 @@ def measure_mismatch(
     start_up_samples: int = 0,
     mismatch_records: Trajectories = (),
 ) -> Mismatch:
-    """`e = y - y_model` in free run, scaled: of the `mismatch_records` where there are any, else of the
-    validation records.
+    """Measure `e = y - y_model` in free run, scaled, on the validation and the mismatch records.
 
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
     not count. Raises
     `BadRequest` without a record that moves the input.
     """
-    trial_runs = [
-        _Errors.of(model, trial, unscored(trial, start_up_samples))
-        for trial in mismatch_records
-        if trial.closed_loop
-    ]
-    loops = [one for one in trial_runs if one.u.any() and swing(one.e + one.model) > MOVING]
-    opened = [
-        *validation,
-        *(one for one in mismatch_records if not one.closed_loop and not is_return(one)),
-    ]
-    measured = [_Errors.of(model, record, start_up_samples) for record in opened]
-    moving = [one for one in measured if one.u.any()]
+    closed_loop_errors = _moving_loops(model, mismatch_records, start_up_samples)
+    open_loop_records = [*validation]
+    for trial in mismatch_records:
+        if not trial.closed_loop and not is_return(trial):
+            open_loop_records.append(trial)
+    open_loop_errors = [_Errors.of(model, one, start_up_samples) for one in open_loop_records]
+    moving = [errors for errors in open_loop_errors if errors.u.any()]
+    resting = [errors for errors in open_loop_errors if not errors.u.any()]
     problem = "the input never leaves its equilibrium, so no mismatch can be measured"
     remedy = "give a validation record that excites the plant"
     require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
-    periodic = [one for one in moving if one.period is not None]
+    periodic = [errors for errors in moving if errors.period is not None]
     noise = _noise(periodic) if periodic else None
     largest = max(periodic or moving, key=_Errors.strength)
-    most, views = largest.strength(), [_once(moving)]
+    views = [_once(moving)]
     if noise is not None:
-        views = [_view(record, record.strength() == most, noise) for record in periodic]
-    drive, response = welch([largest.u]), model.linear.response_samples()
-    rested = [y for one in moving if len(y := after_motion(one.u, one.e + one.model, response))]
-    own = [off for y in rested if (off := left(y)) > AT_REST]
-    excited = [
-        size for y in rested if (size := swing(y)) > FAINT
-    ]  # what a decay may not show: it starts elsewhere
-    still, offsets = after_returns(
-        model.scale, [one for one in mismatch_records if is_return(one)], response
-    )
-    decayed = [left(one.e + one.model) for one in measured if not one.u.any()]
+        strength = largest.strength()
+        views = [_view(errors, errors.strength() == strength, noise) for errors in periodic]
+    response = model.linear.response_samples()
+    returns = [trial for trial in mismatch_records if is_return(trial)]
+    still, offsets = after_returns(model.scale, returns, response)
+    own_offsets, swings = _rests_after_motion(moving, response)
+    decays = [left(errors.output) for errors in resting]
+    starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
-        loop=_in_loop(loops, noise) if loops else None,
+        loop=_in_loop(closed_loop_errors, noise) if closed_loop_errors else None,
         spread=largest.spread(),
         noise=() if noise is None else tuple(noise.tolist()),
-        left_at_rest=max((*decayed, *still, *excited), default=None),
-        stuck=tuple(
-            max(own, offsets, key=lambda found: max(found, default=0.0))
-        ),  # one rest counts once
-        farthest=max(
-            (float(np.abs((one.e + one.model)[0]).max()) for one in measured if not one.u.any()),
-            default=1.0,
-        ),
-        unexcited=tuple(
-            float(angle) for angle in ANGLES[: len(drive)][drive < EXCITED * drive.mean()]
-        ),
+        left_at_rest=max((*decays, *still, *swings), default=None),
+        stuck=tuple(_larger_offsets(own_offsets, offsets)),
+        farthest=max(starts, default=1.0),
+        unexcited=_unexcited_bands(largest),
     )
+
+
+def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> list["_Errors"]:
+    """The trials in closed loop that do not come to rest, without the samples that tell their
+    initial state."""
+    loops = []
+    for trial in trials:
+        if trial.closed_loop:
+            errors = _Errors.of(model, trial, unscored(trial, start_up_samples))
+            if errors.u.any() and swing(errors.output) > MOVING:
+                loops.append(errors)
+    return loops
+
+
+def _rests_after_motion(moving: list["_Errors"], response: int) -> tuple[list[float], list[float]]:
+    """What is left of the output where the input has come to rest: all offsets above `AT_REST`,
+    and the swings above `FAINT`, which a decay may not show, since it starts elsewhere."""
+    offsets = []
+    swings = []
+    for errors in moving:
+        rest = after_motion(errors.u, errors.output, response)
+        if not len(rest):
+            continue
+        if (offset := left(rest)) > AT_REST:
+            offsets.append(offset)
+        if (size := swing(rest)) > FAINT:
+            swings.append(size)
+    return offsets, swings
+
+
+def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
+    """Those of the two kinds of rests that stay farther off: one rest counts once."""
+    return max(first, second, key=lambda offsets: max(offsets, default=0.0))
+
+
+def _unexcited_bands(errors: "_Errors") -> tuple[float, ...]:
+    """Bands (rad/sample) without input power in a record."""
+    power_u = welch([errors.u])
+    is_dark = power_u < EXCITED * power_u.mean()
+    return tuple(float(angle) for angle in ANGLES[: len(power_u)][is_dark])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +254,13 @@ class _Errors:
             period=found[1] if found else None,
         )
 
+    @property
+    def output(self) -> Float[np.ndarray, "T p"]:
+        """The measured output, scaled."""
+        return self.e + self.model
+
     def strength(self) -> float:
+        """Mean square of the input."""
         return float((self.u**2).mean())
 
     def spread(self) -> float:
@@ -328,41 +360,40 @@ def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
     what exceeds `SURE` of its standard deviations counts.
     """
     both, drive, said = record.spectra()
-    drawn, (_, lines) = noise * record.period, bands_of(len(drive))
-    power_u, power_said = banded(power(drive)), banded(power(said))
+    drawn = noise * record.period
+    _, lines = bands_of(len(drive))
+    power_u = banded(power(drive))
+    power_said = banded(power(said))
     repeats = banded((both[0] * both[1].conj()).real.sum(axis=1))  # noise averages out, see above
-    doubt = (
-        0.0 if sure else SURE * np.sqrt((drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines)
-    )
-    cross = ((both[0] + both[1]) / 2 * said.conj()).sum(
-        axis=1
-    )  # both periods: half the noise's variance
+    doubt: Any = 0.0
+    if not sure:
+        variance = (drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines
+        doubt = SURE * np.sqrt(variance)
+    # Both periods: half the noise's variance.
+    cross = ((both[0] + both[1]) / 2 * said.conj()).sum(axis=1)
     linear = divided(banded(cross.real) + 1j * banded(cross.imag), power_said)
-    known = power_said * np.abs(linear) ** 2 > (1 + (0.0 if sure else SURE**2)) * drawn / 2 / lines
-    linear = np.where(known & (record.e.shape[1] == 1) & (record.u.shape[1] == 1), linear, 0.0)
+    least = (1 + (0.0 if sure else SURE**2)) * drawn / 2 / lines
+    is_known = power_said * np.abs(linear) ** 2 > least
+    is_scalar = (record.e.shape[1] == 1) & (record.u.shape[1] == 1)
+    linear = np.where(is_known & is_scalar, linear, 0.0)
     explained = power_said * np.abs(linear) ** 2
-    whole, rest = np.maximum(repeats - doubt, 0.0), np.maximum(repeats - explained - doubt, 0.0)
-    dark = (
-        power_u < EXCITED * power_u.mean()
-    )  # little or no input: by chance nothing repeats there, or anything
+    whole = np.maximum(repeats - doubt, 0.0)
+    rest = np.maximum(repeats - explained - doubt, 0.0)
+    # Little or no input: by chance nothing repeats there, or anything.
+    unexcited = power_u < EXCITED * power_u.mean()
     measured = banded((power(both[0]) + power(both[1])) / 2)
-    whole, rest, linear = (
-        np.where(dark, measured, whole),
-        np.where(dark, measured, rest),
-        np.where(dark, 0.0, linear),
+    whole = np.where(unexcited, measured, whole)
+    rest = np.where(unexcited, measured, rest)
+    linear = np.where(unexcited, 0.0, linear)
+    answered = (power_said * np.abs(1 + linear) ** 2 + rest).sum()
+    return View(
+        amplitude=float(np.sqrt((record.u**2).mean())),
+        gain=float(np.sqrt(whole.sum() / power_u.sum())),
+        by_frequency=np.sqrt(divided(whole, power_u)),
+        linear=linear,
+        rest=np.sqrt(divided(rest, power_u)),
+        response=float(answered / max(power_said.sum(), np.finfo(float).tiny)),
     )
-    answered = (power_said * np.abs(1 + linear) ** 2 + rest).sum() / max(
-        power_said.sum(), np.finfo(float).tiny
-    )
-    sizes = {
-        "by_frequency": np.sqrt(divided(whole, power_u)),
-        "rest": np.sqrt(divided(rest, power_u)),
-    }
-    amplitude, gain = (
-        float(np.sqrt((record.u**2).mean())),
-        float(np.sqrt(whole.sum() / power_u.sum())),
-    )
-    return View(amplitude=amplitude, gain=gain, linear=linear, response=float(answered), **sizes)
 
 
 def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
