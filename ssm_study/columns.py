@@ -24,6 +24,8 @@ ADDED_COLUMNS = frozenset(
         "coverage_reason",
         "coverage_reference",
         "noise_gain_model",
+        "faster_than_open_loop",
+        "swings_at_rest",
     }
 )
 
