@@ -23,7 +23,7 @@ def fit(
     y: Signals,
     step_s: float,
     *overrides: str,
-    model: str = "structured",
+    model: str = "log",
     order: int | str | None = None,
     neurons: int | None = None,
     slopes: tuple[float, float] | None = None,
@@ -40,7 +40,8 @@ def fit(
     channels), or lists of them, one per experiment. The last 40 % of each record validate and test
     the model, or blocks of it where its end is unlike its beginning.
 
-    `model` is a choice of `conf/model` ("structured", "ssm", "arx", ...), `slopes` the bounds of
+    `model` is a choice of `conf/model` ("log": structured, and the records say whether the output
+    answers at once; "structured", "ssm", "arx", ...), `slopes` the bounds of
     the input map's slopes, and `settings` are further fields of the model; a field left at None
     has the value of its yaml file. `overrides` are settings as the command takes them, such as
     `"training.max_epochs=10"` or `"data.test_fraction=0.3"`. `results_dir` keeps the log that the

@@ -15,6 +15,7 @@ from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, whole
 from ssm_study.models.structured import codes
 from ssm_study.refusal import at_least, one_of, require
 
+AUTO = "auto"  # chosen from the records
 Free = Float[np.ndarray, "P"]
 Signals = Float[np.ndarray, "*batch c"]
 
@@ -103,9 +104,6 @@ class Pieces:
         return MonotoneScaffold(breakpoints=np.sort(points, axis=1), slopes=slopes)
 
 
-AUTO = "auto"
-
-
 @dataclass(frozen=True, kw_only=True)
 class StructuredSpec(ModelSpec):
     """`x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y = S_y(C x + D v + H w),  v =
@@ -124,7 +122,7 @@ class StructuredSpec(ModelSpec):
     kinds: str | list[str] = "tanh"
     input_path: str = "none"
     output_path: str = "none"
-    feedthrough: bool = False
+    feedthrough: bool | str = False
     knots: int = 16
     output_knots: int = 0
     slope_lower: float = 0.01
@@ -153,6 +151,7 @@ class StructuredSpec(ModelSpec):
                     getattr(self, name),
                     "use 4 or so" + (f", or {AUTO}" if name == "order" else ""),
                 )
+        one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
         codes(self.each)
         one_of(("none", "staged", "free"), "model.input_path", self.input_path)
         one_of(("none", "free"), "model.output_path", self.output_path)

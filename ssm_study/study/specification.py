@@ -91,7 +91,7 @@ class Specification:
             "identify with model.feedthrough=false",
         )
         asked = self.configuration["model"].get("feedthrough")
-        require(not (loops and asked), "model.feedthrough", True, problem, remedy)
+        require(not (loops and asked), "model.feedthrough", asked, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
         """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is

@@ -110,7 +110,8 @@ class StructuredFit(pl.LightningModule):
         """On few samples: linear fit, S_u, then neurons drawn at random race and the best draw
         starts the training."""
         spec, rng = self.spec, np.random.default_rng(self.seed)
-        short = replace(self.problem, records=self.problem.records.cut(START_SAMPLES))
+        stretch = self.problem.records.moving_stretch(START_SAMPLES)
+        short = replace(self.problem, records=stretch)
         linear = replace(short, neurons=(), rate=None)
         matrices = (
             "a",
@@ -136,7 +137,8 @@ class StructuredFit(pl.LightningModule):
             (self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss
         )
         x0 = np.zeros_like(self.theta["x0"])  # records that the start has not seen begin at rest
-        x0[: len(best.theta["x0"])] = best.theta["x0"]
+        if np.shares_memory(stretch.u[:1, :1], self.problem.records.u[:1, :1]):
+            x0[: len(best.theta["x0"])] = best.theta["x0"]
         return best.theta | {"x0": x0}
 
     def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:

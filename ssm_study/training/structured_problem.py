@@ -13,6 +13,7 @@ from ssm_study.models.spec import Pairs
 from ssm_study.models.structured import codes
 from ssm_study.models.structured_kernel import Matrices, free_run, sensitivities, split
 from ssm_study.models.structured_spec import Pieces
+from ssm_study.refusal import require
 from ssm_study.training.fit import padded
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 
@@ -21,6 +22,7 @@ from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_m
 Theta = dict[str, Float[np.ndarray, "..."]]
 FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
+STILL = 0.1  # of the records' deviation: where they move less, no start is made
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
@@ -46,6 +48,35 @@ class Batch(NamedTuple):
         beginning."""
         count = max(1, samples // self.u.shape[1])
         return Batch(*(part[:count, :samples] for part in self))
+
+    def moving_stretch(self, samples: int) -> "Batch":
+        """`cut(samples)` if input and output move there, else the stretch of one record that moves
+        most. Raises `BadRequest` where none does."""
+        beginning = self.cut(samples)
+        if self._movement(beginning) >= STILL:
+            return beginning
+        stretches = [
+            Batch(*(part[record : record + 1, start : start + samples] for part in self))
+            for record in range(len(self.u))
+            for start in range(0, self.u.shape[1], max(1, samples // 2))
+        ]
+        moving = max(stretches, key=self._movement)
+        problem = "no stretch of the training records moves in input and output"
+        remedy = "log an experiment in which the input moves the output"
+        require(self._movement(moving) > 0, "data.training", "at rest", problem, remedy)
+        return moving
+
+    def _movement(self, stretch: "Batch") -> float:
+        """Deviation within the stretch over that of all records: the smaller of input and output."""
+        if not stretch.scored.any():
+            return 0.0
+        shares = []
+        for name in ("u", "y"):
+            inside = getattr(stretch, name)[stretch.scored]
+            everywhere = getattr(self, name)[self.scored]
+            deviation = float(np.linalg.norm(everywhere.std(axis=0)))
+            shares.append(float(np.linalg.norm(inside.std(axis=0))) / max(deviation, 1e-300))
+        return min(shares)
 
     @property
     def scored(self) -> np.ndarray:

@@ -14,6 +14,7 @@ from ssm_study.training.windows import Windows
 
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
+    from ssm_study.models.structured_spec import StructuredSpec
     from ssm_study.training.metrics import Identification
 
 
@@ -69,7 +70,7 @@ class Training:
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running,
         `last.ckpt`."""
         from ssm_study.models.baselines.solved import SolvedSpec
-        from ssm_study.models.structured_spec import AUTO, StructuredSpec
+        from ssm_study.models.structured_spec import StructuredSpec
         from ssm_study.training.metrics import Identification
 
         began = time.perf_counter()
@@ -85,10 +86,8 @@ class Training:
 
         began = time.perf_counter()  # the imports are no training
         choice: list[dict[str, object]] = []
-        if isinstance(spec, StructuredSpec) and spec.order == AUTO:
-            from ssm_study.training.structured_choice import choose
-
-            spec, choice = choose(spec, data, seed)
+        if isinstance(spec, StructuredSpec):
+            spec, choice = _chosen_by_records(spec, data, seed)
         choice_s = time.perf_counter() - began
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
@@ -101,3 +100,24 @@ class Training:
         return replace(
             best, seconds=choice_s + sum(one.seconds for one in found), choice=tuple(choice)
         )
+
+
+def _chosen_by_records(
+    spec: "StructuredSpec", data: DataSet, seed: int
+) -> tuple["StructuredSpec", list[dict[str, object]]]:
+    """The spec with everything that is `auto` chosen by folds, and the table of what was tried."""
+    from ssm_study.models.structured_spec import AUTO
+
+    rows: list[dict[str, object]] = []
+    if spec.feedthrough == AUTO:
+        from ssm_study.training.path_choice import choose_feedthrough
+
+        feedthrough, tried = choose_feedthrough(data)
+        spec = replace(spec, feedthrough=feedthrough)
+        rows += tried
+    if spec.order == AUTO:
+        from ssm_study.training.structured_choice import choose
+
+        spec, tried = choose(spec, data, seed)
+        rows += tried
+    return spec, rows
