@@ -34,7 +34,7 @@ def choose_feedthrough(data: DataSet) -> tuple[bool, list[Row]]:
     gains = fits[0] - fits[1]
     standard_error = float(gains.std(ddof=1)) / np.sqrt(len(gains))
     mean_gain = float(gains.mean())
-    answers_at_once = mean_gain > max(LEAST_GAIN, standard_error)
+    answers_at_once = bool(mean_gain > max(LEAST_GAIN, standard_error))
     rows = [
         {
             "model": "linear output error",

@@ -28,7 +28,7 @@ OPTIMISERS = sorted(path.stem for path in (CONF / "training" / "optimiser").glob
 
 
 PACKAGES = {"n4sid": "nfoursid"}  # the extra "baselines"
-FEWER = {"structured": ("model.starts=1", "model.draws=2")}
+FEWER = dict.fromkeys(("structured", "log"), ("model.starts=1", "model.draws=2"))
 
 
 def read(group: str, choice: str, *overrides: str) -> Any:
@@ -103,7 +103,7 @@ def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> N
 
 
 def test_a_model_without_a_network_to_train_says_so() -> None:
-    for choice in ("structured", "n4sid", "narx", "output_error"):
+    for choice in ("structured", "log", "n4sid", "narx", "output_error"):
         with pytest.raises(TypeError, match="a training of its own"):
             read("model", choice).build(data_set(), 0)
 

@@ -1,6 +1,7 @@
 """The records say whether the output answers within the sample, and training starts where they
 move."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,7 @@ def test_feedthrough_is_chosen_where_the_output_answers_at_once(
     data = answering(data_set(noise=0.02, samples=400, records=4), gain)
     feedthrough, tried = choose_feedthrough(data)
     assert feedthrough is expected
+    assert json.loads(json.dumps(tried)) == tried
     assert [row["feedthrough"] for row in tried if row["chosen"]] == [expected]
 
 
