@@ -88,7 +88,7 @@ def test_docstrings_run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def shortened(self: parts.Parts, choices: dict[str, str], words: tuple[str, ...] = ()) -> None:
         short = ("training.max_epochs=10", "model.starts=1", "model.draws=1")
-        is_structured = choices.get("model") == "structured"
+        is_structured = choices.get("model") in ("structured", "log")
         whole(self, choices, (*short, *words) if is_structured else words)
 
     monkeypatch.setattr(parts.Parts, "__init__", shortened)
