@@ -15,7 +15,7 @@ science: `import ssm_study` installs it before anything else is imported.
 import importlib
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -338,7 +338,7 @@ class OldModules(MetaPathFinder):
     """Finds an old module by its new name, and gives modules their old names and methods."""
 
     def find_spec(
-        self, fullname: str, path: Iterable[str] | None = None, target: ModuleType | None = None
+        self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         del target
         if not fullname.startswith(f"{OURS}."):

@@ -151,7 +151,9 @@ def check_index(u: Any, y: Any, step_s: float | None) -> None:
 def index_period_s(index: Any) -> float | None:
     """Period of an index of times or of numbers that are no counter of rows, None of others."""
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex) and len(index) > 2:
-        return float((index[-1] - index[0]).total_seconds() / (len(index) - 1))
+        kind = "datetime64[ns]" if isinstance(index, pd.DatetimeIndex) else "timedelta64[ns]"
+        nanoseconds = index.to_numpy().astype(kind).astype(np.int64)
+        return float(1e-9 * (nanoseconds[-1] - nanoseconds[0]) / (len(index) - 1))
     if index.dtype.kind == "f" and len(index) > 2:
         steps = np.diff(index.to_numpy())
         even = float(steps.min()) > 0 and float(np.ptp(steps)) < 0.1 * float(steps.mean())

@@ -61,7 +61,7 @@ EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pieces:
+class EvenRows:
     """Rows on an even clock: stretches of values, where each starts in samples, and the period.
 
     `remarks` state holes, missing values and interpolation, in words.
@@ -207,7 +207,7 @@ def on_even_clock(
     step_s: float | None,
     tolerance: float,
     resample: bool,
-) -> Pieces:
+) -> EvenRows:
     """The rows on an even clock, cut at holes and at missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
@@ -224,13 +224,13 @@ def on_even_clock(
     if late.max() <= tolerance and not resample:
         require_agreement(step_s, mean_s, where)
         period_s = mean_s if step_s is None else step_s
-        return without_missing(Pieces(values=[values], starts=[0], step_s=period_s, remarks=[]))
+        return without_missing(EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[]))
     return cut_at_holes(time_s, values, inputs, where, step_s, tolerance, resample)
 
 
 def rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], step_s: float, where: str
-) -> Pieces:
+) -> EvenRows:
     """Rows with times that were rounded, on the sampling time that is given; refuses another one
     than the first rows show."""
     refuse_backwards(time_s[np.append(True, np.diff(time_s) != 0)], where)
@@ -241,7 +241,7 @@ def rounded_clock(
     problem = f"the times of {where}, which were rounded, show {span_s / (len(time_s) - 1):.4g} s"
     require(agrees, "data.step_s", step_s, problem, "correct one of them (units?)")
     remark = f"times rounded to {coarsest_s:.3g} s at their end, data.step_s taken"
-    return without_missing(Pieces(values=[values], starts=[0], step_s=step_s, remarks=[remark]))
+    return without_missing(EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark]))
 
 
 def require_agreement(step_s: float | None, period_s: float, where: str) -> None:
@@ -260,7 +260,7 @@ def cut_at_holes(
     step_s: float | None,
     tolerance: float,
     resample: bool,
-) -> Pieces:
+) -> EvenRows:
     """Stretches between the holes of a clock; interpolated where the clock wanders."""
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
@@ -279,7 +279,9 @@ def cut_at_holes(
         period_s = period_s if step_s is None else step_s
         starts = [round((time_s[a] - time_s[0]) / period_s) for a, _ in stretches]
         cut = [values[a:b] for a, b in stretches]
-        return without_missing(Pieces(values=cut, starts=starts, step_s=period_s, remarks=remarks))
+        return without_missing(
+            EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
+        )
     require(stretches, f"{where} (time)", "holes", "no stretch without a hole is left", "log on")
     refuse_wandering(steps, median_s, where, resample)
     if not resample:
@@ -318,7 +320,7 @@ def interpolated(
     stretches: list[tuple[int, int]],
     period_s: float,
     remarks: list[str],
-) -> Pieces:
+) -> EvenRows:
     """Stretches on a clock of that period: outputs on lines between rows, held inputs held."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
@@ -339,7 +341,7 @@ def interpolated(
         starts.append(round((times[0] - time_s[0]) / period_s))
     remark = f"uneven clock: {between / samples:.0%} of the samples interpolated"
     return without_missing(
-        Pieces(values=cut, starts=starts, step_s=period_s, remarks=[*remarks, remark])
+        EvenRows(values=cut, starts=starts, step_s=period_s, remarks=[*remarks, remark])
     )
 
 
@@ -362,7 +364,7 @@ def held_or_linear(
     return np.interp(clock, times, column)
 
 
-def without_missing(pieces: Pieces) -> Pieces:
+def without_missing(pieces: EvenRows) -> EvenRows:
     """The pieces cut where a value is missing; stretches of one or two rows are left out."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
@@ -381,4 +383,4 @@ def without_missing(pieces: Pieces) -> Pieces:
     remarks = list(pieces.remarks)
     if missing:
         remarks.append(f"cut at {missing} rows with missing values in {gaps} places")
-    return Pieces(values=cut, starts=starts, step_s=pieces.step_s, remarks=remarks)
+    return EvenRows(values=cut, starts=starts, step_s=pieces.step_s, remarks=remarks)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.clock import (
-    Pieces,
+    EvenRows,
     clock_seconds,
     counts_rows,
     find_clock,
@@ -167,7 +167,7 @@ class Columns:
             y = np.diff(y, axis=0) / step_s
         return Trajectory(u=u, y=y, step_s=step_s, name=path.name)
 
-    def _on_clock(self, path: Path, output_path: Path) -> tuple[Pieces, list[str]]:
+    def _on_clock(self, path: Path, output_path: Path) -> tuple[EvenRows, list[str]]:
         """The rows on an even clock, and how the files were read, in words."""
         time_s, values, remarks = self._read(path, output_path)
         if time_s is None:
@@ -177,7 +177,7 @@ class Columns:
                     "give it, or name the column data.time",
                 )
                 raise BadRequest("data.step_s", None, problem, remedy)
-            rows = Pieces(values=[values], starts=[0], step_s=self.step_s, remarks=[])
+            rows = EvenRows(values=[values], starts=[0], step_s=self.step_s, remarks=[])
             pieces = without_missing(rows)
         else:
             pieces = on_even_clock(
@@ -296,7 +296,7 @@ def counter_remark(contents: Table, step_s: float | None) -> list[str]:
     return ["the first column counts rows"]
 
 
-def pieces_end(pieces: Pieces) -> int:
+def pieces_end(pieces: EvenRows) -> int:
     """Samples of the log up to the end of its last piece."""
     return pieces.starts[-1] + len(pieces.values[-1])
 
