@@ -16,7 +16,7 @@ import yaml  # type: ignore[import-untyped]
 from ssm_study.durable import contents
 from ssm_study.engine.settings import stored_yaml
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import model_from_json
+from ssm_study.models.structured import Model, StructuredSSM, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.study.recordings import RecordedCases
 from ssm_study.table.columns import text
@@ -68,6 +68,13 @@ class RunFolder:
         data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM) else None
+
+    @cached_property
+    def any_model(self) -> Model | None:
+        """The identified model, with or without neurons; None for a baseline."""
+        data = self._parsed("model.json")
+        found = None if data is None else model_from_json(data)
+        return found if isinstance(found, SSM | StructuredSSM) else None
 
     @property
     def comparison(self) -> pd.DataFrame | None:
