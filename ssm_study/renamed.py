@@ -39,6 +39,7 @@ class OldName(FutureWarning):
 MODULES: Mapping[str, str] = {
     "cli.endings": "cli.summary",
     "cli.explained": "cli.hydra_errors",
+    "data.readers.csv": "data.readers.text",
     "data.excitations.own_plant": "data.excitations.user_excitation",
     "data.excitations.own_signal": "data.excitations.file_signal",
     "engine.code": "engine.fingerprint",

@@ -139,7 +139,7 @@ NOWHERE = {
     "verification": ("study/claims.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
     "line": ("study/line.py", *NEW_CODE),
     "another plant": ("plants/cascaded_tanks.py", r"^class CascadedTanks\(", "class CascadedTanks(object, "),
-    "a reader of logs": ("data/readers/csv.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
+    "a reader of logs": ("data/readers/text.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
 }  # fmt: skip
 
 
@@ -212,7 +212,7 @@ def recorded(tmp_path: Path) -> Specification:
     ("file", "pattern"),
     [
         ("data/splits.py", r"^def periodic_segments\("),
-        ("data/readers/csv.py", r"^class \w+\("),
+        ("data/readers/text.py", r"^class \w+\("),
         ("data/recorded.py", r"^class RecordedData\("),
     ],
 )
