@@ -71,6 +71,7 @@ NAMES: Mapping[str, str] = {
     "data.simulated.trials": "data.simulated.mismatch_records",
     "data.splits.repeats": "data.splits.periodic_segments",
     "data.splits.returns": "data.splits.rest_segments",
+    "data.readers.text.CsvReader": "data.readers.text.TextReader",
     "engine.stages.Kept": "engine.stages.StageOutput",
     "models.identified.Wired": "models.identified.ScaffoldedModel",
     "models.spec.Start": "models.spec.Initialisation",
