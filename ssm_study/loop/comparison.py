@@ -44,27 +44,11 @@ class Comparison(ComparisonTable):
     spread_fields: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        for name, known in (
-            ("controllers", tuple(Peer.members(peers))),
-            ("situations", SITUATIONS),
-        ):
-            unknown = [value for value in getattr(self, name) if value not in known]
-            withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
-            require(
-                not unknown,
-                f"loop.comparison.{name}",
-                unknown,
-                withdrawn[0] if withdrawn else "not known",
-                f"use some of {', '.join(known)}",
-            )
-        require(
-            0 < self.rate < 1,
-            "loop.comparison.rate",
-            self.rate,
-            "a rate lies in (0, 1)",
-            "try 0.05",
-        )
+        self._check_names("controllers", tuple(Peer.members(peers)))
+        self._check_names("situations", SITUATIONS)
+        rate = self.rate
         share = self.spread_share
+        require(0 < rate < 1, "loop.comparison.rate", rate, "a rate lies in (0, 1)", "try 0.05")
         require(
             0 <= share < 1,
             "loop.comparison.spread_share",
@@ -73,16 +57,25 @@ class Comparison(ComparisonTable):
             "use 0.2",
         )
         at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
-        good, problem = (
-            self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0),
-            "not a gain and a time",
-        )
+        is_pi = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0)
         require(
-            good,
+            is_pi,
             "loop.comparison.own_pi",
             self.own_pi,
-            problem,
+            "not a gain and a time",
             "give [gain, integral time in seconds]",
+        )
+
+    def _check_names(self, field_name: str, names: Sequence[str]) -> None:
+        """Refuse values of a field that are not among these names."""
+        unknown = [value for value in getattr(self, field_name) if value not in names]
+        withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
+        require(
+            not unknown,
+            f"loop.comparison.{field_name}",
+            unknown,
+            withdrawn[0] if withdrawn else "not known",
+            f"use some of {', '.join(names)}",
         )
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
@@ -91,21 +84,18 @@ class Comparison(ComparisonTable):
         built = [compared(name, plant, known, self.rate) for name in self.controllers]
         if self.own_pi is not None:
             built.append((PI.on(plant, *self.own_pi), UNSAID | {"controller": "own_pi"}))
-        rows = []
+        rows: list[Row] = []
         for situation in self.situations:
             cases = self.cases(plant, loop, situation, seed)
-            for controller, said in built if cases else ():
-                runs = (
-                    [varied.on_plant(on, controller, seed) for on, varied in cases]
-                    if controller
-                    else []
-                )
-                name = said["controller"]
-                rows.append(
-                    {"controller": name, "situation": situation}
-                    | said
-                    | (pooled(runs) if runs else {})
-                )
+            if not cases:
+                continue
+            for controller, predicted in built:
+                row: Row = {"controller": predicted["controller"], "situation": situation}
+                row |= predicted
+                if controller:
+                    runs = [varied.on_plant(on, controller, seed) for on, varied in cases]
+                    row |= pooled(runs)
+                rows.append(row)
         return rows
 
     def cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
@@ -147,14 +137,14 @@ class Comparison(ComparisonTable):
             "not fields of this plant",
             "name its own",
         )
-        sampler = scipy.stats.qmc.LatinHypercube(
-            d=len(self.spread_fields), rng=np.random.default_rng([seed, 2])
-        )
-        factors = 1 + self.spread_share * (
-            2 * sampler.random(self.spread_plants) - 1
-        )  # in [1 - share, 1 + share]
+        count = len(self.spread_fields)
+        rng = np.random.default_rng([seed, 2])
+        sampler = scipy.stats.qmc.LatinHypercube(d=count, rng=rng)
+        deviations = 2 * sampler.random(self.spread_plants) - 1
+        factors = 1 + self.spread_share * deviations  # in [1 - share, 1 + share]
         nominal = np.array([float(getattr(plant, name)) for name in self.spread_fields])
-        varied = [
-            dict(zip(self.spread_fields, row, strict=True)) for row in (factors * nominal).tolist()
-        ]
-        return [replace(plant, **values) for values in varied]  # type: ignore[type-var]  # a dataclass
+        plants: list[Plant] = []
+        for row in (factors * nominal).tolist():
+            values = dict(zip(self.spread_fields, row, strict=True))
+            plants.append(replace(plant, **values))  # type: ignore[type-var]  # a dataclass
+        return plants

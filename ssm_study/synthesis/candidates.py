@@ -33,6 +33,7 @@ class Candidates:
         )
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
+        """The request whose solutions are the gains of this pair."""
         feedback, observing = self.feedback[pair[0]], self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
         taken: Any = {name: getattr(observing, name) for name in names}
