@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from ssm_study.report import style
+from ssm_study import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
