@@ -267,7 +267,7 @@ def claim_differences(then: dict[str, object], now: dict[str, object]) -> Iterat
         if name in verdicts:
             if verdicts[name]["holds"] != claim["holds"]:
                 yield f"{name}: holds was {claim['holds']}; now {verdicts[name]['found']}"
-        elif WITHDRAWN not in unchecked.get(name, ""):
+        elif name not in WITHDRAWN_COLUMNS and WITHDRAWN not in unchecked.get(name, ""):
             yield f"{name}: was checked, is now {unchecked.get(name, 'not mentioned')}"
     known = {claim["claim"] for claim in old.get("claims", ())}
     for name, claim in verdicts.items():
