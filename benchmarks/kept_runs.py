@@ -50,7 +50,13 @@ class Kind:
 
 
 SMALL = ("experiment=smoke",)
-LOG = ("data=recorded", "data.path=log.csv", "data.input=volt", "data.output=speed")
+LOG = (
+    "data=recorded",
+    "data.path=log.csv",
+    "data.input=volt",
+    "data.output=speed",
+    "data.time=time",
+)
 TINY_STRUCTURED = ("model.order=2", "model.neurons=1", "model.draws=2", "model.starts=1")
 KINDS = (
     Kind("paper", ("experiment=paper", "training.max_epochs=20")),
