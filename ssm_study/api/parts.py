@@ -181,12 +181,22 @@ class Parts:
         self.details.append(f"{key}={text}")
         assign(self.trees, key, value)
 
+    def _has(self, path: str) -> bool:
+        """Whether the yaml files have a value at a dotted path."""
+        place: Any = self.trees
+        for name in path.split("."):
+            if not isinstance(place, dict) or name not in place:
+                return False
+            place = place[name]
+        return True
+
     def set_given(self, part: str, **settings: Any) -> None:
         """Set fields of a part, those that are not None."""
         for name, value in settings.items():
             if value is not None:
+                sign = "" if self._has(f"{part}.{name}") else "+"
                 assign(self.trees, f"{part}.{name}", value)
-                self.details.append(f"{part}.{name}={write_value(value)}")
+                self.details.append(f"{sign}{part}.{name}={write_value(value)}")
 
     def build(self, part: str) -> Any:
         """Construct a part. Raises `BadRequest` for missing, unknown or unusable settings."""
