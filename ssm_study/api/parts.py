@@ -194,7 +194,7 @@ class Parts:
         """Set fields of a part, those that are not None."""
         for name, value in settings.items():
             if value is not None:
-                sign = "" if self._has(f"{part}.{name}") else "+"
+                sign = "" if self._has(f"{part}.{name}") else "++"
                 assign(self.trees, f"{part}.{name}", value)
                 self.details.append(f"{sign}{part}.{name}={write_value(value)}")
 

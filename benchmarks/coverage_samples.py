@@ -1,7 +1,7 @@
 """Sampled plants at the edge of a covered disc: does any of them keep the loop moving?
 
-    python benchmarks/coverage.py RUN --samples 3000      one run's certificate
-    python benchmarks/coverage.py --models 1000           random models of one layer
+    python benchmarks/coverage_samples.py RUN --samples 3000      one run's certificate
+    python benchmarks/coverage_samples.py --models 1000           random models of one layer
 
 Each sample is a plant `y = m + e` with `e = c m + s kappa (Q_1 floor m + Q_2 W m + Q_3 V u)`: `(Q_1,
 Q_2, Q_3)` all-passes, each times a share, the shares on the unit sphere, so that e lies on the
